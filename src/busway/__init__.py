@@ -1,0 +1,1 @@
+"""busway: a MODBUS messaging system."""
