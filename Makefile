@@ -1,0 +1,132 @@
+# Every way to run the project from a checkout. Each target does its own set-up, inside the checkout only:
+#
+#   .venv           the project, editable, with what its development needs
+#   .venv-3.12, …   the same for the unit tests on other Pythons
+#   .peers          foreign Modbus programs that the interop tests talk to; never a dependency of the project
+#
+# Stamp files inside the environments depend on pyproject.toml, so the second run sets nothing up.
+# PYTHON=/path/to/python chooses the interpreter (3.11 or newer).
+
+SHELL := /bin/sh
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+
+VENV  := .venv
+PEERS := .peers
+RUN   := $(VENV)/bin
+PIP   := -m pip --disable-pip-version-check --quiet install
+
+# The Pythons that the unit tests also run on where they are present.
+OTHER_PYTHONS := 3.12 3.13
+
+# Exact versions: the interop tests compare values, and these programs change from release to release.
+PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1
+
+UNIT_TESTS := -m "not interop and not packaging and not soak"
+PYTEST_FLAGS ?=
+
+.PHONY: help
+help: ## this list
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 16
+
+# --- what users run ---------------------------------------------------------------------------------------------------
+
+.PHONY: demo
+demo: $(VENV)/.installed ## a small plant on 127.0.0.1, polled and shown for ten seconds
+	@$(RUN)/busway demo $(DEMO_FLAGS)
+
+# --- what developers run ----------------------------------------------------------------------------------------------
+
+.PHONY: test
+test: check test-unit test-interop test-packaging test-versions ## everything that tests the project
+
+.PHONY: check
+check: $(VENV)/.installed-dev ## format, lint and types
+	@echo "== format, lint, types"
+	@$(RUN)/ruff format --check --quiet . || { echo "error: run '$(RUN)/ruff format .'" >&2; exit 1; }
+	@$(RUN)/ruff check --quiet .
+	@$(RUN)/mypy --no-error-summary
+
+.PHONY: test-unit
+test-unit: $(VENV)/.installed-dev ## unit tests
+	@echo "== unit tests"
+	@$(RUN)/python -m pytest $(UNIT_TESTS) $(PYTEST_FLAGS)
+
+.PHONY: test-interop
+test-interop: $(VENV)/.installed-dev peers ## tests against programs that are not ours
+	@echo "== interop tests"
+	@$(RUN)/python -m pytest -m "interop and not soak" tests/interop $(PYTEST_FLAGS)
+
+.PHONY: test-packaging
+test-packaging: $(VENV)/.installed-dev ## wheel and sdist, built, installed and used
+	@echo "== packaging test"
+	@$(RUN)/python -m pytest -m packaging tests/packaging $(PYTEST_FLAGS)
+
+.PHONY: test-versions
+test-versions: $(OTHER_PYTHONS:%=test-python-%) ## unit tests on the other Pythons that are present
+
+.PHONY: $(OTHER_PYTHONS:%=test-python-%)
+$(OTHER_PYTHONS:%=test-python-%): test-python-%:
+	@if $(RUN)/python -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$*')" 2>/dev/null; then \
+		echo "== Python $*: it ran everything above"; \
+	elif interpreter=$$(scripts/find-python $*); then \
+		echo "== unit tests on Python $*"; \
+		$(MAKE) --no-print-directory PYTHON="$$interpreter" VENV=$(VENV)-$* test-unit-quietly; \
+	else \
+		echo "== Python $* is not here: its unit tests are left out"; \
+	fi
+
+.PHONY: test-unit-quietly
+test-unit-quietly: $(VENV)/.installed-dev
+	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(PYTEST_FLAGS)
+
+.PHONY: soak
+soak: $(VENV)/.installed-dev ## tests that take minutes
+	@$(RUN)/python -m pytest -m soak $(PYTEST_FLAGS)
+
+.PHONY: bench
+bench: $(VENV)/.installed-dev peers ## one table of speed, ours and the peers in the same run
+	@$(RUN)/python -m bench $(BENCH_FLAGS)
+
+.PHONY: bench-quick
+bench-quick: $(VENV)/.installed-dev peers ## the same in under a minute
+	@$(RUN)/python -m bench --quick $(BENCH_FLAGS)
+
+.PHONY: peers
+peers: $(PEERS)/.installed ## the foreign programs of the interop tests
+
+.PHONY: clean
+clean: ## removes everything that these targets made
+	rm -rf $(VENV) $(VENV)-3.* $(PEERS) dist build bench/build bench/results tests/interop/build
+	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find src tests bench scripts -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- set-up -----------------------------------------------------------------------------------------------------------
+
+$(VENV)/bin/python:
+	@interpreter=$${PYTHON:-$$(scripts/find-python)} || exit 1; \
+	"$$interpreter" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "error: $$interpreter is not a Python 3.11 or newer" >&2; exit 1; }; \
+	"$$interpreter" -c 'import venv, ensurepip' 2>/dev/null || \
+		{ echo "error: $$interpreter lacks the modules venv and ensurepip (Debian: apt-get install python3-venv)" >&2; \
+		exit 1; }; \
+	echo "== $(VENV): a virtual environment of $$interpreter"; \
+	"$$interpreter" -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
+	@echo "== $(VENV): the project"
+	@$(RUN)/python $(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
+	@echo "== $(VENV): the project and what its development needs"
+	@$(RUN)/python $(PIP) --editable '.[dev]'
+	@touch $@ $(VENV)/.installed
+
+# The stamp names the packages, so a changed pin reinstalls.
+$(PEERS)/.installed: Makefile | $(VENV)/bin/python
+	@if [ "$$(cat $@ 2>/dev/null)" != "$(PEER_PACKAGES)" ]; then \
+		echo "== $(PEERS): $(PEER_PACKAGES)"; \
+		$(RUN)/python -m venv $(PEERS) && $(PEERS)/bin/python $(PIP) $(PEER_PACKAGES); \
+	fi
+	@echo "$(PEER_PACKAGES)" > $@

@@ -1,0 +1,41 @@
+"""What every test may rely on.
+
+1. A test function that is a coroutine runs in an event loop of its own, made for it and closed after it.
+   Its fixtures are ordinary ones; whatever must live inside the loop is opened in the test with ``async with``.
+2. It has `LIMIT` seconds; a test that hangs fails where it hangs, instead of stopping the run.
+3. It must leave no task behind: a task that outlives its test is a leak of the code under test.
+"""
+
+import asyncio
+import inspect
+from collections.abc import Awaitable
+from typing import Any
+
+import pytest
+
+LIMIT = 60.0
+"""Seconds for one coroutine test: far above what any needs, so that only a hang reaches it."""
+
+TURNS_TO_END = 3
+"""Turns of the loop that a cancelled or finishing task gets: its last step, its callbacks, and one to spare."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a coroutine test; leave every other test to pytest."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = inspect.signature(pyfuncitem.obj).parameters
+    arguments = {name: pyfuncitem.funcargs[name] for name in names}
+    with asyncio.Runner(debug=False) as runner:
+        runner.run(_within_limit(pyfuncitem.obj(**arguments)))
+    return True
+
+
+async def _within_limit(test: Awaitable[Any]) -> None:
+    async with asyncio.timeout(LIMIT):
+        await test
+    for _ in range(TURNS_TO_END):
+        await asyncio.sleep(0)
+    left = asyncio.all_tasks() - {asyncio.current_task()}
+    assert not left, f"the test left tasks behind: {left}"
