@@ -18,7 +18,19 @@ def outcome_of(folder: Path, source: str, limit: float = 60.0) -> str:
     folder.joinpath("conftest.py").write_text(CONFTEST.replace("LIMIT = 60.0", f"LIMIT = {limit}"), encoding="utf-8")
     folder.joinpath("test_it.py").write_text(source, encoding="utf-8")
     finished = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-o", "addopts=", "test_it.py"],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:asyncio",
+            "-o",
+            "addopts=",
+            "test_it.py",
+        ],
         cwd=folder,
         env={key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")},
         capture_output=True,

@@ -68,7 +68,7 @@ PURE_MODULES = {
 }
 """What the core may take from the standard library: nothing in it waits, looks outside, or differs from run to run."""
 
-IMPURE_CALLS = {"open", "print", "input", "exec", "eval", "__import__", "breakpoint"}
+IMPURE_CALLS = {"open", "print", "input", "__import__", "breakpoint"}
 
 
 @dataclass(frozen=True, slots=True)
