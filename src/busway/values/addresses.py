@@ -1,0 +1,214 @@
+"""Addresses as people write them → table and offset.
+
+On the wire an item is an offset 0…65535 in one of four tables; the data model numbers the same items 1…65536
+(Application Protocol V1.1b3 §4.4). Manuals use either, and a value read one item off looks plausible, so every notation
+here has a declared base. Knows notations only; whether a device has the item, or a request may span it, is not known
+here.
+
+======================================  ====  =====================================================================
+notation                                base  meaning
+======================================  ====  =====================================================================
+``16`` (an ``int``)                     0     offset 16 of the table that the caller means
+``4x17``                                1     ``0x`` coil, ``1x`` discrete input, ``3x`` input register,
+                                              ``4x`` holding register, and the item's number in decimal
+``40017``, ``400017`` (text)            1     the same with four or five digits: ``00001``…``09999``,
+                                              ``10001``…, ``30001``…, ``40001``…49999; ``400001``…``465536``
+``holding:16``, ``holding:0x10``        0     the table by name: ``coil``, ``discrete``, ``input``, ``holding``, or in
+                                              full (``holding_registers``); the only place for hexadecimal
+``%MW16``, ``%M16``                     0     a PLC's memory word (holding register) or memory bit (coil)
+======================================  ====  =====================================================================
+
+A register may be followed by a bit, 0 the least significant: ``4x17.3``, ``%MW16.15``.
+
+Rules:
+
+1. ``0x10`` is coil number 10, which is offset 9. It is never hexadecimal: ``0x`` is the prefix of coils as ``4x`` is
+   that of holding registers. ``0x1F`` is refused, not guessed. Sixteen in hexadecimal is ``coil:0x10``.
+2. An ``int`` is an offset, ``40001`` too: item 40002. Only the text ``"40001"`` is the notation.
+3. A bare decimal text such as ``"10"`` is refused, because nobody can tell table and base, unless the caller names
+   the table; then it is an offset. Text of five or six digits that begins with 0, 1, 3 or 4 stays the notation, and is
+   refused where it names another table than the caller's.
+4. Where a manual counts otherwise, the caller declares it: ``base=0`` makes ``4x0`` and ``40000`` the first item,
+   ``base=1`` makes ``1`` and ``holding:1`` the first item. ``%MW`` and ``%M`` count from 0 always: it is the PLC's
+   own number of the memory word.
+"""
+
+import re
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from ..codes import TABLE_SIZE, Table
+from ..errors import InvalidRequest
+from .refusal import shown
+
+_PREFIX_OF: Final[dict[Table, str]] = {
+    Table.COILS: "0",
+    Table.DISCRETE_INPUTS: "1",
+    Table.INPUT_REGISTERS: "3",
+    Table.HOLDING_REGISTERS: "4",
+}
+_BY_PREFIX: Final[dict[str, Table]] = {prefix: table for table, prefix in _PREFIX_OF.items()}
+_BY_MEMORY: Final[dict[str, Table]] = {"m": Table.COILS, "mw": Table.HOLDING_REGISTERS}
+_SHORT_NAME: Final[dict[Table, str]] = {
+    Table.COILS: "coil",
+    Table.DISCRETE_INPUTS: "discrete",
+    Table.INPUT_REGISTERS: "input",
+    Table.HOLDING_REGISTERS: "holding",
+}
+_BY_NAME: Final[dict[str, Table]] = {
+    name: table
+    for table, short in _SHORT_NAME.items()
+    for name in (short, f"{short}s", table.value, table.value.removesuffix("s"))
+}
+
+_BIT: Final = r"(?:\.(?P<bit>[0-9]{1,2}))?"
+_PREFIXED: Final = re.compile(rf"(?P<table>[0134])[xX](?P<number>[0-9]{{1,6}}){_BIT}")
+_DIGITS: Final = re.compile(rf"(?P<table>[0134])(?P<number>[0-9]{{4,5}}){_BIT}")
+_NAMED: Final = re.compile(rf"(?P<table>[A-Za-z _-]+):(?P<number>0[xX][0-9a-fA-F]{{1,5}}|[0-9]{{1,6}}){_BIT}")
+_MEMORY: Final = re.compile(rf"%(?P<table>[mM][wW]?)(?P<number>[0-9]{{1,6}}){_BIT}")
+_BARE: Final = re.compile(rf"(?P<number>[0-9]{{1,6}}){_BIT}")
+_LOOKS_HEXADECIMAL: Final = re.compile(r"0[xX]([0-9a-fA-F]{1,16})")
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """One item of a device, or one bit of a register. Two are equal if they mean the same, however they were written.
+
+    Attributes:
+        table: which of the four tables; None if the caller's function decides.
+        offset: the item as on the wire, 0…65535.
+        bit: a bit of the register, 0 (least significant)…15; None for the whole item.
+        text: the notation it was given in; empty if it was not given as text or number.
+
+    Raises:
+        InvalidRequest: offset or bit out of range, or a bit of something that is a bit. Nothing was sent.
+    """
+
+    table: Table | None
+    offset: int
+    bit: int | None = None
+    text: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        written = f"address {shown(self.text)}: " if self.text else ""
+        if not isinstance(self.offset, int) or not 0 <= self.offset < TABLE_SIZE:
+            raise InvalidRequest(f"{written}offset {shown(self.offset)} is outside 0…{TABLE_SIZE - 1}")
+        if self.bit is not None:
+            if self.table is not None and self.table.holds_bits:
+                raise InvalidRequest(f"{written}a {self.table.label} is one bit and has no bit {self.bit}")
+            if not 0 <= self.bit <= 15:
+                raise InvalidRequest(f"{written}a register has bits 0…15, not {self.bit}")
+
+    @property
+    def number(self) -> int:
+        """The item's number in the data model, 1…65536."""
+        return self.offset + 1
+
+    def __str__(self) -> str:
+        if self.text:
+            return self.text
+        return str(self.offset) if self.table is None else format_address(self)
+
+
+def parse_address(
+    value: int | str | Address, *, table: Table | None = None, base: Literal[0, 1] | None = None
+) -> Address:
+    """The item that a person or a program means, by the table and rules at the top of this file.
+
+    Args:
+        value: an offset, a text in one of the notations, or an `Address`, which is given back with the table filled in.
+        table: the table the caller means; None if the notation has to tell, or need not.
+        base: what the first item is called; None for each notation's own base.
+
+    Raises:
+        InvalidRequest: not a notation, out of range, ambiguous, or another table than ``table``; the sentence shows
+            how to write what may be meant. Nothing was sent.
+    """
+    if base not in (None, 0, 1):
+        raise InvalidRequest(f"base is {shown(base)}, but items are counted from 0 or from 1")
+    if isinstance(value, Address):
+        return _in_table(value, table)
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        raise InvalidRequest(f"an address is an int or text such as '4x1', not {shown(value)}")
+    if isinstance(value, int):
+        return _address(shown(value), table, value, base or 0, None)
+    return _in_table(_from_text(value.strip(), table, base), table)
+
+
+def format_address(address: Address) -> str:
+    """The notation with prefix and number, 1-based: ``4x17``, ``4x17.3``, ``0x10``; `parse_address` reads it back.
+
+    Raises:
+        InvalidRequest: the address has no table. Nothing was sent.
+    """
+    if address.table is None:
+        raise InvalidRequest(f"offset {address.offset} has no table, so there is no notation for it")
+    bit = "" if address.bit is None else f".{address.bit}"
+    return f"{_PREFIX_OF[address.table]}x{address.number}{bit}"
+
+
+def _from_text(text: str, table: Table | None, base: int | None) -> Address:
+    if match := _PREFIXED.fullmatch(text) or _DIGITS.fullmatch(text):
+        return _matched(text, match, _BY_PREFIX[match["table"]], 1 if base is None else base)
+    if match := _MEMORY.fullmatch(text):
+        return _matched(text, match, _BY_MEMORY[match["table"].lower()], 0)
+    if match := _NAMED.fullmatch(text):
+        name = match["table"].strip().lower().replace(" ", "_").replace("-", "_")
+        if name not in _BY_NAME:
+            raise InvalidRequest(
+                f"address {shown(text)}: there is no table {name!r}, but {', '.join(_SHORT_NAME.values())}"
+            )
+        return _matched(text, match, _BY_NAME[name], base or 0)
+    if match := _BARE.fullmatch(text):
+        if table is None:
+            raise _ambiguous(text, int(match["number"]), base)
+        return _matched(text, match, table, base or 0)
+    if match := _LOOKS_HEXADECIMAL.fullmatch(text):
+        raise InvalidRequest(
+            f"address {shown(text)} looks hexadecimal, but 0x is the prefix of coils and a decimal number follows;"
+            f" hexadecimal needs the table's name: holding:0x{match[1]}, coil:0x{match[1]}"
+        )
+    raise InvalidRequest(
+        f"{shown(text)} is no address; write 4x1 or 40001 (1-based; 0x coil, 1x discrete input, 3x input register,"
+        " 4x holding register), holding:0 or holding:0x10 (0-based), or %MW0"
+    )
+
+
+def _matched(text: str, match: re.Match[str], table: Table, base: int) -> Address:
+    digits = match["number"]
+    number = int(digits, 16) if digits[:2].lower() == "0x" else int(digits)
+    return _address(text, table, number, base, None if match["bit"] is None else int(match["bit"]))
+
+
+def _address(text: str, table: Table | None, number: int, base: int, bit: int | None) -> Address:
+    if not base <= number < base + TABLE_SIZE:
+        item = table.label if table is not None else "item"
+        raise InvalidRequest(
+            f"address {text}: there is no {item} {shown(number)}; counted from {base}, they are"
+            f" {base}…{base + TABLE_SIZE - 1}"
+        )
+    return Address(table, number - base, bit, text)
+
+
+def _in_table(address: Address, table: Table | None) -> Address:
+    if table is None or address.table is table:
+        return address
+    if address.table is None:
+        return Address(table, address.offset, address.bit, address.text)
+    hint = ""
+    if (digits := address.text.partition(".")[0]).isdecimal() and int(digits) < TABLE_SIZE:
+        hint = f"; for offset {int(digits)} write {_SHORT_NAME[table]}:{int(digits)}"
+    elif hexadecimal := _LOOKS_HEXADECIMAL.fullmatch(address.text):
+        hint = f"; hexadecimal is written {_SHORT_NAME[table]}:0x{hexadecimal[1]}"
+    raise InvalidRequest(
+        f"address {address} means {address.table.label} number {address.number}, not a {table.label}{hint}"
+    )
+
+
+def _ambiguous(text: str, number: int, base: int | None) -> InvalidRequest:
+    prefixed = number + 1 if base is None else number
+    return InvalidRequest(
+        f"address {shown(text)} does not say which table nor whether it counts from 0 or 1; write for example"
+        f" 4x{prefixed} or holding:{number} for the holding register at offset {number - (base or 0)},"
+        f" 3x{prefixed} or input:{number}, 0x{prefixed} or coil:{number}, 1x{prefixed} or discrete:{number}"
+    )

@@ -1,0 +1,208 @@
+"""Integers, floats and binary-coded decimals ⇄ bytes in wire order.
+
+Knows the three number formats and their ranges. Knows nothing of type names beyond quoting its own in errors, and
+nothing of registers: whoever calls has checked that the length is a multiple of the value's size.
+
+Rules:
+
+1. A block of values is converted by one ``struct`` call, after at most a few byte swaps of the whole block. The common
+   orders cost no more than the plain one.
+2. Nothing is cut or rounded away: what does not fit is refused. The one exception is what a float is: a number is
+   stored as the nearest one the format has, and one too small for it as zero; one too large is refused.
+3. ``bool`` is not a number here, and a float is not an integer, not even ``3.0``.
+4. Every bit pattern survives wire → value → wire, except NaNs where Python itself drops bits: float16 keeps only the
+   sign, and a signalling float32 becomes quiet. float64 keeps all; float32 keeps the payload of a quiet NaN.
+"""
+
+import math
+import re
+import struct
+from typing import Any, Final, SupportsFloat, SupportsIndex
+
+from ..errors import BadReply
+from .orders import ByteOrder, Wire, swapped
+from .refusal import unfit
+
+_WHOLE: Final = re.compile(r"([+-]?)(0[xX][0-9a-fA-F]{1,16}|0[bB][01]{1,64}|[0-9]{1,40})", re.ASCII)
+
+# What struct raises for numbers too large, and what __float__ of foreign numbers may raise (a signalling Decimal).
+_FLOAT_REFUSALS: Final = (struct.error, OverflowError, TypeError, ValueError)
+
+
+def whole_number(text: str) -> int:
+    """The integer that a person wrote: decimal, ``0x…`` or ``0b…``, with an optional sign.
+
+    Raises:
+        ValueError: it is none, or has more digits than any type here holds.
+    """
+    match = _WHOLE.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    sign, digits = match.groups()
+    base = {"0x": 16, "0b": 2}.get(digits[:2].lower(), 10)
+    return -int(digits, base) if sign == "-" else int(digits, base)
+
+
+class _StructLayout:
+    """How ``struct`` reads a block of one format: the order is either its own or follows from a few byte swaps."""
+
+    def __init__(self, letter: str, order: ByteOrder) -> None:
+        self.letter = letter
+        self.size = order.size
+        # struct reverses whole values for nothing, so only the rest of the swaps is left to do.
+        self.prefix = "<" if order.is_reversed else ">"
+        self.swaps = order.swaps[1:] if order.is_reversed else order.swaps
+
+    def unpack(self, data: Wire) -> list[Any]:  # ints or floats, as the letter says
+        """Numbers of a block; ``struct`` keeps the formats it met lately compiled."""
+        count = len(data) // self.size
+        if self.swaps:
+            data = swapped(data, self.swaps)
+        return list(struct.unpack(f"{self.prefix}{count}{self.letter}", data))
+
+    def pack(self, values: list[object]) -> bytes:
+        """The block of some numbers; fails as ``struct`` does."""
+        packed = struct.pack(f"{self.prefix}{len(values)}{self.letter}", *values)
+        return swapped(packed, self.swaps) if self.swaps else packed
+
+
+class IntegerCodec:
+    """Two's complement or unsigned integers of 16, 32 or 64 bits."""
+
+    def __init__(self, name: str, letter: str, order: ByteOrder) -> None:
+        bits = order.size * 8
+        self._minimum = -(1 << bits - 1) if letter.islower() else 0
+        self._maximum = self._minimum + (1 << bits) - 1
+        self._name = name
+        self._layout = _StructLayout(letter, order)
+        self.expects = f"a whole number {self._minimum}…{self._maximum}"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The integers of a block."""
+        return self._layout.unpack(data)
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some integers."""
+        if set(map(type, values)) - {int}:
+            self._refuse_strangers(values)
+        try:
+            return self._layout.pack(values)
+        except (struct.error, OverflowError) as error:
+            raise self._misfit(values) from error
+
+    def parse(self, text: str) -> int:
+        """A number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        number = whole_number(text)
+        if not self._minimum <= number <= self._maximum:
+            raise ValueError(text)
+        return number
+
+    def _refuse_strangers(self, values: list[object]) -> None:
+        # Integers of other libraries (numpy) are welcome: they have __index__, which floats and strings lack.
+        for index, value in enumerate(values):
+            if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+                hint = "; round it first" if isinstance(value, float) and math.isfinite(value) else ""
+                raise unfit(values, index, self._name, self.expects, hint)
+
+    def _misfit(self, values: list[object]) -> Exception:
+        for index, value in enumerate(values):
+            if isinstance(value, SupportsIndex) and not self._minimum <= value.__index__() <= self._maximum:
+                return unfit(values, index, self._name, self.expects)
+        raise AssertionError("struct refused integers that are in range")
+
+
+class FloatCodec:
+    """IEEE 754 numbers of 16, 32 or 64 bits, infinities and NaN included."""
+
+    def __init__(self, name: str, letter: str, order: ByteOrder) -> None:
+        largest = {2: "65504", 4: "3.4028234663852886e+38", 8: "1.7976931348623157e+308"}[order.size]
+        self._name = name
+        self._layout = _StructLayout(letter, order)
+        self.expects = f"a number -{largest}…{largest}, inf or nan"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The numbers of a block."""
+        return self._layout.unpack(data)
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some numbers, each rounded to the nearest that the format has."""
+        if set(map(type, values)) - {float, int}:
+            self._refuse_strangers(values)
+        try:
+            return self._layout.pack(values)
+        except _FLOAT_REFUSALS as error:
+            raise self._misfit(values) from error
+
+    def parse(self, text: str) -> float:
+        """A number as Python writes it, ``inf`` and ``nan`` included."""
+        if not text.isascii() or "_" in text:
+            raise ValueError(text)
+        number = float(text)
+        # float() makes an infinity of 1e999 without a word.
+        if math.isinf(number) and "inf" not in text.lower():
+            raise ValueError(text)
+        try:
+            self._layout.pack([number])
+        except OverflowError as error:
+            raise ValueError(text) from error
+        return number
+
+    def _refuse_strangers(self, values: list[object]) -> None:
+        for index, value in enumerate(values):
+            if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):
+                raise unfit(values, index, self._name, self.expects)
+
+    def _misfit(self, values: list[object]) -> Exception:
+        for index, value in enumerate(values):
+            try:
+                self._layout.pack([value])
+            except _FLOAT_REFUSALS:
+                return unfit(values, index, self._name, self.expects)
+        raise AssertionError("struct refused numbers that it takes one by one")
+
+
+class BcdCodec:
+    """Packed binary-coded decimals, four digits in each register, without a sign."""
+
+    def __init__(self, name: str, order: ByteOrder) -> None:
+        self._digits = order.size * 2
+        self._maximum = 10**self._digits - 1
+        self._name = name
+        self._swaps = order.swaps
+        self.expects = f"a whole number 0…{self._maximum}, in decimal"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The numbers of a block.
+
+        Raises:
+            BadReply: a digit is above 9; ``raw`` holds the block.
+        """
+        digits = self._digits
+        text = swapped(data, self._swaps).hex()
+        if text and not text.isdecimal():
+            place = next(place for place, digit in enumerate(text) if digit > "9") // digits
+            value = text[place * digits : (place + 1) * digits].upper()
+            raise BadReply(
+                f"value {place} of the block reads {value}, which is no {self._name}: its digits are 0…9",
+                raw=bytes(data),
+            )
+        return [int(text[start : start + digits]) for start in range(0, len(text), digits)]
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some numbers."""
+        parts = []
+        for index, value in enumerate(values):
+            if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+                raise unfit(values, index, self._name, self.expects)
+            number = value.__index__()
+            if not 0 <= number <= self._maximum:
+                raise unfit(values, index, self._name, self.expects)
+            parts.append(f"{number:0{self._digits}d}")
+        return swapped(bytes.fromhex("".join(parts)), self._swaps)
+
+    def parse(self, text: str) -> int:
+        """A decimal number; hexadecimal is refused: nobody can tell whether its digits or its value is meant."""
+        number = whole_number(text)
+        if not text.lstrip("+").isdecimal() or number > self._maximum:
+            raise ValueError(text)
+        return number

@@ -1,0 +1,25 @@
+"""The one sentence with which a value is refused.
+
+Knows how to show any value in a few characters; knows nothing about the types that refuse.
+"""
+
+from typing import Final
+
+from ..errors import InvalidRequest
+
+_SHOWN_CHARACTERS: Final = 60
+
+
+def shown(value: object) -> str:
+    """``repr`` of a value, cut to a length that fits a sentence; never fails."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print integers of some thousand digits
+        return f"a {type(value).__name__} of thousands of digits"
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…"
+
+
+def unfit(values: list[object], index: int, name: str, expects: str, hint: str = "") -> InvalidRequest:
+    """The error for ``values[index]``, which the type ``name`` can not hold; says which, if there are several."""
+    place = f"values[{index}] = " if len(values) > 1 else ""
+    return InvalidRequest(f"{place}{shown(values[index])} does not fit {name}, which takes {expects}{hint}")

@@ -1,0 +1,76 @@
+"""Character strings ⇄ bytes in wire order.
+
+Knows encodings, padding and the two orders of characters in a register. Two characters lie in a register, the first in
+the high byte unless the order is ``BA``.
+
+Rules:
+
+1. A text is never cut: one that is too long is refused. The length is counted in bytes of its encoding.
+2. What is read ends at the first NUL; what a device left behind it is not text. With space padding, trailing spaces
+   are padding too, so a text that ends in spaces comes back without them.
+3. The last byte of an odd length only fills the register: written as padding, not looked at when read.
+"""
+
+from typing import Any
+
+from ..errors import BadReply, InvalidRequest
+from .orders import ByteOrder, Wire, swapped
+from .refusal import shown, unfit
+
+
+class StringCodec:
+    """Texts of up to ``length`` bytes, each in a field of ``registers`` registers."""
+
+    def __init__(self, name: str, length: int, encoding: str, padding: str, order: ByteOrder) -> None:
+        self._name = name
+        self._length = length
+        self._size = (length + 1) // 2 * 2
+        self._encoding = encoding
+        self._fill = b" " if padding == "space" else b"\0"
+        self._swaps = order.swaps
+        self.expects = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The texts of a block.
+
+        Raises:
+            BadReply: the bytes are not text in this encoding; ``raw`` holds the block.
+        """
+        whole = swapped(data, self._swaps)
+        return [self._text(whole[start : start + self._length], data) for start in range(0, len(whole), self._size)]
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some texts, each padded to its field."""
+        fields = [self._field(values, index) for index in range(len(values))]
+        return swapped(b"".join(fields), self._swaps)
+
+    def parse(self, text: str) -> str:
+        """The text as it stands."""
+        self.encode([text])
+        return text
+
+    def _text(self, field: bytes, block: Wire) -> str:
+        content = field.partition(b"\0")[0]
+        if self._fill == b" ":
+            content = content.rstrip(b" ")
+        try:
+            return content.decode(self._encoding)
+        except UnicodeDecodeError as error:
+            raise BadReply(
+                f"{shown(content)} is not {self._encoding} text, as {self._name} expects; latin-1 takes every byte",
+                raw=bytes(block),
+            ) from error
+
+    def _field(self, values: list[object], index: int) -> bytes:
+        value = values[index]
+        if not isinstance(value, str):
+            raise unfit(values, index, self._name, self.expects)
+        try:
+            content = value.encode(self._encoding)
+        except UnicodeEncodeError as error:
+            raise unfit(values, index, self._name, self.expects) from error
+        if len(content) > self._length:
+            raise unfit(values, index, self._name, self.expects, f"; this is {len(content)}")
+        if b"\0" in content:
+            raise InvalidRequest(f"{shown(value)} holds a NUL, at which {self._name} ends when it is read")
+        return content.ljust(self._size, self._fill)

@@ -1,0 +1,288 @@
+"""Types by name: what ``"float32"`` in order ``"CDAB"`` does with the bytes of registers.
+
+Knows the names, how many registers each takes, and which codec works for it. The codecs (`numbers`, `texts`, `bits`)
+know the formats. Nothing here knows addresses, messages or limits of a request.
+
+================================  =========  ==================================================================
+name (short form)                 registers  value
+================================  =========  ==================================================================
+``int16`` … ``int64`` (``i16``)   1, 2, 4    ``int``, two's complement
+``uint16`` … ``uint64`` (``u16``) 1, 2, 4    ``int``
+``float16`` … ``float64`` (``f16``) 1, 2, 4  ``float``, IEEE 754
+``bcd16`` ``bcd32`` ``bcd64``     1, 2, 4    ``int``, packed decimal digits: 4, 8, 16
+``string:N``                      (N+1)//2   ``str`` of up to N bytes, N = 1…250
+``bits``                          1          tuple of 16 ``bool``, least significant first
+``bit:N``                         1          ``bool``, bit N = 0…15 (0 the least significant); only for reading
+================================  =========  ==================================================================
+
+Strings take up to two more words: the encoding ``ascii`` (default), ``latin-1`` or ``utf-8``, and the padding ``nul``
+(default) or ``space``: ``string:16:utf-8:space``.
+
+There is no ``float`` and no ``int``: devices differ in what they mean by it, so the number of bits is always written.
+
+Rules:
+
+1. A `ValueType` is compiled once and kept: whoever reads often holds it or asks `value_type` again.
+2. Bytes are in wire order, as in the messages: each register high byte first, unless the order says otherwise.
+3. What the caller gives and can not be is `InvalidRequest`; what a device sent and can not be is `BadReply`.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final, Protocol
+
+from ..codes import MAX_READ_REGISTERS
+from ..errors import InvalidRequest
+from .bits import BitCodec, BitsCodec
+from .numbers import BcdCodec, FloatCodec, IntegerCodec
+from .orders import ByteOrder, Wire, byte_order
+from .refusal import shown
+from .texts import StringCodec
+
+_LONGEST_STRING: Final = MAX_READ_REGISTERS * 2
+_ENCODINGS: Final = ("ascii", "latin-1", "utf-8")
+_PADDINGS: Final = ("nul", "space")
+
+
+class Codec(Protocol):
+    """A number format; lengths are checked before it is asked."""
+
+    expects: str
+
+    # Any: which Python type comes follows from a name at run time, and a union would make every caller cast.
+    def decode(self, data: Wire) -> list[Any]:
+        """The values of a block."""
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some values."""
+
+    def parse(self, text: str) -> Any:
+        """The value that a person wrote; ``ValueError`` if it is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValueType:
+    """A type in an order, ready to convert; got from `value_type`. Two are equal if name and order are.
+
+    Attributes:
+        name: the name in full, ``float32``.
+        order: the order in letters for this type's size, ``CDAB``.
+        registers: registers that one value takes.
+    """
+
+    name: str
+    order: str
+    registers: int
+    _codec: Codec = field(repr=False, compare=False)
+
+    @property
+    def expects(self) -> str:
+        """What a value has to be, in words: ``a whole number 0…65535``."""
+        return self._codec.expects
+
+    def registers_for(self, count: int) -> int:
+        """Registers that ``count`` values take.
+
+        Args:
+            count: number of values, 1 or more.
+
+        Raises:
+            InvalidRequest: the count is no such number. Nothing was sent.
+        """
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise InvalidRequest(f"count is {shown(count)}, but it is a number of {self.name} values, 1 or more")
+        return count * self.registers
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The values in some registers.
+
+        Args:
+            data: bytes in wire order, two for each register, a whole number of values.
+
+        Returns:
+            One value for each ``registers`` registers, in their order; none for no bytes.
+
+        Raises:
+            InvalidRequest: the length is no whole number of values.
+            BadReply: the bytes mean nothing in this type: a BCD digit above 9, bytes outside the string's encoding.
+        """
+        if len(data) % (2 * self.registers):
+            raise InvalidRequest(
+                f"{len(data)} bytes are no whole number of {self.name} values of {2 * self.registers} bytes each"
+            )
+        return self._codec.decode(data)
+
+    def encode(self, values: Iterable[object]) -> bytes:
+        """The registers that hold some values, as bytes in wire order.
+
+        Args:
+            values: values as `decode` gives them; one value goes in as ``[value]``. Number types take every integer
+                (and float types every real number) that fits, of other libraries too, but not ``bool``.
+
+        Raises:
+            InvalidRequest: a value does not fit, or the type is only for reading. Nothing was sent.
+        """
+        if isinstance(values, str | bytes | bytearray | memoryview) or not isinstance(values, Iterable):
+            raise InvalidRequest(
+                f"{shown(values)} is not a sequence of {self.name} values; a single one is given in a list"
+            )
+        return self._codec.encode(list(values))
+
+    def parse(self, text: str) -> Any:  # as in Codec
+        """The value that a person wrote.
+
+        Args:
+            text: integers in decimal, ``0x…`` or ``0b…``; BCD in decimal only; floats as Python writes them, ``inf``
+                and ``nan`` too; strings as they stand; ``bits`` as the register's number (``0b101`` has bits 0 and 2);
+                ``bit:N`` as on, off, true, false, 1, 0. Spaces around numbers and states do not matter.
+
+        Raises:
+            InvalidRequest: the text is no value of this type; names text, type and range. Nothing was sent.
+        """
+        try:
+            return self._codec.parse(text if self.name.startswith("string") else text.strip())
+        except InvalidRequest:
+            raise
+        except ValueError as error:
+            raise InvalidRequest(f"{shown(text)} does not fit {self.name}, which takes {self.expects}") from error
+
+
+def value_type(name: str | ValueType, order: str = "ABCD") -> ValueType:
+    """The type of a name and an order, compiled once.
+
+    Args:
+        name: a name of the table in this file, capitals do not matter; a `ValueType` is given back as it is, with its
+            own order.
+        order: byte and register order, ``ABCD`` is the specification's; for what else there is, and for orders
+            of another length than the type's, see `busway.values.orders`.
+
+    Raises:
+        InvalidRequest: there is no such type or order. Nothing was sent.
+    """
+    if isinstance(name, ValueType):
+        return name
+    if not isinstance(name, str) or not isinstance(order, str):
+        raise InvalidRequest(f"a type and an order are names, not {shown(name)} and {shown(order)}")
+    return _compiled(name, order)
+
+
+def decode(data: Wire, type: str | ValueType, order: str = "ABCD", count: int | None = None) -> list[Any]:
+    """The values in some registers; as `ValueType.decode`.
+
+    Args:
+        data: bytes in wire order, two for each register.
+        type: a name such as ``float32``, or a `ValueType`, whose own order then holds.
+        order: byte and register order.
+        count: number of values that the bytes have to hold; None for as many as there are.
+
+    Raises:
+        InvalidRequest: no such type or order, or the length is not that of ``count`` values.
+        BadReply: the bytes mean nothing in this type.
+    """
+    wanted = value_type(type, order)
+    if count is not None and len(data) != 2 * wanted.registers_for(count):
+        raise InvalidRequest(
+            f"{count} {wanted.name} values take {2 * wanted.registers_for(count)} bytes, but there are {len(data)}"
+        )
+    return wanted.decode(data)
+
+
+def encode(values: Iterable[object], type: str | ValueType, order: str = "ABCD") -> bytes:
+    """The registers that hold some values, as bytes in wire order; as `ValueType.encode`.
+
+    Args:
+        values: values of the type, in a sequence.
+        type: a name such as ``float32``, or a `ValueType`, whose own order then holds.
+        order: byte and register order.
+
+    Raises:
+        InvalidRequest: no such type or order, or a value does not fit. Nothing was sent.
+    """
+    return value_type(type, order).encode(values)
+
+
+def parse_value(text: str, type: str | ValueType) -> Any:
+    """The value that a person wrote, on a command line or in a file; as `ValueType.parse`.
+
+    Raises:
+        InvalidRequest: no such type, or the text is no value of it. Nothing was sent.
+    """
+    return value_type(type).parse(text)
+
+
+_INTEGERS: Final = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q"}
+_FLOATS: Final = {"float16": "e", "float32": "f", "float64": "d"}
+_BCD: Final = ("bcd16", "bcd32", "bcd64")
+
+TYPE_NAMES: Final = (*_INTEGERS, *_FLOATS, *_BCD, "string:N", "bits", "bit:N")
+"""The types that exist, as they are written."""
+
+_SHORT: Final = {
+    "i16": "int16",
+    "u16": "uint16",
+    "i32": "int32",
+    "u32": "uint32",
+    "i64": "int64",
+    "u64": "uint64",
+    "f16": "float16",
+    "f32": "float32",
+    "f64": "float64",
+}
+
+
+@lru_cache(maxsize=512)
+def _compiled(name: str, order: str) -> ValueType:
+    key = name.strip().lower()
+    key = _SHORT.get(key, key)
+    kind, *words = key.split(":")
+    if key in _INTEGERS:
+        return _number(key, order, lambda layout: IntegerCodec(key, _INTEGERS[key], layout))
+    if key in _FLOATS:
+        return _number(key, order, lambda layout: FloatCodec(key, _FLOATS[key], layout))
+    if key in _BCD:
+        return _number(key, order, lambda layout: BcdCodec(key, layout))
+    in_register = byte_order(order, 2)
+    if key == "bits":
+        return ValueType(key, in_register.text, 1, BitsCodec(key, in_register))
+    if kind == "bit":
+        return _bit(name, words, in_register)
+    if kind == "string":
+        return _string(name, words, in_register)
+    raise InvalidRequest(f"unknown type {shown(name)}; there are {', '.join(TYPE_NAMES)}")
+
+
+def _number(name: str, order: str, codec: Callable[[ByteOrder], Codec]) -> ValueType:
+    size = int(name[-2:]) // 8
+    layout = byte_order(order, size)
+    return ValueType(name, layout.text, size // 2, codec(layout))
+
+
+def _bit(name: str, words: list[str], order: ByteOrder) -> ValueType:
+    bit = _ascii_number(words[0]) if len(words) == 1 else None
+    if bit is None or bit > 15:
+        raise InvalidRequest(f"type {shown(name)} does not say which bit of the register: bit:0 … bit:15")
+    canonical = f"bit:{bit}"
+    return ValueType(canonical, order.text, 1, BitCodec(canonical, bit, order))
+
+
+def _string(name: str, words: list[str], order: ByteOrder) -> ValueType:
+    length = _ascii_number(words[0]) if words else None
+    if length is None or not 1 <= length <= _LONGEST_STRING:
+        raise InvalidRequest(f"type {shown(name)} needs a length in bytes, string:1 … string:{_LONGEST_STRING}")
+    options = words[1:]
+    encoding = options.pop(0) if options and options[0] in _ENCODINGS else _ENCODINGS[0]
+    padding = options.pop(0) if options and options[0] in _PADDINGS else _PADDINGS[0]
+    if options:
+        raise InvalidRequest(
+            f"type {shown(name)} goes on with {shown(options[0])}; after the length come an encoding"
+            f" ({', '.join(_ENCODINGS)}) and a padding ({', '.join(_PADDINGS)})"
+        )
+    chosen = [word for word, usual in ((encoding, _ENCODINGS[0]), (padding, _PADDINGS[0])) if word != usual]
+    canonical = ":".join(["string", str(length), *chosen])
+    codec = StringCodec(canonical, length, encoding, padding, order)
+    return ValueType(canonical, order.text, (length + 1) // 2, codec)
+
+
+def _ascii_number(text: str) -> int | None:
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= 4 else None
