@@ -1,0 +1,268 @@
+/*
+ * The load generator: keeps every connection of a Modbus TCP server full of FC03 requests and measures the answers.
+ *
+ * For: the server tables. It keeps `in_flight` requests pipelined on each connection; requests that become due
+ * together (because one read brought several replies) leave in one write. It knows MBAP and FC03 and trusts nobody:
+ * every reply is held against the request it claims to answer.
+ *
+ * Rules:
+ * 1. A reply must carry an identifier that is outstanding on its connection, protocol 0, the length, unit, function
+ *    and byte count that fit the request. Anything else ends the run with a sentence and exit code 1.
+ * 2. Replies may leave the server in any order.
+ * 3. The first part of the run (a fifth of `seconds`, 0.1 s at least) warms up and is not counted in rate and latency.
+ * 4. Five seconds without any reply end the run with exit code 1.
+ * 5. Latency runs from the write that carried a request to the read that brought its reply (one clock reading per
+ *    read and write, not per request), of every transaction, in a histogram whose steps are 1.6 % wide.
+ *
+ * Use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [UNIT]
+ *      IN_FLIGHT 1…256, REGISTERS 1…125, UNIT 1 when left out; prints one line of JSON:
+ *      transactions, seconds, rate (per second), p50/p99/p99.9 (µs) of the counted part; all_transactions since the
+ *      first byte (to divide the CPU time of the server by); cpu (seconds, of this process); errors.
+ */
+#define _GNU_SOURCE
+#include <arpa/inet.h>
+#include <errno.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/epoll.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+enum {
+    REQUEST = 12,
+    HEADER = 9,             /* MBAP 7, function 1, byte count 1 */
+    SLOTS = 256,            /* the low byte of an identifier is its slot, the high byte counts the uses of the slot */
+    LONGEST_FRAME = 6 + 254,
+    READ_SIZE = 262144,
+    EVENTS = 512,
+    STEPS = 64,             /* of the histogram, per power of two */
+};
+
+struct slot {
+    uint16_t identifier;
+    uint8_t outstanding;
+    uint64_t sent; /* ns */
+};
+
+struct connection {
+    int socket;
+    int kept;
+    uint8_t rest[LONGEST_FRAME];
+    struct slot slots[SLOTS];
+};
+
+static int registers, unit = 1;
+static uint64_t histogram[64 * STEPS];
+static uint64_t all_transactions, counted;
+static int counting;
+
+static void fail(const char *format, ...) {
+    va_list values;
+    va_start(values, format);
+    fputs("load: ", stderr);
+    vfprintf(stderr, format, values);
+    fputc('\n', stderr);
+    va_end(values);
+    printf("{\"errors\": 1, \"all_transactions\": %llu}\n", (unsigned long long)all_transactions);
+    exit(1);
+}
+
+static uint64_t now(void) {
+    struct timespec time;
+    clock_gettime(CLOCK_MONOTONIC, &time);
+    return (uint64_t)time.tv_sec * 1000000000u + (uint64_t)time.tv_nsec;
+}
+
+/* Values below STEPS have a cell each; above, each power of two has STEPS cells. */
+static unsigned cell_of(uint64_t value) {
+    if (value < STEPS) return (unsigned)value;
+    unsigned shift = 63 - (unsigned)__builtin_clzll(value) - 6;
+    return (shift + 1) * STEPS + (unsigned)((value >> shift) - STEPS);
+}
+
+static double middle_of(unsigned cell) {
+    if (cell < STEPS) return cell;
+    unsigned shift = cell / STEPS - 1;
+    return ((double)(STEPS + cell % STEPS) + 0.5) * (double)(1ull << shift);
+}
+
+static double percentile(double share) {
+    uint64_t wanted = (uint64_t)(share * (double)counted), seen = 0;
+    for (unsigned cell = 0; cell < sizeof histogram / sizeof *histogram; cell++) {
+        seen += histogram[cell];
+        if (seen > wanted) return middle_of(cell) / 1000.0;
+    }
+    return 0.0;
+}
+
+static uint8_t *put_request(uint8_t *at, struct connection *link, unsigned slot) {
+    uint16_t identifier = link->slots[slot].identifier;
+    link->slots[slot].outstanding = 1;
+    at[0] = (uint8_t)(identifier >> 8);
+    at[1] = (uint8_t)identifier;
+    at[2] = at[3] = at[4] = 0;
+    at[5] = 6;
+    at[6] = (uint8_t)unit;
+    at[7] = 3;
+    at[8] = at[9] = 0;
+    at[10] = 0;
+    at[11] = (uint8_t)registers;
+    return at + REQUEST;
+}
+
+static void send_all(int socket, const uint8_t *bytes, size_t size) {
+    while (size > 0) {
+        ssize_t sent = send(socket, bytes, size, MSG_NOSIGNAL);
+        if (sent > 0) {
+            bytes += sent;
+            size -= (size_t)sent;
+        } else if (errno == EAGAIN) {
+            struct pollfd writable = {.fd = socket, .events = POLLOUT};
+            if (poll(&writable, 1, 5000) <= 0) fail("the server took no bytes for 5 s");
+        } else if (errno != EINTR) {
+            fail("a write failed: %s", strerror(errno));
+        }
+    }
+}
+
+/* Takes what arrived on one connection and sends as many new requests as replies came. */
+static void turn(struct connection *link) {
+    static uint8_t incoming[LONGEST_FRAME + READ_SIZE];
+    static uint8_t outgoing[SLOTS * REQUEST];
+    unsigned due[SLOTS];
+    int due_count = 0;
+
+    memcpy(incoming, link->rest, (size_t)link->kept);
+    ssize_t got = recv(link->socket, incoming + link->kept, READ_SIZE, 0);
+    if (got == 0) fail("the server closed a connection");
+    if (got < 0) {
+        if (errno == EAGAIN || errno == EINTR) return;
+        fail("a read failed: %s", strerror(errno));
+    }
+    uint64_t arrived = now();
+    size_t size = (size_t)(link->kept + got), at = 0;
+    const size_t whole = (size_t)(HEADER + 2 * registers);
+    while (size - at >= HEADER) {
+        const uint8_t *frame = incoming + at;
+        unsigned identifier = (unsigned)(frame[0] << 8 | frame[1]);
+        unsigned length = (unsigned)(frame[4] << 8 | frame[5]);
+        struct slot *slot = &link->slots[identifier % SLOTS];
+        if (!slot->outstanding || slot->identifier != identifier)
+            fail("a reply carries transaction identifier %u, which is not outstanding", identifier);
+        if (frame[7] == 0x83) fail("the server answered with exception %u", frame[8]);
+        if (frame[2] | frame[3]) fail("a reply has protocol identifier %u", frame[2] << 8 | frame[3]);
+        if (frame[6] != unit || frame[7] != 3)
+            fail("a reply has unit %u and function %u, %d and 3 were asked", frame[6], frame[7], unit);
+        if (length != whole - 6 || frame[8] != 2 * registers)
+            fail("a reply has length %u and byte count %u for %d registers", length, frame[8], registers);
+        if (size - at < whole) break;
+        slot->outstanding = 0;
+        slot->identifier = (uint16_t)(identifier + SLOTS);
+        due[due_count++] = identifier % SLOTS;
+        all_transactions++;
+        if (counting) {
+            counted++;
+            histogram[cell_of(arrived - slot->sent)]++;
+        }
+        at += whole;
+    }
+    link->kept = (int)(size - at);
+    memcpy(link->rest, incoming + at, (size_t)link->kept);
+    if (!due_count) return;
+    uint8_t *end = outgoing;
+    uint64_t sent = now();
+    for (int index = 0; index < due_count; index++) {
+        end = put_request(end, link, due[index]);
+        link->slots[due[index]].sent = sent;
+    }
+    send_all(link->socket, outgoing, (size_t)(end - outgoing));
+}
+
+static int dial(const struct addrinfo *address) {
+    int on = 1;
+    int socket_ = socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    if (socket_ < 0) fail("no socket: %s", strerror(errno));
+    if (connect(socket_, address->ai_addr, address->ai_addrlen)) fail("connect: %s", strerror(errno));
+    setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+    return socket_;
+}
+
+static long number(const char *text, const char *name, long low, long high) {
+    char *end;
+    long value = strtol(text, &end, 10);
+    if (*end || value < low || value > high) fail("%s is %s, allowed are %ld…%ld", name, text, low, high);
+    return value;
+}
+
+int main(int argc, char **argv) {
+    if (argc < 7 || argc > 8) fail("use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [UNIT]");
+    int connections = (int)number(argv[3], "CONNECTIONS", 1, 60000);
+    int in_flight = (int)number(argv[4], "IN_FLIGHT", 1, SLOTS);
+    registers = (int)number(argv[5], "REGISTERS", 1, 125);
+    double seconds = strtod(argv[6], NULL);
+    if (!(seconds > 0 && seconds <= 3600)) fail("SECONDS is %s, allowed are 0…3600", argv[6]);
+    if (argc == 8) unit = (int)number(argv[7], "UNIT", 0, 255);
+
+    struct rlimit files;
+    getrlimit(RLIMIT_NOFILE, &files);
+    files.rlim_cur = files.rlim_max;
+    setrlimit(RLIMIT_NOFILE, &files);
+
+    struct addrinfo wanted = {.ai_socktype = SOCK_STREAM}, *address;
+    int problem = getaddrinfo(argv[1], argv[2], &wanted, &address);
+    if (problem) fail("%s: %s", argv[1], gai_strerror(problem));
+    struct connection *links = calloc((size_t)connections, sizeof *links);
+    if (!links) fail("no memory");
+    int poller = epoll_create1(EPOLL_CLOEXEC);
+    for (int index = 0; index < connections; index++) {
+        links[index].socket = dial(address);
+        struct epoll_event event = {.events = EPOLLIN, .data.ptr = &links[index]};
+        if (epoll_ctl(poller, EPOLL_CTL_ADD, links[index].socket, &event)) fail("epoll_ctl: %s", strerror(errno));
+    }
+
+    static uint8_t first[SLOTS * REQUEST];
+    for (int index = 0; index < connections; index++) {
+        uint8_t *end = first;
+        uint64_t sent = now();
+        for (unsigned slot = 0; slot < (unsigned)in_flight; slot++) {
+            links[index].slots[slot].identifier = (uint16_t)slot;
+            links[index].slots[slot].sent = sent;
+            end = put_request(end, &links[index], slot);
+        }
+        send_all(links[index].socket, first, (size_t)(end - first));
+    }
+
+    double warm = seconds / 5 > 0.1 ? seconds / 5 : 0.1;
+    uint64_t begin = now(), start = begin + (uint64_t)(warm * 1e9), stop = start + (uint64_t)(seconds * 1e9);
+    uint64_t counted_since = 0, at = begin;
+    struct epoll_event ready[EVENTS];
+    while (at < stop) {
+        int count = epoll_wait(poller, ready, EVENTS, 5000);
+        if (count == 0) fail("no reply for 5 s");
+        for (int index = 0; index < count; index++) turn(ready[index].data.ptr);
+        at = now();
+        if (!counting && at >= start) {
+            counting = 1;
+            counted_since = at;
+        }
+    }
+    double lasted = (double)(at - counted_since) / 1e9;
+    if (!counted) fail("no transaction was counted");
+    struct rusage used;
+    getrusage(RUSAGE_SELF, &used);
+    printf("{\"transactions\": %llu, \"all_transactions\": %llu, \"seconds\": %.6f, \"rate\": %.1f, "
+           "\"p50\": %.1f, \"p99\": %.1f, \"p99.9\": %.1f, \"cpu\": %.6f, \"errors\": 0}\n",
+           (unsigned long long)counted, (unsigned long long)all_transactions, lasted, (double)counted / lasted,
+           percentile(0.50), percentile(0.99), percentile(0.999),
+           used.ru_utime.tv_sec + used.ru_stime.tv_sec + (used.ru_utime.tv_usec + used.ru_stime.tv_usec) / 1e6);
+    return 0;
+}
