@@ -9,7 +9,6 @@ import sys
 import tarfile
 import venv
 import zipfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,13 +65,13 @@ def distribution(tmp_path_factory: pytest.TempPathFactory) -> Distribution:
 
 
 @pytest.fixture(scope="module")
-def installed(distribution: Distribution, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def installed(distribution: Distribution, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of programs of an environment that holds the wheel and its dependencies, nothing else."""
     folder = tmp_path_factory.mktemp("environment")
     venv.create(folder, with_pip=True)
     programs = folder / ("Scripts" if sys.platform == "win32" else "bin")
     run(programs / "python", "-m", "pip", "--disable-pip-version-check", "install", distribution.wheel, folder=folder)
-    yield programs
+    return programs
 
 
 def test_the_wheel_holds_the_package_its_types_and_the_licence_and_nothing_else(distribution: Distribution) -> None:

@@ -67,7 +67,7 @@ def commands_of(client: ModbusTcpClient, unit: int) -> dict[str, Callable[..., d
         elif sub_function == 0x01:
             reply = client.diag_restart_communication(data == 0xFF00, device_id=unit)
         elif sub_function == 0x03:
-            reply = client.diag_change_ascii_input_delimeter(delimiter=data >> 8, device_id=unit)
+            reply = client.diag_change_ascii_input_delimeter(delimiter=data, device_id=unit)
         else:
             reply = getattr(client, DIAGNOSTICS_WITHOUT_DATA[sub_function])(device_id=unit)
         answer: DiagnosticBase = checked(reply)
