@@ -201,7 +201,7 @@ def _in_table(address: Address, table: Table | None) -> Address:
     elif hexadecimal := _LOOKS_HEXADECIMAL.fullmatch(address.text):
         hint = f"; hexadecimal is written {_SHORT_NAME[table]}:0x{hexadecimal[1]}"
     raise InvalidRequest(
-        f"address {address} means {address.table.label} number {address.number}, not a {table.label}{hint}"
+        f"address {address} means {address.table.label} number {address.number}, not one of the {table.label}s{hint}"
     )
 
 
