@@ -1,0 +1,291 @@
+"""Compiles declared fields into a constructor and two codecs, once, when a class of messages is made.
+
+Knows how fields lie on the wire and how to write the source of a codec; knows no function.
+
+The functions are generated as source and compiled, as `dataclasses` does: a request costs 0.6 µs to build and encode
+this way, and several times that when a loop interprets its fields for every message.
+"""
+
+import operator
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from ..codes import PDU_LIMIT, TABLE_SIZE
+from ..errors import InvalidRequest
+from .fields import NO_DEFAULT, Field, FixedField, RepeatedField, RestField, RestLength
+from .malformed import MalformedPdu
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The compiled shape of a message: its head as one `struct.Struct`, then an optional variable part."""
+
+    head: struct.Struct
+    names: tuple[str, ...]
+    fields: tuple[Field, ...]
+    length_at: int | None
+    """Index among ``fields`` of the `RestLength`, if there is one."""
+    length_offset: int
+    """Byte offset in the PDU of the `RestLength`; 0 without one."""
+    tail: RestField | RepeatedField | None
+    tail_name: str
+
+
+def attribute_names(cls: Any) -> tuple[str, ...]:
+    """The fields that an instance holds, in wire order."""
+    return tuple(name for name, field in cls.declared.items() if not isinstance(field, RestLength))
+
+
+def as_integer(name: str, value: object) -> int:
+    """An integer of any integer type except bool; `InvalidRequest` names the field otherwise."""
+    if isinstance(value, bool):
+        raise InvalidRequest(f"{name} must be an integer, not {value}")
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise InvalidRequest(f"{name} must be an integer, not {value!r}") from None
+
+
+def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
+    """Give ``cls``, whose fields are declared, its layout, constructor, ``encode`` and ``decode``."""
+    layout = _layout(cls)
+    cls.layout = layout
+    if getattr(cls, "writes", None) is not None:
+        cls.is_write = True
+    names = attribute_names(cls)
+    self_coded = cls.self_coded
+    namespace: dict[str, Any] = {
+        "InvalidRequest": InvalidRequest,
+        "MalformedPdu": MalformedPdu,
+        "as_integer": as_integer,
+        "pack": layout.head.pack,
+        "unpack_from": layout.head.unpack_from,
+        "new": cls.__new__,
+        "layout": layout,
+        "check_tail": _check_tail,
+        "decode_tail": _decode_tail,
+        "encode_tail": _encode_tail,
+        "out_of_range": _out_of_range,
+        "LIMIT": PDU_LIMIT,
+        "TABLE_SIZE": TABLE_SIZE,
+    }
+    for name in names:
+        namespace[f"set_{name}"] = getattr(cls, name).__set__
+        default = getattr(cls.declared[name], "default", NO_DEFAULT)
+        if default is not NO_DEFAULT:
+            namespace[f"default_{name}"] = default
+    source = "\n".join(
+        (_init_source(cls, names), _encode_source(cls, self_coded), _decode_source(cls, names, self_coded))
+    )
+    exec(compile(source, f"<codecs of {cls.__module__}.{cls.__qualname__}>", "exec"), namespace)
+    cls.__init__ = namespace["__init__"]
+    cls.__init__.__qualname__ = f"{cls.__qualname__}.__init__"
+    cls.encode = namespace["encode"]
+    cls.encode.__doc__ = "The PDU, function code first."
+    if "decode" not in cls.__dict__:
+        namespace[
+            "decode"
+        ].__doc__ = "The message of a whole PDU. Raises `MalformedPdu` where a limit or length is broken."
+        cls.decode = classmethod(namespace["decode"])
+
+
+def _layout(cls: Any) -> Layout:
+    letters = "" if cls.self_coded else "B"
+    if cls.sub_code is not None:
+        letters += {1: "B", 2: "H"}[cls.sub_width]
+    names: list[str] = []
+    fields: list[Field] = []
+    length_at: int | None = None
+    length_offset = 0
+    tail: RestField | RepeatedField | None = None
+    tail_name = ""
+    for name, field in cls.declared.items():
+        if tail is not None:
+            raise TypeError(f"{cls.__name__}.{name} stands behind the variable field {tail_name}")
+        if isinstance(field, RestField | RepeatedField):
+            tail, tail_name = field, name
+            continue
+        if isinstance(field, RestLength):
+            length_at, length_offset = len(fields), struct.calcsize(">" + letters)
+        letters += field.format
+        names.append(name)
+        fields.append(field)
+    return Layout(struct.Struct(">" + letters), tuple(names), tuple(fields), length_at, length_offset, tail, tail_name)
+
+
+def _init_source(cls: Any, names: tuple[str, ...]) -> str:
+    parameters = ["self"]
+    body = []
+    for name in names:
+        field = cls.declared[name]
+        parameters.append(name if getattr(field, "default", NO_DEFAULT) is NO_DEFAULT else f"{name}=default_{name}")
+        if isinstance(field, FixedField):
+            body.append(f" if {name}.__class__ is not int: {name} = as_integer({name!r}, {name})")
+            body.append(f" if {_range_test(name, field)}: raise InvalidRequest(out_of_range({name!r}, {name}, layout))")
+        else:
+            kind = "bytes" if isinstance(field, RestField) else "tuple"
+            body.append(f" if {name}.__class__ is not {kind}: {name} = {kind}({name})")
+            body.append(f" problem = check_tail(layout, {name})")
+            body.append(" if problem: raise InvalidRequest(problem)")
+        body.append(f" set_{name}(self, {name})")
+    for touch in (getattr(cls, "reads", None), getattr(cls, "writes", None)):
+        if touch is not None:
+            count = "1" if touch.count is None else touch.count
+            body.append(
+                f" if {touch.address} + {count} > TABLE_SIZE: raise InvalidRequest("
+                f"f'{{{count}}} {touch.table.label}s from address {{{touch.address}}} end beyond address 65535')"
+            )
+    if cls.has_rule:
+        body += [" problem = self.validate()", " if problem: raise InvalidRequest(problem)"]
+    if cls.layout.tail is not None:
+        body += [" size = len(self.encode())", " if size > LIMIT: raise InvalidRequest(too_long(size))"]
+    return (
+        f"def __init__({', '.join(parameters)}):\n"
+        + "\n".join(body or [" pass"])
+        + ("\ndef too_long(size): return f'the PDU would have {size} bytes; at most {LIMIT} fit'\n")
+    )
+
+
+def _encode_source(cls: Any, self_coded: bool) -> str:
+    layout: Layout = cls.layout
+    arguments = [] if self_coded else [str(cls.code)]
+    if cls.sub_code is not None:
+        arguments.append(str(cls.sub_code))
+    for name, field in zip(layout.names, layout.fields, strict=True):
+        if isinstance(field, RestLength):
+            fixed = layout.head.size - layout.length_offset - field.width
+            arguments.append(f"{fixed} + len(tail)" if layout.tail else str(fixed))
+        elif self_coded and name == "function" and cls.exception_bit:
+            arguments.append("self.function | 0x80")
+        else:
+            arguments.append(f"self.{name}")
+    lines = ["def encode(self):"]
+    if layout.tail is None:
+        lines.append(f" return pack({', '.join(arguments)})")
+    else:
+        get = f"self.{layout.tail_name}"
+        lines.append(f" tail = {get if isinstance(layout.tail, RestField) else f'encode_tail({get})'}")
+        lines.append(f" return pack({', '.join(arguments)}) + tail")
+    return "\n".join(lines) + "\n"
+
+
+def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
+    layout: Layout = cls.layout
+    size = layout.head.size
+    targets = [] if self_coded else ["code_"]
+    if cls.sub_code is not None:
+        targets.append("sub_code_")
+    targets += layout.names
+    lines = ["def decode(cls, pdu):", " size = len(pdu)"]
+    if layout.tail is None:
+        lines.append(f" if size != {size}: raise MalformedPdu(f'{{size}} bytes where this function has {size}')")
+    else:
+        lines.append(
+            f" if size < {size}: raise MalformedPdu(f'{{size}} bytes where this function has at least {size}')"
+        )
+        lines.append(" if size > LIMIT: raise MalformedPdu(f'{size} bytes where a PDU has at most {LIMIT}')")
+    lines.append(f" {', '.join(targets)}, = unpack_from(pdu)")
+    if not self_coded:
+        lines.append(f" if code_ != {cls.code}: raise MalformedPdu(f'function {{code_}} where {cls.code} is expected')")
+    if cls.sub_code is not None:
+        lines.append(
+            f" if sub_code_ != {cls.sub_code}: raise MalformedPdu("
+            f"f'sub-function {{sub_code_}} where {cls.sub_code} is expected')"
+        )
+    if cls.exception_bit:
+        lines.append(" function &= 0x7F")
+    for name, field in zip(layout.names, layout.fields, strict=True):
+        if isinstance(field, RestLength):
+            offset = layout.length_offset + field.width
+            lines.append(
+                f" if {name} != size - {offset}: raise MalformedPdu("
+                f"f'{name.replace('_', ' ')} {{{name}}} where {{size - {offset}}} bytes follow')"
+            )
+            limits = []
+            if field.low:
+                limits.append(f"{name} < {field.low}")
+            if field.high < 0xFFFF:
+                limits.append(f"{name} > {field.high}")
+            if field.step > 1:
+                limits.append(f"{name} % {field.step}")
+            if limits:
+                lines.append(f" if {' or '.join(limits)}: raise MalformedPdu(out_of_range({name!r}, {name}, layout))")
+        elif isinstance(field, FixedField):
+            test = _range_test(name, field, received=True)
+            if test:
+                lines.append(f" if {test}: raise MalformedPdu(out_of_range({name!r}, {name}, layout))")
+    if layout.tail is not None:
+        lines.append(f" {layout.tail_name} = decode_tail(layout, bytes(pdu[{size}:]))")
+    lines.append(" self = new(cls)")
+    lines += [f" set_{name}(self, {name})" for name in names]
+    if cls.has_rule:
+        lines += [" problem = self.validate()", " if problem: raise MalformedPdu(problem)"]
+    lines.append(" return self")
+    return "\n".join(lines) + "\n"
+
+
+def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
+    """Source of the test that a value is out of range; empty where received bytes can not be."""
+    if field.values is not None:
+        return f"{name} not in {field.values}"
+    whole = 0xFF if field.width == 1 else 0xFFFF
+    if received and field.low == 0 and field.high == whole:
+        return ""
+    return f"not {field.low} <= {name} <= {field.high}"
+
+
+def _out_of_range(name: str, value: int, layout: Layout) -> str:
+    field = layout.fields[layout.names.index(name)]
+    label = name.replace("_", " ")
+    if isinstance(field, FixedField) and field.values is not None:
+        allowed = ", ".join(f"0x{one:04X}" if field.width == 2 else str(one) for one in field.values)
+        return f"{label} must be one of {allowed}, not {value}"
+    assert isinstance(field, FixedField | RestLength)
+    step = f", a multiple of {field.step}" if isinstance(field, RestLength) and field.step > 1 else ""
+    return f"{label} must be {field.low}…{field.high}{step}, not {value}"
+
+
+def _check_tail(layout: Layout, value: Any) -> str | None:
+    tail = layout.tail
+    label = layout.tail_name.replace("_", " ")
+    if isinstance(tail, RestField):
+        if not tail.low <= len(value) <= tail.high:
+            return f"{label} must have {tail.low}…{tail.high} bytes, not {len(value)}"
+        if len(value) % tail.step:
+            return f"{label} must have a multiple of {tail.step} bytes, not {len(value)}"
+        return None
+    assert isinstance(tail, RepeatedField)
+    if not tail.low <= len(value) <= tail.high:
+        return f"{label} must have {tail.low}…{tail.high} items, not {len(value)}"
+    return next(
+        (
+            f"{label} holds {type(one).__name__}, not {tail.item.__name__}"
+            for one in value
+            if not isinstance(one, tail.item)
+        ),
+        None,
+    )
+
+
+def _decode_tail(layout: Layout, data: bytes) -> Any:
+    tail = layout.tail
+    value: Any = data
+    if isinstance(tail, RepeatedField):
+        items: list[Any] = []
+        at = 0
+        while at < len(data):
+            try:
+                item, at = tail.item.decode_from(data, at)
+            except ValueError as error:
+                raise MalformedPdu(f"{layout.tail_name}, item {len(items) + 1}: {error}") from error
+            items.append(item)
+        value = tuple(items)
+    problem = _check_tail(layout, value)
+    if problem is not None:
+        raise MalformedPdu(problem)
+    return value
+
+
+def _encode_tail(items: tuple[Any, ...]) -> bytes:
+    return b"".join([item.encode() for item in items])

@@ -1,0 +1,171 @@
+"""The short road: answers compiled for one device, wire to wire, with no message object between.
+
+Knows the wire form of the table functions and the blocks they act on; knows no session and no hooks.
+
+1. An answer gets the buffer, where the PDU starts and where it ends, and gives the reply PDU, or None: "take the
+   long road". It gives None for whatever is not plainly right, so every refusal is decided in one place.
+2. It must equal the long road on every request; a property test holds them together.
+
+Measured: 1.0 µs for a read of ten registers from frame to frame, against 2.1 µs by the long road.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import Protocol
+
+from ..codes import Table
+
+Answer = Callable[[bytes | bytearray, int, int], bytes | None]
+
+
+class Block(Protocol):
+    """A dense run of items in wire order. ``data`` may be replaced by another object at any time (grouped updates)."""
+
+    @property
+    def first(self) -> int:
+        """Address of the first item."""
+
+    @property
+    def count(self) -> int:
+        """Number of items."""
+
+    @property
+    def data(self) -> bytearray:
+        """The items: registers big-endian, bits packed from the lowest bit of the first byte."""
+
+    def put(self, position: int, count: int, data: bytes) -> None:
+        """Replace ``count`` items from ``position`` (counted from ``first``), safely from any thread."""
+
+
+class DirectModel(Protocol):
+    """A device that may offer its tables as plain blocks."""
+
+    def plain_block(self, table: Table, *, writes: bool) -> Block | None:
+        """The block of a table if nothing needs to know of accesses to it (hook, mapping, holes), else None."""
+
+
+_unpack_two = struct.Struct(">HH").unpack_from
+
+
+def read_registers(code: int, limit: int, block: Block) -> Answer:
+    """03 and 04 on a plain block."""
+    heads: list[bytes] = [bytes((code, 2 * count)) for count in range(limit + 1)]
+    first, size = block.first, block.count
+
+    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        if end - at != 5:
+            return None
+        address, count = _unpack_two(buffer, at + 1)
+        address -= first
+        if 0 < count <= limit and address >= 0 and address + count <= size:
+            reply: bytes = heads[count] + block.data[2 * address : 2 * (address + count)]
+            return reply
+        return None
+
+    return answer
+
+
+def read_bits(code: int, limit: int, block: Block) -> Answer:
+    """01 and 02 on a plain block."""
+    first, size = block.first, block.count
+
+    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        if end - at != 5:
+            return None
+        address, count = _unpack_two(buffer, at + 1)
+        address -= first
+        if not (0 < count <= limit and address >= 0 and address + count <= size):
+            return None
+        length = (count + 7) >> 3
+        part = int.from_bytes(block.data[address >> 3 : (address + count + 7) >> 3], "little") >> (address & 7)
+        packed: bytes = (part & (1 << count) - 1).to_bytes(length, "little")
+        return bytes((code, length)) + packed
+
+    return answer
+
+
+def write_register(code: int, block: Block) -> Answer:
+    """06 on a plain block."""
+    first, size, put = block.first, block.count, block.put
+
+    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        if end - at != 5:
+            return None
+        request = bytes(buffer[at:end])
+        address = (request[1] << 8 | request[2]) - first
+        if not 0 <= address < size:
+            return None
+        put(address, 1, request[3:])
+        return request
+
+    return answer
+
+
+def write_registers(code: int, limit: int, block: Block) -> Answer:
+    """16 on a plain block."""
+    first, size, put = block.first, block.count, block.put
+
+    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        if end - at < 8:
+            return None
+        address, count = _unpack_two(buffer, at + 1)
+        address -= first
+        if (
+            not 0 < count <= limit
+            or buffer[at + 5] != 2 * count
+            or end - at != 6 + 2 * count
+            or address < 0
+            or address + count > size
+        ):
+            return None
+        put(address, count, bytes(buffer[at + 6 : end]))
+        return bytes(buffer[at : at + 5])
+
+    return answer
+
+
+def write_coil(code: int, block: Block) -> Answer:
+    """05 on a plain block."""
+    first, size, put = block.first, block.count, block.put
+
+    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        if end - at != 5:
+            return None
+        request = bytes(buffer[at:end])
+        address = (request[1] << 8 | request[2]) - first
+        if not 0 <= address < size:
+            return None
+        value = request[3:]
+        if value == b"\xff\x00":
+            put(address, 1, b"\x01")
+        elif value == b"\x00\x00":
+            put(address, 1, b"\x00")
+        else:
+            return None
+        return request
+
+    return answer
+
+
+def write_coils(code: int, limit: int, block: Block) -> Answer:
+    """15 on a plain block."""
+    first, size, put = block.first, block.count, block.put
+
+    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        if end - at < 7:
+            return None
+        address, count = _unpack_two(buffer, at + 1)
+        address -= first
+        length = (count + 7) >> 3
+        if (
+            not 0 < count <= limit
+            or buffer[at + 5] != length
+            or end - at != 6 + length
+            or address < 0
+            or address + count > size
+        ):
+            return None
+        put(address, count, bytes(buffer[at + 6 : end]))
+        return bytes(buffer[at : at + 5])
+
+    return answer

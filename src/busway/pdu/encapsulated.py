@@ -1,0 +1,137 @@
+"""Function 43, Encapsulated Interface Transport: device identification (14) and CANopen (13).
+
+Application Protocol V1.1b3 §6.19–§6.21.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from ..codes import PDU_LIMIT, ExceptionCode, FunctionCode, MeiType
+from .fields import repeated, rest, u8
+from .message import NEED_MORE, UNKNOWN_LENGTH, Message, ReplyMessage, Request
+from .model import Context, DataModel, Refusal
+
+BASIC, REGULAR, EXTENDED, INDIVIDUAL = 1, 2, 3, 4
+_LAST_OBJECT_OF_LEVEL = {BASIC: 0x02, REGULAR: 0x7F, EXTENDED: 0xFF}
+_INDIVIDUAL_TOO = 0x80
+
+OBJECT_NAMES = {
+    0x00: "VendorName",
+    0x01: "ProductCode",
+    0x02: "MajorMinorRevision",
+    0x03: "VendorUrl",
+    0x04: "ProductName",
+    0x05: "ModelName",
+    0x06: "UserApplicationName",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationObject:
+    """One object: its number 0x00…0xFF and its value, at most 244 bytes (what fits one reply)."""
+
+    number: int
+    value: bytes
+
+    def encode(self) -> bytes:
+        """Number, length, value."""
+        return bytes((self.number, len(self.value))) + self.value
+
+    @classmethod
+    def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
+        """The object at ``at``."""
+        if at + 2 > len(data) or at + 2 + data[at + 1] > len(data):
+            raise ValueError("the object is cut off")
+        end = at + 2 + data[at + 1]
+        return cls(data[at], data[at + 2 : end]), end
+
+
+class ReadDeviceIdentification(Request):
+    """43/14 Read Device Identification (MODBUS Application Protocol V1.1b3 §6.21).
+
+    ``level`` is 1 basic, 2 regular, 3 extended (streams that start at ``object_id``) or 4 (the one object).
+    """
+
+    code = FunctionCode.ENCAPSULATED_INTERFACE
+    sub_code = MeiType.READ_DEVICE_IDENTIFICATION
+    sub_width = 1
+    level: int = u8(BASIC, INDIVIDUAL, default=BASIC)
+    object_id: int = u8(default=0)
+
+    class Reply(ReplyMessage):
+        """Objects; ``more_follows`` is FF where another request from ``next_object`` on is needed."""
+
+        level: int = u8(BASIC, INDIVIDUAL)
+        conformity: int = u8()
+        more_follows: int = u8(values=(0x00, 0xFF))
+        next_object: int = u8()
+        number_of_objects: int = u8()
+        objects: tuple[IdentificationObject, ...] = repeated(IdentificationObject, 0, 123)
+
+        def validate(self) -> str | None:
+            if self.number_of_objects != len(self.objects):
+                return f"{len(self.objects)} objects where {self.number_of_objects} are announced"
+            return None
+
+        @classmethod
+        def wire_length(cls, data: bytes, at: int, end: int) -> int:
+            if end < at + 7:
+                return NEED_MORE
+            position = at + 7
+            for _ in range(data[at + 6]):
+                if end < position + 2:
+                    return NEED_MORE
+                position += 2 + data[position + 1]
+            return position - at
+
+    room: ClassVar[int] = PDU_LIMIT - 7
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return UNKNOWN_LENGTH, bytes((self.code, MeiType.READ_DEVICE_IDENTIFICATION))
+
+    def check_reply(self, reply: Any) -> str | None:
+        if self.level == INDIVIDUAL and [one.number for one in reply.objects] != [self.object_id]:
+            return f"object {self.object_id} was asked for alone"
+        return None
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        objects = model.identification()
+        highest = max(objects, default=0)
+        own_level = EXTENDED if highest > 0x7F else REGULAR if highest > 0x02 else BASIC
+        conformity = own_level | _INDIVIDUAL_TOO
+        if self.level == INDIVIDUAL:
+            if self.object_id not in objects:
+                raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"no identification object {self.object_id}")
+            one = IdentificationObject(self.object_id, objects[self.object_id])
+            return self.Reply(self.level, conformity, 0, 0, 1, (one,))
+        # A code above the device's level is answered with what the device has (§6.21, "Read Device ID code").
+        level = min(self.level, own_level)
+        numbers = [number for number in sorted(objects) if number <= _LAST_OBJECT_OF_LEVEL[level]]
+        start = self.object_id if self.object_id in numbers else 0
+        numbers = [number for number in numbers if number >= start]
+        chosen: list[IdentificationObject] = []
+        used = 0
+        for number in numbers:
+            used += 2 + len(objects[number])
+            if used > self.room:
+                return self.Reply(self.level, conformity, 0xFF, number, len(chosen), tuple(chosen))
+            chosen.append(IdentificationObject(number, objects[number]))
+        return self.Reply(self.level, conformity, 0, 0, len(chosen), tuple(chosen))
+
+
+class CanopenGeneralReference(Request):
+    """43/13 CANopen General Reference: carried as it is (MODBUS Application Protocol V1.1b3 §6.20)."""
+
+    code = FunctionCode.ENCAPSULATED_INTERFACE
+    sub_code = MeiType.CANOPEN_GENERAL_REFERENCE
+    sub_width = 1
+    is_write = True
+    data: bytes = rest(0, 251)
+
+    class Reply(ReplyMessage):
+        """The CANopen answer."""
+
+        data: bytes = rest(0, 251)
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        return self.Reply(model.canopen(self.data))

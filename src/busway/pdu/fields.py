@@ -1,0 +1,123 @@
+"""What the fields of a message can be: the vocabulary in which every function is declared.
+
+Knows widths, limits and positions on the wire; knows no function and no byte of a particular message.
+
+1. A message is: function code, perhaps a sub-code, then the declared fields in their order, big-endian (Application
+   Protocol V1.1b3 §4.2).
+2. Fixed fields (`u8`, `u16`) come first and `rest_length` may stand anywhere among them; at most one field of
+   variable length (`rest`, `repeated`) ends the message.
+3. Every byte count of the specification counts all that follows it, to the end of the PDU. That is why one kind of
+   length field, `rest_length`, is enough for all of them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+_WIDTHS = {1: "B", 2: "H"}
+
+
+class _NoDefault:
+    """The type of `NO_DEFAULT`."""
+
+    def __repr__(self) -> str:
+        return "<no default>"
+
+
+NO_DEFAULT = _NoDefault()
+"""Marks a field that the caller has to give."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixedField:
+    """An unsigned integer of one or two bytes, with its limits (both inclusive) or its only values."""
+
+    width: int
+    low: int
+    high: int
+    values: tuple[int, ...] | None
+    default: object
+
+    @property
+    def format(self) -> str:
+        """The letter of this width for `struct`."""
+        return _WIDTHS[self.width]
+
+
+@dataclass(frozen=True, slots=True)
+class RestLength:
+    """A count of the bytes that follow it; computed when encoding, compared when decoding."""
+
+    width: int
+    low: int
+    high: int
+    step: int
+
+    @property
+    def format(self) -> str:
+        """The letter of this width for `struct`."""
+        return _WIDTHS[self.width]
+
+
+@dataclass(frozen=True, slots=True)
+class RestField:
+    """The bytes from here to the end; their number has limits and a step."""
+
+    low: int
+    high: int
+    step: int
+    default: object
+
+
+class Item(Protocol):
+    """One element of a `repeated` field: it knows its own bytes."""
+
+    @classmethod
+    def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
+        """The item that starts at ``at`` and the position behind it; `ValueError` where it does not fit."""
+
+    def encode(self) -> bytes:
+        """The bytes of the item."""
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatedField:
+    """Items of one kind to the end of the message."""
+
+    item: type[Any]  # any class with the two methods of Item; a Protocol type can not be called through type[]
+    low: int
+    high: int
+    default: object
+
+
+VariableField = RestField | RepeatedField
+Field = FixedField | RestLength | RestField | RepeatedField
+
+
+# The functions below return Any because what they declare is read as the annotated type of the attribute
+# (typing.dataclass_transform), as `dataclasses.field` does.
+
+
+def u8(low: int = 0, high: int = 0xFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
+    """One byte, ``low``…``high``, or one of ``values``."""
+    return FixedField(1, low, high, tuple(values) if values is not None else None, default)
+
+
+def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
+    """Two bytes, big-endian, ``low``…``high``, or one of ``values``."""
+    return FixedField(2, low, high, tuple(values) if values is not None else None, default)
+
+
+def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1) -> RestLength:
+    """The number of bytes that follow this field, ``low``…``high`` and a multiple of ``step``."""
+    return RestLength(width, low, high, step)
+
+
+def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_DEFAULT) -> Any:
+    """All bytes to the end of the message, ``low``…``high`` of them, a multiple of ``step``."""
+    return RestField(low, high, step, default)
+
+
+def repeated(item: type[Any], low: int = 1, high: int = 252, *, default: object = NO_DEFAULT) -> Any:
+    """Items of the class ``item`` to the end of the message, ``low``…``high`` of them."""
+    return RepeatedField(item, low, high, default)

@@ -1,0 +1,187 @@
+"""Functions 20 and 21: records of files, several groups in one request.
+
+A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Application Protocol V1.1b3 §6.14, §6.15).
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+from ..codes import MAX_FILE_RECORD_NUMBER, PDU_LIMIT, ExceptionCode, FunctionCode
+from ..errors import InvalidRequest
+from .fields import repeated, rest_length
+from .malformed import MalformedPdu
+from .message import Message, ReplyMessage, Request
+from .model import Context, DataModel, Refusal
+from .read_items import unpack_registers
+from .write_items import pack_registers
+
+REFERENCE_TYPE = 6
+_REFERENCE = struct.Struct(">BHHH")
+
+
+def _check_reference(file: int, record: int) -> str | None:
+    if not 1 <= file <= 0xFFFF:
+        return f"file must be 1…65535, not {file}"
+    if not 0 <= record <= MAX_FILE_RECORD_NUMBER:
+        return f"record must be 0…{MAX_FILE_RECORD_NUMBER}, not {record}"
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class FileReference:
+    """``count`` registers of a file, from ``record`` on."""
+
+    file: int
+    record: int
+    count: int
+
+    def encode(self) -> bytes:
+        """Reference type 6, file, record and length: 7 bytes."""
+        return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count)
+
+    @classmethod
+    def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
+        """The group at ``at``. Its reference type is kept apart: a wrong one is an address error (02), not a length."""
+        if at + 7 > len(data):
+            raise ValueError(f"{len(data) - at} bytes where a group has 7")
+        kind, file, record, count = _REFERENCE.unpack_from(data, at)
+        if kind != REFERENCE_TYPE:
+            raise MalformedPdu(f"reference type {kind} where 6 is required", ExceptionCode.ILLEGAL_DATA_ADDRESS)
+        return cls(file, record, count), at + 7
+
+
+@dataclass(frozen=True, slots=True)
+class FileData:
+    """Registers to write to a file from ``record`` on, big-endian."""
+
+    file: int
+    record: int
+    data: bytes
+
+    @property
+    def count(self) -> int:
+        """Number of registers."""
+        return len(self.data) // 2
+
+    @property
+    def registers(self) -> list[int]:
+        """The registers as numbers 0…65535."""
+        return unpack_registers(self.data)
+
+    def encode(self) -> bytes:
+        """Reference type 6, file, record, length and the data."""
+        return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count) + self.data
+
+    @classmethod
+    def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
+        """The group at ``at``."""
+        reference, start = FileReference.decode_from(data, at)
+        end = start + 2 * reference.count
+        if end > len(data):
+            raise ValueError(f"{len(data) - start} bytes of data where {2 * reference.count} are announced")
+        return cls(reference.file, reference.record, data[start:end]), end
+
+
+@dataclass(frozen=True, slots=True)
+class FileContent:
+    """Registers that were read from a file, big-endian."""
+
+    data: bytes
+
+    @property
+    def registers(self) -> list[int]:
+        """The registers as numbers 0…65535."""
+        return unpack_registers(self.data)
+
+    def encode(self) -> bytes:
+        """Length of what follows, reference type 6, the data."""
+        return bytes((1 + len(self.data), REFERENCE_TYPE)) + self.data
+
+    @classmethod
+    def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
+        """The group at ``at``."""
+        end = at + 1 + data[at]
+        if data[at] < 1 or not data[at] % 2 or end > len(data):
+            raise ValueError(f"file response length {data[at]} where {len(data) - at - 1} bytes follow")
+        if data[at + 1] != REFERENCE_TYPE:
+            raise ValueError(f"reference type {data[at + 1]} where 6 is required")
+        return cls(data[at + 2 : end]), end
+
+
+class ReadFileRecord(Request):
+    """20 Read File Record: several groups, their data together within one PDU (Application Protocol V1.1b3 §6.14)."""
+
+    code = FunctionCode.READ_FILE_RECORD
+    byte_count = rest_length(1, 0x07, 0xF5)
+    groups: tuple[FileReference, ...] = repeated(FileReference, 1, 35)
+
+    class Reply(ReplyMessage):
+        """One content per group, in the order of the request."""
+
+        byte_count = rest_length(1, 0x07 - 5, 0xFB)
+        contents: tuple[FileContent, ...] = repeated(FileContent, 1, 35)
+
+    @classmethod
+    def of(cls, groups: Sequence[FileReference]) -> Self:
+        """The request for ``groups``; `InvalidRequest` where a record can not be or the reply would not fit."""
+        for group in groups:
+            problem = _check_reference(group.file, group.record)
+            if problem is not None:
+                raise InvalidRequest(problem)
+        return cls(tuple(groups))
+
+    def validate(self) -> str | None:
+        length = self.reply_length()
+        if length > PDU_LIMIT:
+            return f"the reply would have {length} bytes; at most {PDU_LIMIT} fit"
+        return None
+
+    def reply_length(self) -> int:
+        """Bytes of the reply PDU."""
+        return 2 + sum(2 + 2 * group.count for group in self.groups)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        length = self.reply_length()
+        return length, bytes((self.code, length - 2))
+
+    def check_reply(self, reply: Any) -> str | None:
+        got = [len(content.data) // 2 for content in reply.contents]
+        asked = [group.count for group in self.groups]
+        return None if got == asked else f"groups of {got} registers where {asked} were asked"
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        contents = []
+        for group in self.groups:
+            if _check_reference(group.file, group.record) is not None:
+                raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+            contents.append(FileContent(model.read_file(group.file, group.record, group.count, context)))
+        return self.Reply(tuple(contents))
+
+
+class WriteFileRecord(Request):
+    """21 Write File Record: several groups; the reply repeats the request (Application Protocol V1.1b3 §6.15)."""
+
+    code = FunctionCode.WRITE_FILE_RECORD
+    is_write = True
+    broadcast = True
+    echoes = True
+    byte_count = rest_length(1, 0x09, 0xFB)
+    groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
+
+    @classmethod
+    def of(cls, file: int, record: int, values: Sequence[int]) -> Self:
+        """The request that writes ``values`` (each 0…65535) to one file."""
+        problem = _check_reference(file, record)
+        if problem is not None:
+            raise InvalidRequest(problem)
+        return cls((FileData(file, record, pack_registers(values)),))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        for dry in (True, False):
+            for group in self.groups:
+                if _check_reference(group.file, group.record) is not None:
+                    raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+                model.write_file(group.file, group.record, group.data, context, dry=dry)
+        return self

@@ -1,0 +1,165 @@
+"""The table of functions: which classes a framer, session or decoder works with.
+
+Knows the list; the classes know everything else.
+
+1. A table is immutable and handed to whoever needs it; there is no global registry. `STANDARD` holds the functions of
+   the specification, ``STANDARD.with_functions(Mine)`` a new table with one more.
+2. A function that is not in the table decodes to `OpaqueRequest` and `OpaqueReply`, bytes kept, so that a gateway
+   forwards what it does not understand.
+"""
+
+from collections.abc import Iterator
+
+from ..codes import ExceptionCode, FunctionCode, MeiType
+from . import diagnostics, encapsulated, file_records, read_items, write_items
+from .general import ExceptionResponse, MalformedRequest, OpaqueReply, OpaqueRequest
+from .malformed import MalformedPdu
+from .message import NEED_MORE, UNKNOWN_LENGTH, Message, Request
+
+AnyRequest = Request | OpaqueRequest | MalformedRequest
+
+
+class FunctionTable:
+    """Functions by code, and by code and sub-code. Raises `ValueError` for two functions of one code."""
+
+    __slots__ = ("_by_code", "_by_sub_code", "_sub_width")
+
+    def __init__(self, *functions: type[Request]) -> None:
+        self._by_code: dict[int, type[Request]] = {}
+        self._by_sub_code: dict[tuple[int, int], type[Request]] = {}
+        self._sub_width: dict[int, int] = {}
+        for function in functions:
+            self._add(function)
+
+    def _add(self, function: type[Request]) -> None:
+        code = function.code
+        if not 1 <= code <= 127:
+            raise ValueError(f"{function.__name__}: a function code is 1…127, not {code}")
+        if function.sub_code is None:
+            taken = code in self._by_code or code in self._sub_width
+            self._by_code[code] = function
+        else:
+            taken = code in self._by_code or (code, function.sub_code) in self._by_sub_code
+            if self._sub_width.setdefault(code, function.sub_width) != function.sub_width:
+                raise ValueError(f"{function.__name__}: the sub-codes of function {code} differ in width")
+            self._by_sub_code[code, function.sub_code] = function
+        if taken:
+            raise ValueError(f"{function.__name__}: function {code} is in the table already")
+
+    def with_functions(self, *functions: type[Request]) -> "FunctionTable":
+        """A new table that also holds ``functions``."""
+        return FunctionTable(*self, *functions)
+
+    def __iter__(self) -> Iterator[type[Request]]:
+        yield from self._by_code.values()
+        yield from self._by_sub_code.values()
+
+    def __contains__(self, code: int) -> bool:
+        return code in self._by_code or code in self._sub_width
+
+    def codes(self) -> tuple[int, ...]:
+        """All function codes, ascending."""
+        return tuple(sorted({*self._by_code, *self._sub_width}))
+
+    def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
+        """The class of the PDU that starts at ``at``, of either direction (the exception bit is not looked at)."""
+        code = data[at]
+        found = self._by_code.get(code)
+        if found is None and code in self._sub_width:
+            width = self._sub_width[code]
+            if end - at > width:
+                found = self._by_sub_code.get((code, int.from_bytes(data[at + 1 : at + 1 + width], "big")))
+        return found
+
+    def decode_request(self, pdu: bytes) -> AnyRequest:
+        """The request in a PDU of 1…253 bytes with a function code below 0x80. Never raises for bytes received."""
+        kind = self.find(pdu, 0, len(pdu))
+        if kind is None:
+            width = self._sub_width.get(pdu[0])
+            if width is not None and len(pdu) <= width:
+                # The function is known and its sub-code is cut off: a wrong length, not an unknown function.
+                first = next(one for (code, _), one in self._by_sub_code.items() if code == pdu[0])
+                return MalformedRequest(
+                    pdu[0], first, bytes(pdu), "the sub-function is missing", ExceptionCode.ILLEGAL_DATA_VALUE
+                )
+            return OpaqueRequest(pdu[0], bytes(pdu[1:]))
+        try:
+            return kind.decode(pdu)
+        except MalformedPdu as error:
+            return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
+
+    def decode_reply(self, pdu: bytes) -> Message:
+        """The reply in a PDU: of its class, `ExceptionResponse`, or `OpaqueReply`. Raises `MalformedPdu`."""
+        if not pdu:
+            raise MalformedPdu("an empty PDU")
+        if pdu[0] & 0x80:
+            return ExceptionResponse.decode(pdu)
+        kind = self.find(pdu, 0, len(pdu))
+        return OpaqueReply(pdu[0], bytes(pdu[1:])) if kind is None else kind.Reply.decode(pdu)
+
+    def request_length(self, data: bytes, at: int, end: int) -> int:
+        """Length in bytes of the request PDU at ``at``; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU framing, S8)."""
+        return self._length(data, at, end, reply=False)
+
+    def reply_length(self, data: bytes, at: int, end: int) -> int:
+        """Length in bytes of the reply PDU at ``at``; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU framing, S8)."""
+        if at < end and data[at] & 0x80:
+            return _exception_length(data, at, end)
+        return self._length(data, at, end, reply=True)
+
+    def _length(self, data: bytes, at: int, end: int, *, reply: bool) -> int:
+        if at >= end:
+            return NEED_MORE
+        kind = self.find(data, at, end)
+        if kind is None:
+            width = self._sub_width.get(data[at])
+            return NEED_MORE if width is not None and end - at <= width else UNKNOWN_LENGTH
+        return kind.Reply.wire_length(data, at, end) if reply else kind.wire_length(data, at, end)
+
+
+def _exception_length(data: bytes, at: int, end: int) -> int:
+    """Two bytes; a few devices answer 43/14 with ``AB 0E cc`` (Application Protocol V1.1b3, figure of §6.21)."""
+    if data[at] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80:
+        if end < at + 2:
+            return NEED_MORE
+        return 3 if data[at + 1] in tuple(MeiType) else 2
+    return 2
+
+
+STANDARD = FunctionTable(
+    read_items.ReadCoils,
+    read_items.ReadDiscreteInputs,
+    read_items.ReadHoldingRegisters,
+    read_items.ReadInputRegisters,
+    write_items.WriteSingleCoil,
+    write_items.WriteSingleRegister,
+    diagnostics.ReadExceptionStatus,
+    diagnostics.ReturnQueryData,
+    diagnostics.RestartCommunications,
+    diagnostics.ReturnDiagnosticRegister,
+    diagnostics.ChangeAsciiDelimiter,
+    diagnostics.ForceListenOnly,
+    diagnostics.ClearCounters,
+    diagnostics.ReturnBusMessageCount,
+    diagnostics.ReturnBusCommunicationErrorCount,
+    diagnostics.ReturnBusExceptionErrorCount,
+    diagnostics.ReturnServerMessageCount,
+    diagnostics.ReturnServerNoResponseCount,
+    diagnostics.ReturnServerNakCount,
+    diagnostics.ReturnServerBusyCount,
+    diagnostics.ReturnBusCharacterOverrunCount,
+    diagnostics.ClearOverrun,
+    diagnostics.GetCommEventCounter,
+    diagnostics.GetCommEventLog,
+    write_items.WriteMultipleCoils,
+    write_items.WriteMultipleRegisters,
+    diagnostics.ReportServerId,
+    file_records.ReadFileRecord,
+    file_records.WriteFileRecord,
+    write_items.MaskWriteRegister,
+    write_items.ReadWriteMultipleRegisters,
+    read_items.ReadFifoQueue,
+    encapsulated.CanopenGeneralReference,
+    encapsulated.ReadDeviceIdentification,
+)
+"""All functions of the specification."""

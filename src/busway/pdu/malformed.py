@@ -1,0 +1,17 @@
+"""What a received message that breaks a rule of its function is: an error with the exception code it earns."""
+
+from ..codes import ExceptionCode
+
+
+class MalformedPdu(ValueError):
+    """A received message breaks a rule of its function.
+
+    Attributes:
+        reason: which rule, in words.
+        code: exception code that a server answers (03 for quantities and lengths).
+    """
+
+    def __init__(self, reason: str, code: int = ExceptionCode.ILLEGAL_DATA_VALUE) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.code = code

@@ -1,0 +1,237 @@
+"""Messages: what a function declares, compiled once into its two codecs.
+
+Knows how declared fields become bytes and back; knows no particular function, no transport and no device.
+
+1. A subclass declares a code, perhaps a sub-code, and fields (`busway.pdu.fields`). When the class is made, its
+   constructor, ``encode`` and ``decode`` are compiled; nothing is interpreted per message.
+2. An invalid message can not be built: the constructor raises `InvalidRequest`. A received one that breaks a limit
+   raises `MalformedPdu`, with the exception code that a server answers.
+3. Messages are frozen. Payloads stay bytes in wire order.
+4. What concerns the device (does an item exist?) is not a matter of the message: the range ``address + count``
+   beyond 65 536 can not be constructed, but is decoded, because a server answers it with 02 and not with 03.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, dataclass_transform
+
+from ..codes import Table
+from .compiler import Layout, attribute_names, compile_message
+from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
+
+if TYPE_CHECKING:
+    from .direct import Answer, DirectModel
+    from .model import Context, DataModel
+
+UNKNOWN_LENGTH = -1
+"""Answer of the length rules: this message is delimited by silence or by the frame around it, not by its content."""
+NEED_MORE = 0
+"""Answer of the length rules: the bytes so far do not tell yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A range of items that a request touches: the fact that access rules, hooks and routes look at."""
+
+    table: Table
+    address: int
+    count: int
+    writes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """Declares which fields of a request name a range of a table; ``count`` is a field name or None for one item."""
+
+    table: Table
+    address: str = "address"
+    count: str | None = "count"
+
+
+class _MessageType(type):
+    """Compiles a class body of field declarations into a slotted class with codecs."""
+
+    def __new__(mcls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any) -> Any:
+        declared = {key: value for key, value in body.items() if isinstance(value, Field)}
+        for key in declared:
+            del body[key]
+        # Only declared fields become slots; a class that declares none inherits the fields of its base.
+        body["__slots__"] = tuple(key for key, value in declared.items() if not isinstance(value, RestLength))
+        cls: Any = super().__new__(mcls, name, bases, body, **options)
+        cls.has_rule = getattr(cls, "has_rule", False) or (bool(bases) and "validate" in body)
+        cls.declared = {**getattr(cls, "declared", {}), **declared}
+        if "code" in body:
+            _complete(cls, body.get("Reply"))
+        elif declared and body.get("self_coded", getattr(cls, "self_coded", False)):
+            compile_message(cls)
+        return cls
+
+
+def _complete(cls: Any, reply: Any) -> None:
+    """Compile a request that now has its code, and the reply that was declared inside it or echoes it."""
+    if reply is None and cls.echoes:
+        reply = _MessageType("Reply", (ReplyMessage,), {"__qualname__": f"{cls.__qualname__}.Reply", **cls.declared})
+        reply.__module__ = cls.__module__
+        reply.__doc__ = f"Repeats the fields of `{cls.__name__}`."
+        reply.validate, reply.has_rule = cls.validate, cls.has_rule
+        cls.Reply = reply
+    elif reply is None and hasattr(cls, "Reply"):
+        reply = _MessageType("Reply", (cls.Reply,), {"__qualname__": f"{cls.__qualname__}.Reply"})
+        reply.__module__, reply.__doc__ = cls.__module__, cls.Reply.__doc__
+        cls.Reply = reply
+    if reply is not None:
+        reply.code, reply.sub_code, reply.sub_width = cls.code, cls.sub_code, cls.sub_width
+        compile_message(reply)
+    compile_message(cls)
+
+
+@dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
+class Message(metaclass=_MessageType):
+    """Base of requests and replies. See the module for what a subclass declares."""
+
+    code: ClassVar[int]
+    """Function code, 1…127."""
+    sub_code: ClassVar[int | None] = None
+    """Sub-function of 08 or MEI type of 43."""
+    sub_width: ClassVar[int] = 0
+    """Bytes of the sub-code on the wire."""
+    self_coded: ClassVar[bool] = False
+    """Whether the function code is itself a field."""
+    exception_bit: ClassVar[bool] = False
+    """Whether the function code travels with 0x80 added."""
+    has_rule: ClassVar[bool] = False
+    """Whether `validate` says anything."""
+    declared: ClassVar[dict[str, Field]] = {}
+    layout: ClassVar[Layout]
+
+    def validate(self) -> str | None:
+        """A rule across fields: what is wrong, or None. Subclasses that have such a rule override it."""
+        return None
+
+    def encode(self) -> bytes:
+        """The PDU, function code first."""
+        raise TypeError(f"{type(self).__name__} declares no code")
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        """The message of a whole PDU. Raises `MalformedPdu` where a limit or a length is broken."""
+        raise TypeError(f"{cls.__name__} declares no code")
+
+    @classmethod
+    def wire_length(cls, data: bytes, at: int, end: int) -> int:
+        """Length in bytes of the PDU of this class that starts at ``at``, from what ``data[at:end]`` shows.
+
+        Gives `NEED_MORE` while the length can not be told yet, `UNKNOWN_LENGTH` if the content never tells it.
+        """
+        layout = cls.layout
+        if layout.length_at is not None:
+            field = layout.fields[layout.length_at]
+            assert isinstance(field, RestLength)
+            first = at + layout.length_offset
+            if end < first + field.width:
+                return NEED_MORE
+            counted = data[first] if field.width == 1 else data[first] << 8 | data[first + 1]
+            return layout.length_offset + field.width + counted
+        if layout.tail is not None:
+            if isinstance(layout.tail, RestField) and layout.tail.low == layout.tail.high:
+                return layout.head.size + layout.tail.low
+            return UNKNOWN_LENGTH
+        return layout.head.size
+
+    def values(self) -> dict[str, Any]:
+        """The fields by name, in wire order."""
+        return {name: getattr(self, name) for name in attribute_names(type(self))}
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and self.encode() == other.encode()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.encode()))
+
+    def __repr__(self) -> str:
+        shown = ", ".join(
+            f"{name}={value.hex(' ')!r}" if isinstance(value, bytes) else f"{name}={value!r}"
+            for name, value in self.values().items()
+        )
+        return f"{type(self).__name__}({shown})"
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"{type(self).__name__} is frozen; build another one")
+
+    def __delattr__(self, name: str) -> NoReturn:
+        raise AttributeError(f"{type(self).__name__} is frozen")
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (type(self), tuple(self.values().values()))
+
+
+class SelfCoded(Message):
+    """A message whose function code is itself a field, ``function``."""
+
+    self_coded = True
+
+
+class ReplyMessage(Message):
+    """The positive answer of a function: declared inside its request, which gives it the code."""
+
+
+class Request(Message):
+    """A request, with all that its function declares.
+
+    Class attributes that a function sets:
+        Reply: class of its positive answer.
+        reads, writes: the ranges it touches (`Touch`), if it touches a table.
+        is_write: whether executing it twice may differ from executing it once, so that it is never repeated blindly.
+            True wherever ``writes`` is set.
+        echoes: whether the positive answer repeats the request; then no ``Reply`` is declared.
+        broadcast: whether a serial master may send it to unit 0 (Serial Line V1.02 §2.1).
+    """
+
+    Reply: ClassVar[type[ReplyMessage]]
+    reads: ClassVar[Touch | None] = None
+    writes: ClassVar[Touch | None] = None
+    is_write: ClassVar[bool] = False
+    echoes: ClassVar[bool] = False
+    broadcast: ClassVar[bool] = False
+
+    @classmethod
+    def direct(cls, model: "DirectModel") -> "Answer | None":
+        """The short road of this function on a device, or None where there is none (see `busway.pdu.direct`)."""
+        return None
+
+    def apply(self, model: "DataModel", context: "Context") -> Message:
+        """Execute on a device and give the reply. Raises `Refusal` with the exception code of a failure."""
+        raise TypeError(f"{type(self).__name__} does not say what it does to a device")
+
+    def spans(self) -> tuple[Span, ...]:
+        """The ranges it touches: what is written before what is read."""
+        found = []
+        for touch, writes in ((self.writes, True), (self.reads, False)):
+            if touch is not None:
+                count = 1 if touch.count is None else getattr(self, touch.count)
+                found.append(Span(touch.table, getattr(self, touch.address), count, writes))
+        return tuple(found)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        """Length of the expected reply PDU in bytes, and the bytes that it starts with: what a client compares.
+
+        A length of `UNKNOWN_LENGTH` says that only ``check_reply`` can tell.
+        """
+        if self.echoes:
+            encoded = self.encode()
+            return len(encoded), encoded
+        layout = self.Reply.layout
+        return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
+
+    def check_reply(self, reply: Any) -> str | None:
+        """What does not fit between this request and a decoded reply of its class, or None."""
+        return None
+
+
+def _rebuild(cls: type[Message], values: tuple[Any, ...]) -> Message:
+    return cls(*values)

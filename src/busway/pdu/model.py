@@ -1,0 +1,104 @@
+"""What a function needs of a device: the protocols that `Request.apply` is written against.
+
+Knows the shape of a device; knows no device, store, session or transport.
+
+1. Data crosses in wire order: registers big-endian, bits packed from the lowest bit.
+2. A device refuses with `Refusal`; nothing it refuses has changed anything.
+3. ``check`` comes before every change, so a request that touches two ranges changes both or none.
+"""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from ..codes import ExceptionCode, Table, exception_meaning
+
+
+class Refusal(Exception):
+    """Raised by a device, a hook or a handler: the request is answered with this exception code.
+
+    Attributes:
+        code: exception code, 1…255. A hook's veto without a code is 04 (server device failure).
+        reason: for the log and the audit; it does not travel.
+    """
+
+    def __init__(self, code: int = ExceptionCode.SERVER_DEVICE_FAILURE, reason: str = "") -> None:
+        if not 1 <= code <= 255:
+            raise ValueError(f"an exception code is 1…255, not {code}")
+        super().__init__(reason or exception_meaning(code))
+        self.code = int(code)
+        self.reason = reason
+
+
+class Diagnostics(Protocol):
+    """Communication state of the line or listener that a request came by (functions 08, 11, 12)."""
+
+    def diagnose(self, sub_code: int, data: bytes) -> bytes:
+        """Do sub-function ``sub_code`` of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
+
+    def event_counter(self) -> tuple[int, int]:
+        """Status word (0 or FFFF while a program command runs) and number of successful messages."""
+
+    def event_log(self) -> tuple[int, int, int, bytes]:
+        """Status word, event count, message count and up to 64 event bytes, newest first."""
+
+
+class Context(Protocol):
+    """Who asks, and by which way."""
+
+    @property
+    def peer(self) -> str:
+        """Address of the client, ``host:port`` or the name of a serial line."""
+
+    @property
+    def unit(self) -> int:
+        """The unit identifier that the request was sent to."""
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Counters and log of the line or listener."""
+
+
+class Tables(Protocol):
+    """The four tables (Application Protocol V1.1b3 §4.3)."""
+
+    def check(self, table: Table, address: int, count: int, writes: bool) -> None:
+        """`Refusal` 02 unless all the items exist, and may be written if ``writes``."""
+
+    def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
+        """The items in wire order."""
+
+    def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
+        """Replace the items, all or none."""
+
+
+class Records(Protocol):
+    """File records and queues (Application Protocol V1.1b3 §6.14, §6.15, §6.18)."""
+
+    def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
+        """``count`` registers of a file from ``record`` on."""
+
+    def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
+        """Replace records of a file; with ``dry`` only find out whether it would be refused."""
+
+    def read_fifo(self, address: int, context: Context) -> bytes:
+        """The registers of the queue at ``address``, oldest first, without removing them."""
+
+
+class Identity(Protocol):
+    """What a device says of itself (functions 07, 17, 43/14)."""
+
+    def exception_status(self) -> int:
+        """Eight status bits."""
+
+    def server_id(self) -> bytes:
+        """The data of function 17: server id, run indicator (00 or FF), additional data."""
+
+    def identification(self) -> Mapping[int, bytes]:
+        """The identification objects by number, 0x00…0xFF."""
+
+    def canopen(self, data: bytes) -> bytes:
+        """The answer to a CANopen general reference; `Refusal` 01 where there is none."""
+
+
+class DataModel(Tables, Records, Identity, Protocol):
+    """A whole device."""

@@ -1,0 +1,178 @@
+"""Functions 01–04 and 24: reading the four tables and a queue of registers."""
+
+import struct
+from typing import ClassVar
+
+from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
+from .bits import unpack_bits
+from .direct import Answer, DirectModel, read_bits, read_registers
+from .fields import rest, rest_length, u16
+from .message import Message, ReplyMessage, Request, Touch
+from .model import Context, DataModel, Refusal
+
+
+class ReadCoils(Request):
+    """01 Read Coils: ``count`` 1…2000 coils from ``address`` (MODBUS Application Protocol V1.1b3 §6.1)."""
+
+    code = FunctionCode.READ_COILS
+    reads = Touch(Table.COILS)
+    address: int = u16()
+    count: int = u16(1, MAX_READ_BITS)
+
+    class Reply(ReplyMessage):
+        """The coils, packed: the first in the lowest bit of the first byte."""
+
+        byte_count = rest_length(1, 1, MAX_READ_BITS // 8)
+        data: bytes = rest(1, MAX_READ_BITS // 8)
+
+        def bits(self, count: int) -> list[bool]:
+            """The first ``count`` coils."""
+            return unpack_bits(self.data, count)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        length = (self.count + 7) >> 3
+        return 2 + length, bytes((self.code, length))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        return self.Reply(_read(model, Table.COILS, self.address, self.count, context))
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.COILS, writes=False)
+        return None if block is None else read_bits(cls.code, MAX_READ_BITS, block)
+
+
+class ReadDiscreteInputs(Request):
+    """02 Read Discrete Inputs: ``count`` 1…2000 inputs from ``address`` (MODBUS Application Protocol V1.1b3 §6.2)."""
+
+    code = FunctionCode.READ_DISCRETE_INPUTS
+    reads = Touch(Table.DISCRETE_INPUTS)
+    address: int = u16()
+    count: int = u16(1, MAX_READ_BITS)
+
+    class Reply(ReplyMessage):
+        """The inputs, packed: the first in the lowest bit of the first byte."""
+
+        byte_count = rest_length(1, 1, MAX_READ_BITS // 8)
+        data: bytes = rest(1, MAX_READ_BITS // 8)
+
+        def bits(self, count: int) -> list[bool]:
+            """The first ``count`` inputs."""
+            return unpack_bits(self.data, count)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        length = (self.count + 7) >> 3
+        return 2 + length, bytes((self.code, length))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        return self.Reply(_read(model, Table.DISCRETE_INPUTS, self.address, self.count, context))
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.DISCRETE_INPUTS, writes=False)
+        return None if block is None else read_bits(cls.code, MAX_READ_BITS, block)
+
+
+class ReadHoldingRegisters(Request):
+    """03 Read Holding Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.3)."""
+
+    code = FunctionCode.READ_HOLDING_REGISTERS
+    reads = Touch(Table.HOLDING_REGISTERS)
+    address: int = u16()
+    count: int = u16(1, MAX_READ_REGISTERS)
+
+    class Reply(ReplyMessage):
+        """The registers, big-endian."""
+
+        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
+        data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
+
+        @property
+        def registers(self) -> list[int]:
+            """The registers as numbers 0…65535."""
+            return unpack_registers(self.data)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return 2 + 2 * self.count, bytes((self.code, 2 * self.count))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        return self.Reply(_read(model, Table.HOLDING_REGISTERS, self.address, self.count, context))
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.HOLDING_REGISTERS, writes=False)
+        return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
+
+
+class ReadInputRegisters(Request):
+    """04 Read Input Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.4)."""
+
+    code = FunctionCode.READ_INPUT_REGISTERS
+    reads = Touch(Table.INPUT_REGISTERS)
+    address: int = u16()
+    count: int = u16(1, MAX_READ_REGISTERS)
+
+    class Reply(ReplyMessage):
+        """The registers, big-endian."""
+
+        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
+        data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
+
+        @property
+        def registers(self) -> list[int]:
+            """The registers as numbers 0…65535."""
+            return unpack_registers(self.data)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return 2 + 2 * self.count, bytes((self.code, 2 * self.count))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        return self.Reply(_read(model, Table.INPUT_REGISTERS, self.address, self.count, context))
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.INPUT_REGISTERS, writes=False)
+        return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
+
+
+class ReadFifoQueue(Request):
+    """24 Read FIFO Queue: up to 31 registers of the queue at ``address`` (MODBUS Application Protocol V1.1b3 §6.18)."""
+
+    code = FunctionCode.READ_FIFO_QUEUE
+    reads = Touch(Table.HOLDING_REGISTERS, count=None)
+    address: int = u16()
+
+    class Reply(ReplyMessage):
+        """The queued registers, the oldest first; they stay in the queue."""
+
+        byte_count = rest_length(2, 2, 2 + 2 * MAX_FIFO_REGISTERS, 2)
+        count: int = u16(0, MAX_FIFO_REGISTERS)
+        data: bytes = rest(0, 2 * MAX_FIFO_REGISTERS, 2)
+
+        def validate(self) -> str | None:
+            if 2 * self.count != len(self.data):
+                return f"FIFO count {self.count} where {len(self.data) // 2} registers follow"
+            return None
+
+        @property
+        def registers(self) -> list[int]:
+            """The registers as numbers 0…65535."""
+            return unpack_registers(self.data)
+
+    most: ClassVar[int] = MAX_FIFO_REGISTERS
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        data = model.read_fifo(self.address, context)
+        if len(data) > 2 * self.most:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, f"the queue holds more than {self.most} registers")
+        return self.Reply(len(data) // 2, data)
+
+
+def unpack_registers(data: bytes) -> list[int]:
+    """Big-endian registers as numbers 0…65535."""
+    return list(struct.unpack(f">{len(data) >> 1}H", data))
+
+
+def _read(model: DataModel, table: Table, address: int, count: int, context: Context) -> bytes:
+    model.check(table, address, count, False)
+    return model.read(table, address, count, context)

@@ -1,0 +1,228 @@
+"""Functions 05, 06, 15, 16, 22 and 23: writing coils and holding registers."""
+
+import struct
+from collections.abc import Sequence
+from typing import Self
+
+from ..codes import (
+    MAX_READ_REGISTERS,
+    MAX_READ_WRITE_WRITE_REGISTERS,
+    MAX_WRITE_BITS,
+    MAX_WRITE_REGISTERS,
+    FunctionCode,
+    Table,
+)
+from ..errors import InvalidRequest
+from .bits import pack_bits
+from .compiler import as_integer
+from .direct import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
+from .fields import rest, rest_length, u16
+from .message import Message, ReplyMessage, Request, Touch
+from .model import Context, DataModel
+from .read_items import unpack_registers
+
+COIL_ON = 0xFF00
+COIL_OFF = 0x0000
+
+
+class WriteSingleCoil(Request):
+    """05 Write Single Coil: ``value`` is FF00 (on) or 0000 (off) (MODBUS Application Protocol V1.1b3 §6.5)."""
+
+    code = FunctionCode.WRITE_SINGLE_COIL
+    writes = Touch(Table.COILS, count=None)
+    broadcast = True
+    echoes = True
+    address: int = u16()
+    value: int = u16(values=(COIL_OFF, COIL_ON))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        model.check(Table.COILS, self.address, 1, True)
+        model.write(Table.COILS, self.address, 1, b"\x01" if self.value else b"\x00", context)
+        return self
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.COILS, writes=True)
+        return None if block is None else write_coil(cls.code, block)
+
+
+class WriteSingleRegister(Request):
+    """06 Write Single Register (MODBUS Application Protocol V1.1b3 §6.6)."""
+
+    code = FunctionCode.WRITE_SINGLE_REGISTER
+    writes = Touch(Table.HOLDING_REGISTERS, count=None)
+    broadcast = True
+    echoes = True
+    address: int = u16()
+    value: int = u16()
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        model.check(Table.HOLDING_REGISTERS, self.address, 1, True)
+        model.write(Table.HOLDING_REGISTERS, self.address, 1, self.value.to_bytes(2, "big"), context)
+        return self
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
+        return None if block is None else write_register(cls.code, block)
+
+
+class WriteMultipleCoils(Request):
+    """15 Write Multiple Coils: 1…1968 from ``address`` (MODBUS Application Protocol V1.1b3 §6.11)."""
+
+    code = FunctionCode.WRITE_MULTIPLE_COILS
+    writes = Touch(Table.COILS)
+    broadcast = True
+    address: int = u16()
+    count: int = u16(1, MAX_WRITE_BITS)
+    byte_count = rest_length(1, 1, MAX_WRITE_BITS // 8)
+    data: bytes = rest(1, MAX_WRITE_BITS // 8)
+
+    class Reply(ReplyMessage):
+        """The range that was written."""
+
+        address: int = u16()
+        count: int = u16(1, MAX_WRITE_BITS)
+
+    @classmethod
+    def of(cls, address: int, values: Sequence[bool]) -> Self:
+        """The request that writes ``values`` from ``address`` on."""
+        return cls(address, len(values), pack_bits(values))
+
+    def validate(self) -> str | None:
+        if (self.count + 7) >> 3 != len(self.data):
+            return f"byte count {len(self.data)} does not fit {self.count} coils"
+        return None
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return 5, self.encode()[:5]
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        model.check(Table.COILS, self.address, self.count, True)
+        model.write(Table.COILS, self.address, self.count, self.data, context)
+        return self.Reply(self.address, self.count)
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.COILS, writes=True)
+        return None if block is None else write_coils(cls.code, MAX_WRITE_BITS, block)
+
+
+class WriteMultipleRegisters(Request):
+    """16 Write Multiple Registers: 1…123 from ``address`` (MODBUS Application Protocol V1.1b3 §6.12)."""
+
+    code = FunctionCode.WRITE_MULTIPLE_REGISTERS
+    writes = Touch(Table.HOLDING_REGISTERS)
+    broadcast = True
+    address: int = u16()
+    count: int = u16(1, MAX_WRITE_REGISTERS)
+    byte_count = rest_length(1, 2, 2 * MAX_WRITE_REGISTERS, 2)
+    data: bytes = rest(2, 2 * MAX_WRITE_REGISTERS, 2)
+
+    class Reply(ReplyMessage):
+        """The range that was written."""
+
+        address: int = u16()
+        count: int = u16(1, MAX_WRITE_REGISTERS)
+
+    @classmethod
+    def of(cls, address: int, values: Sequence[int]) -> Self:
+        """The request that writes ``values`` (each 0…65535) from ``address`` on."""
+        return cls(address, len(values), pack_registers(values))
+
+    def validate(self) -> str | None:
+        if 2 * self.count != len(self.data):
+            return f"byte count {len(self.data)} does not fit {self.count} registers"
+        return None
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return 5, self.encode()[:5]
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        model.check(Table.HOLDING_REGISTERS, self.address, self.count, True)
+        model.write(Table.HOLDING_REGISTERS, self.address, self.count, self.data, context)
+        return self.Reply(self.address, self.count)
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
+        return None if block is None else write_registers(cls.code, MAX_WRITE_REGISTERS, block)
+
+
+class MaskWriteRegister(Request):
+    """22 Mask Write Register: (current AND and_mask) OR (or_mask AND NOT and_mask).
+
+    MODBUS Application Protocol V1.1b3 §6.16. Executing it twice gives what executing it once gives, yet it is a
+    write like any other: between the two somebody else may have written.
+    """
+
+    code = FunctionCode.MASK_WRITE_REGISTER
+    reads = Touch(Table.HOLDING_REGISTERS, count=None)
+    writes = Touch(Table.HOLDING_REGISTERS, count=None)
+    broadcast = True
+    echoes = True
+    address: int = u16()
+    and_mask: int = u16()
+    or_mask: int = u16()
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        model.check(Table.HOLDING_REGISTERS, self.address, 1, True)
+        current = int.from_bytes(model.read(Table.HOLDING_REGISTERS, self.address, 1, context), "big")
+        new = current & self.and_mask | self.or_mask & ~self.and_mask
+        model.write(Table.HOLDING_REGISTERS, self.address, 1, (new & 0xFFFF).to_bytes(2, "big"), context)
+        return self
+
+
+class ReadWriteMultipleRegisters(Request):
+    """23 Read/Write Multiple Registers: writes 1…121, then reads 1…125 (MODBUS Application Protocol V1.1b3 §6.17)."""
+
+    code = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
+    reads = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
+    writes = Touch(Table.HOLDING_REGISTERS, "write_address", "write_count")
+    read_address: int = u16()
+    read_count: int = u16(1, MAX_READ_REGISTERS)
+    write_address: int = u16()
+    write_count: int = u16(1, MAX_READ_WRITE_WRITE_REGISTERS)
+    byte_count = rest_length(1, 2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
+    data: bytes = rest(2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
+
+    class Reply(ReplyMessage):
+        """The registers that were read after the write, big-endian."""
+
+        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
+        data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
+
+        @property
+        def registers(self) -> list[int]:
+            """The registers as numbers 0…65535."""
+            return unpack_registers(self.data)
+
+    @classmethod
+    def of(cls, read_address: int, read_count: int, write_address: int, values: Sequence[int]) -> Self:
+        """The request that writes ``values`` (each 0…65535) and then reads."""
+        return cls(read_address, read_count, write_address, len(values), pack_registers(values))
+
+    def validate(self) -> str | None:
+        if 2 * self.write_count != len(self.data):
+            return f"byte count {len(self.data)} does not fit {self.write_count} registers"
+        return None
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return 2 + 2 * self.read_count, bytes((self.code, 2 * self.read_count))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        model.check(Table.HOLDING_REGISTERS, self.write_address, self.write_count, True)
+        model.check(Table.HOLDING_REGISTERS, self.read_address, self.read_count, False)
+        model.write(Table.HOLDING_REGISTERS, self.write_address, self.write_count, self.data, context)
+        return self.Reply(model.read(Table.HOLDING_REGISTERS, self.read_address, self.read_count, context))
+
+
+def pack_registers(values: Sequence[int]) -> bytes:
+    """Numbers 0…65535 as big-endian registers; `InvalidRequest` names the first that is none."""
+    try:
+        return struct.pack(f">{len(values)}H", *values)
+    except struct.error:
+        for position, value in enumerate(values):
+            if not 0 <= as_integer(f"value {position + 1}", value) <= 0xFFFF:
+                raise InvalidRequest(f"value {position + 1} must be 0…65535, not {value}") from None
+        raise
