@@ -312,7 +312,7 @@ def test_what_is_no_whole_number_is_not_guessed(text: str) -> None:
 
 
 def calls(convert: Callable[[Any], object], block: object) -> int:
-    """Function calls, Python's own included, that a conversion makes: work done value by value shows in their number."""
+    """Function calls, into C too, that a conversion makes: work done value by value shows in their number."""
     count = 0
 
     def profile(frame: FrameType, event: str, argument: Any) -> None:
