@@ -9,6 +9,7 @@
 
 SHELL := /bin/sh
 .NOTPARALLEL:
+.DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 
 VENV  := .venv
