@@ -5,6 +5,7 @@ Run by the peers' interpreter from `bench/`: python -m peers.pymodbustcp_server 
 
 import signal
 import socket
+import socketserver
 import sys
 
 from harness import announce
@@ -22,6 +23,7 @@ def free_port() -> int:
 def main() -> None:
     bank = DataBank()
     bank.set_holding_registers(0, list(range(65536)))
+    socketserver.TCPServer.request_queue_size = 128  # it queues 5; more dial at once here, and would wait seconds
     port = free_port()
     server = ModbusServer("127.0.0.1", port, no_block=True, data_bank=bank)
     server.start()

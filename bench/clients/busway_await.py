@@ -1,0 +1,47 @@
+"""busway's asyncio client, one await per request, in as many tasks per connection as requests are in flight on it.
+
+Run from `bench/`: python -m clients.busway_await PORT SECONDS REGISTERS CONNECTIONS TASKS [--uvloop] [--join]
+--join: requests of one turn of the event loop leave in one write.
+"""
+
+import asyncio
+import sys
+import time
+from contextlib import AsyncExitStack
+
+from harness.window import BURST, Window
+
+import busway
+
+
+async def main(port: int, seconds: float, registers: int, connections: int, tasks: int) -> None:
+    expected = list(range(registers))
+    async with AsyncExitStack() as opened:
+        units = []
+        for _ in range(connections):
+            link = busway.open(
+                f"tcp://127.0.0.1:{port}", max_transactions=tasks, join="--join" in sys.argv, shared=False
+            )
+            units.append((await opened.enter_async_context(link)).unit(1))
+        window = Window(seconds)
+
+        async def caller(unit: busway.AsyncUnit) -> None:
+            going = True
+            while going:
+                for _ in range(BURST):
+                    began = time.perf_counter()
+                    values = await unit.read_holding_registers(0, count=registers)
+                if values != expected:
+                    raise SystemExit(f"wrong values: {values}")
+                going = window.count(BURST, began)
+
+        await asyncio.gather(*(caller(unit) for unit in units for _ in range(tasks)))
+    window.report()
+
+
+run = asyncio.run
+if "--uvloop" in sys.argv:
+    import uvloop
+
+    run = uvloop.run
+run(main(int(sys.argv[1]), float(sys.argv[2]), *map(int, sys.argv[3:6])))

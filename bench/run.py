@@ -1,0 +1,101 @@
+"""The benchmark of the project: ours, the peers and the floor in one run, on one machine, taking turns.
+
+    python bench/run.py [--quick] [--only server,client,memory,startup] [--rounds N] [--seconds S]
+
+Prints the tables and the bars with what became of them, progress on stderr, and keeps everything in
+`bench/results/<date>.json`. Exit code: 0 whether bars are reached or not (shared machines are noisy), 1 when no table
+could be measured, 2 when it was asked wrongly.
+
+Rules:
+1. Servers have one core, load and clients another.
+2. What is not there (a compiler, libmodbus, the peers' environment) is said and left out; nothing is installed here.
+3. Every child is ended, also when the run is interrupted; nothing else is.
+"""
+
+import argparse
+import importlib
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+
+from harness import machine
+from harness.bench import prepare
+from harness.children import ChildFailed
+from harness.report import Table
+from tables import TABLES
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    asked = _arguments(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    before = machine.description()
+    bench = prepare(asked.quick, asked.rounds, asked.seconds)
+    began = time.time()
+    tables: dict[str, Table] = {}
+    try:
+        for name in asked.only:
+            try:
+                tables[name] = importlib.import_module(TABLES[name]).run(bench)
+            except ChildFailed as failure:
+                bench.say(f"table {name} is left out: {failure}")
+                continue
+            print(tables[name].text(), flush=True)
+    except KeyboardInterrupt:
+        bench.say("interrupted; what was measured so far is kept")
+    return _finish(before, began, asked.quick, tables)
+
+
+def _arguments(arguments: list[str] | None) -> argparse.Namespace:
+    def names(text: str) -> list[str]:
+        wanted = [name for name in text.split(",") if name]
+        unknown = [name for name in wanted if name not in TABLES]
+        if unknown or not wanted:
+            raise argparse.ArgumentTypeError(f"{text!r}: the tables are {', '.join(TABLES)}")
+        return wanted
+
+    def positive(text: str) -> float:
+        value = float(text)
+        if not 0 < value <= 60:
+            raise argparse.ArgumentTypeError(f"{text} is not in 0…60")
+        return value
+
+    parser = argparse.ArgumentParser(prog="bench", description="Measures busway beside the floor and the peers.")
+    parser.add_argument("--quick", action="store_true", help="a minute instead of several; noisier")
+    parser.add_argument("--only", type=names, default=list(TABLES), metavar="TABLES", help=f"of {','.join(TABLES)}")
+    parser.add_argument("--rounds", type=int, choices=range(1, 101), metavar="N", help="rounds per contender, 1…100")
+    parser.add_argument("--seconds", type=positive, metavar="S", help="counted seconds of one round, up to 60")
+    return parser.parse_args(arguments)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _finish(before: dict[str, object], began: float, quick: bool, tables: dict[str, Table]) -> int:
+    bars = [bar for table in tables.values() for bar in table.bars]
+    counts = {word: sum(bar.verdict == word for bar in bars) for word in ("ok", "missed", "not measured")}
+    print(f"\n{', '.join(f'{key} {value}' for key, value in before.items())}")
+    print(f"bars: {', '.join(f'{count} {word}' for word, count in counts.items())}")
+    if not tables:
+        return 1
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / f"{time.strftime('%Y-%m-%dT%H-%M-%S', time.localtime(began))}.json"
+    result = {
+        "date": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(began)),
+        "took_seconds": round(time.time() - began, 1),
+        "quick": quick,
+        "machine": before,
+        "tables": {name: table.kept() for name, table in tables.items()},
+    }
+    path.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+    print(f"kept in {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Our servers as programs: each tells its port and runs until it is ended."""

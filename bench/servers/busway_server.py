@@ -1,0 +1,29 @@
+"""A busway server on TCP with 65 536 holding registers for unit 1, register n holding n.
+
+Run from `bench/`: python -m servers.busway_server [--uvloop] [--trace-memory]
+"""
+
+import asyncio
+import sys
+
+from harness import announce
+
+
+async def main() -> None:
+    import busway
+
+    device = busway.Device(holding_registers=65536)
+    device.holding_registers[0:65536] = list(range(65536))
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}, connections=20_000) as server:
+        announce.port(server.port)
+        await asyncio.Event().wait()
+
+
+if "--trace-memory" in sys.argv:
+    announce.trace_memory()
+if "--uvloop" in sys.argv:
+    import uvloop
+
+    uvloop.run(main())
+else:
+    asyncio.run(main())

@@ -1,0 +1,8 @@
+"""One file per table. To add one: a module with `run(bench: Bench) -> Table`, and its line here."""
+
+TABLES = {
+    "server": "tables.server",
+    "client": "tables.client",
+    "memory": "tables.memory",
+    "startup": "tables.startup",
+}
