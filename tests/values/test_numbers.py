@@ -1,5 +1,6 @@
 """Numbers ⇄ registers: every type in every order byte by byte, round trips, and every refusal."""
 
+import gc
 import math
 import struct
 import sys
@@ -321,11 +322,13 @@ def calls(convert: Callable[[Any], object], block: object) -> int:
 
     convert(block)  # whatever is done once only, is done now
     before = sys.getprofile()
+    gc.disable()  # a collection may call what others hooked to it
     sys.setprofile(profile)
     try:
         convert(block)
     finally:
         sys.setprofile(before)
+        gc.enable()
     return count
 
 
