@@ -1,9 +1,9 @@
 """What an idle connection costs a server, with 1000 of them.
 
 A few connections come first, so that what a server imports and allocates once is there already. Each connection makes
-one transaction and then rests. Two figures: growth of the resident memory of the process (memory of the kernel's sockets
-is not in it; what the process had free before is not in it either, so it can be too low), and, in a second run, living
-Python objects as `tracemalloc` counts them. The bar takes the larger one.
+one transaction and then rests. Two figures: growth of the resident memory of the process (without the kernel's sockets,
+and without what the process had free before, so it can be too low), and, in a second run, living Python objects as
+`tracemalloc` counts them. The bar takes the larger one.
 """
 
 import socket
