@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from ..codes import exception_meaning
 from .fields import rest, u8
-from .message import Request, SelfCoded
+from .malformed import MalformedPdu
+from .message import UNKNOWN_LENGTH, Message, Request, SelfCoded
 
 
 class ExceptionResponse(SelfCoded):
@@ -23,18 +24,31 @@ class ExceptionResponse(SelfCoded):
         return exception_meaning(self.exception)
 
 
-class OpaqueRequest(SelfCoded):
-    """A request whose function is not in the table: carried as bytes, so that a gateway can forward it."""
-
-    function: int = u8(0, 0x7F)
-    data: bytes = rest()
-
-
 class OpaqueReply(SelfCoded):
     """A reply whose function is not in the table."""
 
     function: int = u8(0, 0x7F)
     data: bytes = rest()
+
+
+class OpaqueRequest(Request):
+    """A request whose function is not in the table: carried as bytes, so that it can be forwarded unread.
+
+    Nothing is known of it, so it counts as a write.
+    """
+
+    self_coded = True
+    is_write = True
+    function: int = u8(0, 0x7F)
+    data: bytes = rest()
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        return UNKNOWN_LENGTH, bytes((self.function,))
+
+    def accept(self, pdu: bytes) -> Message:
+        if pdu[0] != self.function:
+            raise MalformedPdu(f"function {pdu[0]} where {self.function} answers the request")
+        return OpaqueReply(pdu[0], pdu[1:])
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, dataclass_trans
 from ..codes import Table
 from .compiler import Layout, attribute_names, compile_message
 from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
+from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
     from .direct import Answer, DirectModel
@@ -55,7 +56,8 @@ class _MessageType(type):
         for key in declared:
             del body[key]
         # Only declared fields become slots; a class that declares none inherits the fields of its base.
-        body["__slots__"] = tuple(key for key, value in declared.items() if not isinstance(value, RestLength))
+        slots = tuple(key for key, value in declared.items() if not isinstance(value, RestLength))
+        body["__slots__"] = (*body.get("__slots__", ()), *slots)
         cls: Any = super().__new__(mcls, name, bases, body, **options)
         cls.has_rule = getattr(cls, "has_rule", False) or (bool(bases) and "validate" in body)
         cls.declared = {**getattr(cls, "declared", {}), **declared}
@@ -192,6 +194,7 @@ class Request(Message):
         broadcast: whether a serial master may send it to unit 0 (Serial Line V1.02 §2.1).
     """
 
+    __slots__ = ("expected_prefix", "expected_size", "wire")
     Reply: ClassVar[type[ReplyMessage]]
     reads: ClassVar[Touch | None] = None
     writes: ClassVar[Touch | None] = None
@@ -203,6 +206,20 @@ class Request(Message):
     def direct(cls, model: "DirectModel") -> "Answer | None":
         """The short road of this function on a device, or None where there is none (see `busway.pdu.direct`)."""
         return None
+
+    if TYPE_CHECKING:  # three slots that `prepare` fills; declared so, they are no fields of the message
+
+        @property
+        def wire(self) -> bytes:
+            """The encoded PDU."""
+
+        @property
+        def expected_size(self) -> int:
+            """Bytes of the reply PDU, or `UNKNOWN_LENGTH`."""
+
+        @property
+        def expected_prefix(self) -> bytes:
+            """What the reply PDU starts with."""
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
         """Execute on a device and give the reply. Raises `Refusal` with the exception code of a failure."""
@@ -228,6 +245,28 @@ class Request(Message):
         layout = self.Reply.layout
         return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
 
+    def prepare(self) -> bytes:
+        """Encode once and keep what a client compares; gives the PDU. A request that is sent again costs nothing."""
+        wire = self.encode()
+        size, prefix = self.reply_shape()
+        _set_wire(self, wire)
+        _set_expected_size(self, size)
+        _set_expected_prefix(self, prefix)
+        return wire
+
+    def accept(self, pdu: bytes) -> Message:
+        """The positive reply in ``pdu``. Raises `MalformedPdu` where it does not answer this request."""
+        reply = self.Reply.decode(pdu)
+        size, prefix = self.expected_size, self.expected_prefix
+        if size != UNKNOWN_LENGTH and len(pdu) != size:
+            raise MalformedPdu(f"{len(pdu)} bytes where {size} answer the request")
+        if not pdu.startswith(prefix):
+            raise MalformedPdu(f"it begins {pdu[: len(prefix)].hex(' ')} where {prefix.hex(' ')} answers the request")
+        problem = self.check_reply(reply)
+        if problem is not None:
+            raise MalformedPdu(problem)
+        return reply
+
     def check_reply(self, reply: Any) -> str | None:
         """What does not fit between this request and a decoded reply of its class, or None."""
         return None
@@ -235,3 +274,9 @@ class Request(Message):
 
 def _rebuild(cls: type[Message], values: tuple[Any, ...]) -> Message:
     return cls(*values)
+
+
+# Frozen messages are filled through their slots; bound once, because `prepare` is on the way of every new request.
+_set_wire = Request.__dict__["wire"].__set__
+_set_expected_size = Request.__dict__["expected_size"].__set__
+_set_expected_prefix = Request.__dict__["expected_prefix"].__set__

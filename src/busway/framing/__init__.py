@@ -1,0 +1,1 @@
+"""Frames: how a PDU travels on TCP (``mbap``), and on serial lines."""

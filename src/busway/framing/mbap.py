@@ -1,0 +1,120 @@
+"""MBAP: the seven bytes before a PDU on TCP (Messaging on TCP/IP V1.0b §3.1.3).
+
+Knows headers and streams of them; knows no socket, no transaction table and no function.
+
+1. ``transaction`` 2, ``protocol`` 2 (0), ``length`` 2 (unit and PDU), ``unit`` 1; then the PDU. Big-endian.
+2. The length alone finds the next frame. A length outside 2…254 can not be: the stream is broken and can not be
+   followed further (Messaging on TCP/IP §4.4.2). It is found as soon as its two bytes are there; no byte is waited
+   for behind it.
+3. A frame whose protocol is not 0 is complete but not Modbus: it is skipped and reported, and the stream goes on.
+4. Splits and joins of the stream make no difference.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import Enum
+
+from ..codes import PDU_LIMIT
+
+HEADER_SIZE = 7
+MIN_LENGTH = 2
+MAX_LENGTH = 1 + PDU_LIMIT
+
+HEAD = struct.Struct(">HHHB")
+"""Transaction, protocol, length, unit."""
+HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
+"""The same and the first byte of the PDU, for those who want all in one step."""
+
+
+class FrameKind(Enum):
+    """What a receiver found."""
+
+    FRAME = "frame"
+    FOREIGN_PROTOCOL = "foreign protocol"
+    BROKEN = "broken"
+
+
+@dataclass(frozen=True, slots=True)
+class MbapFrame:
+    """One ADU. For ``BROKEN``, ``pdu`` holds what is left of the stream and ``reason`` says what can not be."""
+
+    kind: FrameKind
+    transaction: int
+    protocol: int
+    unit: int
+    pdu: bytes
+    reason: str = ""
+
+
+def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """The ADU of a PDU of 1…253 bytes; ``transaction`` 0…65535, ``unit`` 0…255."""
+    return HEAD.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+
+
+def impossible_length(length: int) -> str:
+    """The sentence for a length that can not be."""
+    return f"length field {length}, where {MIN_LENGTH}…{MAX_LENGTH} can be"
+
+
+class StreamBuffer:
+    """Keeps the beginning of a frame until the rest of it arrives.
+
+    A connection that is in step keeps nothing, so thousands of idle ones cost nothing. A frame has at most 260
+    bytes, and no more than that is ever kept.
+    """
+
+    __slots__ = ("kept",)
+
+    def __init__(self) -> None:
+        self.kept = b""
+
+    def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
+        """What was kept, followed by the first ``size`` bytes of ``buffer``, and its length in bytes."""
+        if not self.kept:
+            return buffer, size
+        whole = self.kept + bytes(buffer[:size])
+        self.kept = b""
+        return whole, len(whole)
+
+    def keep(self, buffer: bytes | bytearray, at: int, size: int) -> None:
+        """Keep ``buffer[at:size]`` for the next call of `join`."""
+        self.kept = bytes(buffer[at:size])
+
+
+class MbapReceiver:
+    """A stream of bytes in, frames out. After a ``BROKEN`` frame it gives nothing any more."""
+
+    __slots__ = ("_buffer", "broken")
+
+    def __init__(self) -> None:
+        self._buffer = StreamBuffer()
+        self.broken = False
+
+    @property
+    def pending(self) -> int:
+        """Bytes of an unfinished frame."""
+        return len(self._buffer.kept)
+
+    def receive(self, data: bytes | bytearray) -> list[MbapFrame]:
+        """All frames that ``data`` completes, in order."""
+        frames: list[MbapFrame] = []
+        if self.broken:
+            return frames
+        stream, size = self._buffer.join(data, len(data))
+        at = 0
+        while size - at >= 6:
+            length = stream[at + 4] << 8 | stream[at + 5]
+            transaction, protocol = stream[at] << 8 | stream[at + 1], stream[at + 2] << 8 | stream[at + 3]
+            if not MIN_LENGTH <= length <= MAX_LENGTH:
+                self.broken = True
+                rest = bytes(stream[at:size])
+                frames.append(MbapFrame(FrameKind.BROKEN, transaction, protocol, 0, rest, impossible_length(length)))
+                return frames
+            end = at + 6 + length
+            if end > size:
+                break
+            kind = FrameKind.FOREIGN_PROTOCOL if protocol else FrameKind.FRAME
+            frames.append(MbapFrame(kind, transaction, protocol, stream[at + 6], bytes(stream[at + 7 : end])))
+            at = end
+        self._buffer.keep(stream, at, size)
+        return frames

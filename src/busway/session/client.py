@@ -1,0 +1,555 @@
+"""The client's side of a TCP connection: demands in, ADUs out, replies matched to what was asked.
+
+Knows the rules of Messaging on TCP/IP V1.0b §4.4.1 and of devices that break them; knows no socket and no clock:
+times are ``now`` in seconds, and whoever drives a session calls `TcpClientSession.tick` at `deadline`.
+
+1. At most ``max_transactions`` requests are in flight; the rest waits in a bounded queue, in the order of `queue`.
+2. A reply belongs to the pending transaction it names, and must fit it in unit, function, length and echo. What fits
+   no pending transaction is dropped and counted; it is never given to another request.
+3. The identifier of a request that timed out or was cancelled is remembered and not used again while the connection
+   lasts; its late reply is dropped, and tells how slow the device is.
+4. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
+   ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
+5. Where transactions can not be told apart (policies automatic and ignore), a timeout ends the connection: the next
+   reply could be the late one.
+6. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
+   still working on it.
+"""
+
+from dataclasses import dataclass
+
+from ..codes import TCP_DEVICE_UNIT, ExceptionCode
+from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply, Overloaded, WriteOutcomeUnknown
+from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
+from ..pdu.general import ExceptionResponse
+from ..pdu.malformed import MalformedPdu
+from ..pdu.message import Message, Request
+from .demand import Demand
+from .parameters import ClientParameters, MismatchPolicy
+from .queue import RequestQueue
+
+_unpack = HEAD_AND_FUNCTION.unpack_from
+_pack = HEAD.pack
+_EXPIRED_LIMIT = 4096
+
+
+class _Flight:
+    """One place among the requests in flight; the same few objects serve a connection for ever."""
+
+    __slots__ = ("demand", "expires", "position", "request", "sent", "unit")
+
+    demand: Demand | None  # None: cancelled
+    request: Request
+    position: int
+    unit: int
+    sent: float
+    expires: float
+
+
+@dataclass(slots=True)
+class ClientCounters:
+    """What happened on a link since it was made."""
+
+    requests: int = 0
+    replies: int = 0
+    exceptions: int = 0
+    timeouts: int = 0
+    retries: int = 0
+    bad_replies: int = 0
+    late_replies: int = 0
+    foreign_replies: int = 0
+    tolerated_replies: int = 0
+    foreign_protocol: int = 0
+    cancelled: int = 0
+    overloaded: int = 0
+    connections: int = 0
+    lost_connections: int = 0
+    recycled: int = 0
+
+
+class TcpClientSession:
+    """One link's conversation, across reconnections.
+
+    Attributes:
+        counters: what happened.
+        finished: demands that have all their outcomes; the driver empties the list.
+        recycle: why the connection must be closed and made anew; empty while it need not.
+        observed_delay: seconds that the last late reply had taken; None before the first.
+        valid_reply: whether this connection has brought a reply that answers a request.
+    """
+
+    __slots__ = (
+        "_buffer",
+        "_connected",
+        "_deadlines",
+        "_expired",
+        "_foreign_in_row",
+        "_free",
+        "_not_before",
+        "_pending",
+        "_queue",
+        "_timeouts_in_row",
+        "_transaction",
+        "counters",
+        "endpoint",
+        "finished",
+        "observed_delay",
+        "parameters",
+        "recycle",
+        "valid_reply",
+    )
+
+    def __init__(self, parameters: ClientParameters, *, endpoint: str = "", first_transaction: int = 0) -> None:
+        self.parameters = parameters
+        self.endpoint = endpoint
+        self.counters = ClientCounters()
+        self.finished: list[Demand] = []
+        self.recycle = ""
+        self.observed_delay: float | None = None
+        self.valid_reply = False
+        self._queue = RequestQueue(parameters.queue)
+        self._pending: dict[int, _Flight] = {}
+        self._free = [_Flight() for _ in range(parameters.max_transactions)]
+        self._expired: dict[int, float] = {}
+        self._transaction = first_transaction & 0xFFFF
+        self._buffer = StreamBuffer()
+        self._connected = False
+        self._not_before = 0.0
+        self._timeouts_in_row = 0
+        self._foreign_in_row = 0
+        self._deadlines = 0
+
+    # What the application asks.
+
+    def submit(self, demand: Demand, now: float) -> None:
+        """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
+        demand.submitted = now
+        try:
+            self._queue.add(demand)
+        except Overloaded:
+            self.counters.overloaded += 1
+            raise
+        if demand.deadline is not None:
+            self._deadlines += 1
+
+    def cancel(self, demand: Demand) -> None:
+        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen."""
+        self._queue.remove(demand)
+        for flight in self._pending.values():
+            if flight.demand is demand:
+                flight.demand = None
+        if demand.open:
+            self.counters.cancelled += 1
+            self._leave(demand)
+
+    @property
+    def has_demands(self) -> bool:
+        """Whether something waits to be sent."""
+        return self._queue.size > 0
+
+    @property
+    def queued(self) -> int:
+        """Demands with something left to send."""
+        return self._queue.size
+
+    @property
+    def in_flight(self) -> int:
+        """Requests whose reply is awaited."""
+        return len(self._pending)
+
+    # What the connection reports.
+
+    def connected(self, now: float) -> None:
+        """A new connection stands."""
+        self._connected = True
+        self._buffer = StreamBuffer()
+        self._expired.clear()
+        self._timeouts_in_row = self._foreign_in_row = 0
+        self._not_before = now + self.parameters.connect_delay
+        self.recycle = ""
+        self.valid_reply = False
+        self.counters.connections += 1
+
+    def disconnected(self, now: float, reason: str) -> None:
+        """The connection has ended; what was in flight is repeated or fails, what waits stays in the queue."""
+        if self._connected:
+            self.counters.lost_connections += 1
+        self._connected = False
+        self.recycle = ""
+        for flight in list(self._pending.values()):
+            self._release(flight)
+            if flight.demand is not None:
+                error = LinkDown(f"the connection ended before the reply: {reason}", sent=True)
+                self._failed(flight, flight.demand, error, now, again=True)
+        self._pending.clear()
+
+    def unreachable(self, now: float, error: ModbusError) -> None:
+        """No connection could be had: everything that waits fails, at once and with the same reason."""
+        for demand in list(self._queue):
+            self._queue.remove(demand)
+            for position, outcome in enumerate(demand.outcomes):
+                if outcome is None:
+                    copy = LinkDown(error.message)
+                    copy.__cause__ = error.__cause__
+                    self._conclude(demand, position, self._placed(copy, demand, position, now))
+
+    # What goes out and comes in.
+
+    def transmit(self, now: float) -> list[bytes]:
+        """The ADUs to send now, in order; they count as sent at ``now``."""
+        out: list[bytes] = []
+        queue = self._queue
+        if not queue.size or not self._connected or self.recycle or not self._free:
+            return out
+        if self._buffer.kept and not self._pending:
+            # Bytes that answer nothing: the next reply would be read as their continuation.
+            self._recycle(f"{len(self._buffer.kept)} bytes of an unfinished frame before the request")
+            return out
+        if now < self._not_before:
+            return out
+        gap = self.parameters.request_gap
+        while self._free and (demand := queue.pick()) is not None:
+            self._send(demand, now, out, at_most=len(self._free) if queue.sole_caller and not gap else 1)
+            if not demand.has_more:
+                queue.remove(demand)
+            if gap:
+                break
+        return out
+
+    def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
+        """Put up to ``at_most`` requests of a demand in flight."""
+        free, pending, expired = self._free, self._pending, self._expired
+        transaction = self._transaction
+        expires = now + demand.timeout
+        unit = demand.unit
+        while at_most and demand.has_more:
+            at_most -= 1
+            position = demand.take()
+            request = demand.requests[position]
+            try:
+                wire = request.wire
+            except AttributeError:
+                wire = request.prepare()
+            transaction = transaction + 1 & 0xFFFF
+            while transaction in pending or transaction in expired:
+                transaction = transaction + 1 & 0xFFFF
+            flight = free.pop()
+            flight.demand = demand
+            flight.request = request
+            flight.position = position
+            flight.unit = unit
+            flight.sent = now
+            flight.expires = expires
+            pending[transaction] = flight
+            out.append(_pack(transaction, 0, len(wire) + 1, unit) + wire)
+            self.counters.requests += 1
+        self._transaction = transaction
+
+    def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
+        """Work through the first ``size`` bytes of ``buffer``. Demands that are complete are in ``finished``."""
+        if self._buffer.kept:
+            buffer, size = self._buffer.join(buffer, size)
+        pending = self._pending
+        at = good = 0
+        # The hot path of a client: a reply that answers its request is told by its length and its first bytes alone;
+        # `Request.accept` only takes the payload. Everything else goes through _odd_frame.
+        while size - at >= 8:
+            transaction, protocol, length, unit, _ = _unpack(buffer, at)
+            end = at + 6 + length
+            if not MIN_LENGTH <= length <= MAX_LENGTH:
+                break
+            if end > size:
+                break
+            flight = pending.get(transaction)
+            if (
+                flight is not None
+                and (demand := flight.demand) is not None
+                and not protocol
+                and length == flight.request.expected_size + 1
+                and (unit == flight.unit or flight.unit == TCP_DEVICE_UNIT or not flight.unit)
+                and buffer.startswith(flight.request.expected_prefix, at + 7)
+            ):
+                try:
+                    reply = flight.request.accept(bytes(buffer[at + 7 : end]))
+                except MalformedPdu:
+                    self._odd_frame(transaction, protocol, unit, bytes(buffer[at:end]), now)
+                else:
+                    good += 1
+                    del pending[transaction]
+                    self._free.append(flight)
+                    demand.outcomes[flight.position] = reply
+                    demand.open -= 1
+                    if not demand.open:
+                        self._finish(demand)
+            else:
+                self._odd_frame(transaction, protocol, unit, bytes(buffer[at:end]), now)
+            at = end
+        if good:
+            self._answered(good, now)
+        if size - at >= 6:
+            length = buffer[at + 4] << 8 | buffer[at + 5]
+            if not MIN_LENGTH <= length <= MAX_LENGTH:
+                self._broken_stream(impossible_length(length), bytes(buffer[at:size]), now)
+                return
+        if at < size:
+            self._buffer.keep(buffer, at, size)
+
+    # What time brings.
+
+    def deadline(self) -> float | None:
+        """When `tick` has something to do; None for never."""
+        times = [flight.expires for flight in self._pending.values()]
+        if self._deadlines:
+            times += [demand.deadline for demand in self._queue if demand.deadline is not None]
+            times += [
+                flight.demand.deadline
+                for flight in self._pending.values()
+                if flight.demand is not None and flight.demand.deadline is not None
+            ]
+        if self._queue.size and self._connected and self._free and self._not_before:
+            times.append(self._not_before)
+        return min(times, default=None)
+
+    def tick(self, now: float) -> None:
+        """End what has run out of time."""
+        for transaction, flight in list(self._pending.items()):
+            demand = flight.demand
+            over = demand is not None and demand.deadline is not None and now >= demand.deadline
+            if now >= flight.expires or over:
+                del self._pending[transaction]
+                self._release(flight)
+                self._timed_out(transaction, flight, now, over=over)
+        if self._deadlines:
+            for demand in list(self._queue):
+                if demand.deadline is not None and now >= demand.deadline:
+                    self._queue.remove(demand)
+                    for position, outcome in enumerate(demand.outcomes):
+                        if outcome is None and not self._is_in_flight(demand, position):
+                            self._end_unsent(demand, position, now)
+
+    def _is_in_flight(self, demand: Demand, position: int) -> bool:
+        return any(flight.demand is demand and flight.position == position for flight in self._pending.values())
+
+    def _end_unsent(self, demand: Demand, position: int, now: float) -> None:
+        tried = demand.attempts.get(position)
+        sentence = "no answer before the deadline of the call" if tried else "the deadline passed in the queue"
+        error = NoReply(sentence if tried else f"{sentence}; nothing was sent")
+        self._conclude(demand, position, self._placed(error, demand, position, now))
+
+    def _timed_out(self, transaction: int, flight: _Flight, now: float, *, over: bool) -> None:
+        """The reply did not come in time: remember the identifier, and repeat or fail."""
+        self._remember(transaction, flight.sent)
+        partial = self._buffer.kept
+        if flight.demand is not None:
+            self.counters.timeouts += 1
+            self._timeouts_in_row += 1
+            self._failed(flight, flight.demand, self._no_reply(flight, partial), now, again=not over)
+        if partial:
+            self._recycle("a frame began and did not end within the timeout")
+        elif self._tolerant:
+            self._recycle("a timeout where transactions can not be told apart")
+        elif self._timeouts_in_row >= self.parameters.recycle_after_timeouts:
+            self._recycle(f"{self._timeouts_in_row} timeouts in a row")
+
+    def _no_reply(self, flight: _Flight, partial: bytes) -> NoReply:
+        timeout = flight.expires - flight.sent
+        if partial:
+            return NoReply(f"only a part of a reply came within {timeout:g} s", kind="partial", raw=partial)
+        if self.observed_delay is not None:
+            return NoReply(
+                f"no reply within {timeout:g} s; the device is slow: its last late reply had taken "
+                f"{self.observed_delay:.3f} s, a longer timeout would take it",
+                kind="late",
+                observed_delay=self.observed_delay,
+            )
+        return NoReply(f"no reply within {timeout:g} s")
+
+    # What does not simply answer.
+
+    def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
+        """Anything but a plainly fitting reply (Messaging on TCP/IP §4.4.1.4)."""
+        flight = self._pending.get(transaction)
+        if flight is None:
+            sent = self._expired.pop(transaction, None)
+            if sent is not None:
+                self.counters.late_replies += 1
+                self.observed_delay = now - sent
+                self._timeouts_in_row = 0
+                return
+            flight = self._tolerated(transaction, protocol, unit, adu)
+            if flight is None:
+                self._foreign(protocol)
+                return
+            transaction = next(key for key, value in self._pending.items() if value is flight)
+        del self._pending[transaction]
+        self._free.append(flight)
+        if flight.demand is None:
+            return  # cancelled: its reply has come, the place is free
+        self._confirm(flight, flight.demand, protocol, unit, adu, now)
+
+    def _confirm(self, flight: _Flight, demand: Demand, protocol: int, unit: int, adu: bytes, now: float) -> None:
+        pdu = adu[7:]
+        function = flight.request.wire[0]
+        reason = ""
+        if protocol:
+            self.counters.foreign_protocol += 1
+            reason = f"protocol identifier {protocol} where 0 is Modbus"
+        elif unit != flight.unit and flight.unit not in (0, TCP_DEVICE_UNIT) and not self._unit_tolerated():
+            reason = f"unit {unit} answered where {flight.unit} was asked"
+        elif pdu[0] & 0x7F != function:
+            reason = f"function {pdu[0]} answers function {function}"
+        if not reason:
+            try:
+                self._accept(flight, demand, pdu, now)
+                return
+            except MalformedPdu as error:
+                reason = error.reason
+        self.counters.bad_replies += 1
+        self._timeouts_in_row = 0
+        self._failed(flight, demand, BadReply(reason, raw=adu), now, again=False)
+
+    def _accept(self, flight: _Flight, demand: Demand, pdu: bytes, now: float) -> None:
+        """Take a reply or an exception that belongs to ``flight``. Raises `MalformedPdu` where it is broken."""
+        if pdu[0] & 0x80:
+            # 43/14 may be refused with AB 0E cc, the form that the figure of its section prints.
+            short = pdu[:1] + pdu[2:] if pdu[0] == 0xAB and len(pdu) == 3 else pdu
+            code = ExceptionResponse.decode(short).exception
+            self.counters.exceptions += 1
+            self._answered(0, now)
+            error = ExceptionReply(code, raw=pdu)
+            if code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and flight.request.is_write:
+                self._failed(flight, demand, error, now, again=False)
+            else:
+                self._conclude(demand, flight.position, self._placed(error, demand, flight.position, now))
+            return
+        reply = flight.request.accept(pdu)
+        self._answered(1, now)
+        self._conclude(demand, flight.position, reply)
+
+    def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> _Flight | None:
+        """The one request in flight, if a reply with a foreign transaction may be taken for its answer."""
+        policy = self.parameters.transaction_policy
+        if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol:
+            return None
+        flight = next(iter(self._pending.values()))
+        if policy is MismatchPolicy.AUTOMATIC and (
+            flight.demand is None
+            or (unit != flight.unit and flight.unit not in (0, TCP_DEVICE_UNIT) and not self._unit_tolerated())
+            or not self._fits(flight.request, adu[7:])
+        ):
+            return None
+        self.counters.tolerated_replies += 1
+        return flight
+
+    def _fits(self, request: Request, pdu: bytes) -> bool:
+        if pdu[0] == request.wire[0] | 0x80:
+            return len(pdu) == 2
+        try:
+            request.accept(pdu)
+        except MalformedPdu:
+            return False
+        return True
+
+    def _unit_tolerated(self) -> bool:
+        policy = self.parameters.unit_policy
+        if policy is MismatchPolicy.IGNORE or (policy is MismatchPolicy.AUTOMATIC and not self._pending):
+            # Called when the flight in question has been taken out, or is the only one.
+            return True
+        return policy is MismatchPolicy.AUTOMATIC and len(self._pending) == 1
+
+    @property
+    def _tolerant(self) -> bool:
+        """Whether replies may be taken that do not name their transaction."""
+        return self.parameters.transaction_policy is not MismatchPolicy.STRICT
+
+    def _foreign(self, protocol: int) -> None:
+        if protocol:
+            self.counters.foreign_protocol += 1
+        self.counters.foreign_replies += 1
+        self._foreign_in_row += 1
+        if self._foreign_in_row >= self.parameters.recycle_after_foreign:
+            self._recycle(f"{self._foreign_in_row} replies in a row that answer nothing asked here")
+
+    def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
+        """A length that can not be: nothing behind it can be read."""
+        self._recycle(reason)
+        for flight in list(self._pending.values()):
+            self._release(flight)
+            if flight.demand is not None:
+                self.counters.bad_replies += 1
+                self._failed(flight, flight.demand, BadReply(reason, raw=raw), now, again=False)
+        self._pending.clear()
+
+    # How a request ends.
+
+    def _answered(self, good: int, now: float) -> None:
+        self.counters.replies += good
+        self._timeouts_in_row = self._foreign_in_row = 0
+        self.valid_reply = True
+        if self.parameters.request_gap:
+            self._not_before = now + self.parameters.request_gap
+
+    def _failed(self, flight: _Flight, demand: Demand, error: ModbusError, now: float, *, again: bool) -> None:
+        """A request that was sent got no valid answer: repeat it, or end it with the error that is true."""
+        position = flight.position
+        attempt = demand.attempts.get(position, 1)
+        guarded = flight.request.is_write and not demand.idempotent
+        retries = self.parameters.write_retries if guarded else demand.retries
+        if again and attempt <= retries and not demand.ended:
+            demand.attempts[position] = attempt + 1
+            demand.again.append(position)
+            self.counters.retries += 1
+            self._queue.add_again(demand)
+            return
+        self._placed(error, demand, position, now)
+        error.attempt = attempt
+        if flight.request.is_write:
+            unknown = WriteOutcomeUnknown("the write was sent and may have been executed; no valid answer came")
+            unknown.__cause__ = error
+            unknown.raw = error.raw
+            unknown.attempt = attempt
+            error = self._placed(unknown, demand, position, now)
+        self._conclude(demand, position, error)
+
+    def _placed(self, error: ModbusError, demand: Demand, position: int, now: float) -> ModbusError:
+        """Say where and when of an error."""
+        request = demand.requests[position]
+        spans = request.spans()
+        code = request.wire[0] if hasattr(request, "wire") else request.prepare()[0]
+        return error.at(
+            endpoint=self.endpoint or None,
+            unit=demand.unit,
+            function=code,
+            address=spans[0].address if spans else None,
+            attempt=demand.attempts.get(position),
+            elapsed=now - demand.submitted,
+        )
+
+    def _conclude(self, demand: Demand, position: int, outcome: Message | ModbusError) -> None:
+        demand.outcomes[position] = outcome
+        demand.open -= 1
+        if not demand.open:
+            self._finish(demand)
+
+    def _finish(self, demand: Demand) -> None:
+        self.finished.append(demand)
+        self._leave(demand)
+
+    def _leave(self, demand: Demand) -> None:
+        if demand.deadline is not None:
+            self._deadlines -= 1
+        demand.ended = True
+
+    def _release(self, flight: _Flight) -> None:
+        self._free.append(flight)
+
+    def _remember(self, transaction: int, sent: float) -> None:
+        """Keep an identifier from being used while its late reply may still come."""
+        if len(self._expired) >= _EXPIRED_LIMIT:
+            del self._expired[next(iter(self._expired))]
+        self._expired[transaction] = sent
+
+    def _recycle(self, reason: str) -> None:
+        if not self.recycle:
+            self.recycle = reason
+            self.counters.recycled += 1

@@ -1,0 +1,100 @@
+"""What a user application asks for: one request or many of one unit, and what became of them.
+
+Knows its own progress; knows no connection and no bytes (Messaging on TCP/IP V1.0b §4.4.1: "user application demand").
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..errors import ModbusError
+from ..pdu.message import Message, Request
+
+Outcome = Message | ModbusError
+
+
+class Demand:
+    """Requests of one unit, asked for in one call; they complete together.
+
+    Attributes:
+        unit: unit identifier, 0…255.
+        requests: what is asked, in order.
+        caller: whoever asks; the queue is fair between callers.
+        timeout: seconds per attempt.
+        deadline: when the whole must have ended, in the clock of ``now``; None for never.
+        retries: further attempts of each request.
+        idempotent: whether its writes may be executed twice, so that they are repeated like reads.
+        is_write: whether one of the requests may change something.
+        outcomes: for each request the reply or the error, None while it is open.
+        open: how many requests have no outcome yet.
+        ended: whether it is finished or cancelled.
+        submitted: when it was asked for.
+        owner: whatever the driver wants to find here again.
+        attempts: attempts begun, by position; only positions that were tried more than once appear.
+    """
+
+    __slots__ = (
+        "again",
+        "attempts",
+        "caller",
+        "deadline",
+        "ended",
+        "idempotent",
+        "is_write",
+        "next",
+        "open",
+        "outcomes",
+        "owner",
+        "requests",
+        "retries",
+        "submitted",
+        "timeout",
+        "unit",
+    )
+
+    def __init__(
+        self,
+        unit: int,
+        requests: Sequence[Request],
+        *,
+        is_write: bool,
+        timeout: float,
+        retries: int,
+        idempotent: bool = False,
+        caller: object = None,
+        deadline: float | None = None,
+        owner: Any = None,  # Any: only the driver that put it in takes it out
+    ) -> None:
+        self.unit = unit
+        self.requests = requests
+        self.caller = caller
+        self.timeout = timeout
+        self.deadline = deadline
+        self.retries = retries
+        self.idempotent = idempotent
+        self.is_write = is_write
+        self.owner = owner
+        self.outcomes: list[Outcome | None] = [None] * len(requests)
+        self.open = len(requests)
+        self.next = 0
+        self.again: list[int] = []
+        self.attempts: dict[int, int] = {}
+        self.submitted = 0.0
+        self.ended = False
+
+    @property
+    def has_more(self) -> bool:
+        """Whether a request waits to be sent."""
+        return self.next < len(self.requests) or bool(self.again)
+
+    def take(self) -> int:
+        """The position of the next request to send."""
+        if self.again:
+            return self.again.pop(0)
+        position = self.next
+        self.next = position + 1
+        return position
+
+    @property
+    def error(self) -> ModbusError | None:
+        """The first error among the outcomes."""
+        return next((outcome for outcome in self.outcomes if isinstance(outcome, ModbusError)), None)

@@ -1,0 +1,106 @@
+"""What answers requests, seen from the conversation: one protocol of four members.
+
+Knows the shape of a handler; knows no device, policy or gateway. Those are handlers.
+
+1. `Handler.handle` gives the reply, an awaitable of it, `LATER` (then `RequestContext.reply` is called once), or
+   `SILENCE`. Raising `Refusal` answers with its exception code.
+2. `Handler.direct` offers the short road for a unit: function code → compiled answer. What it leaves out takes the
+   long road. ``generation`` changes whenever an offer made earlier is no longer right.
+"""
+
+from collections.abc import Awaitable, Callable, Mapping
+from enum import Enum
+from typing import Final, Protocol
+
+from ..pdu.direct import Answer
+from ..pdu.functions import AnyRequest, FunctionTable
+from ..pdu.general import ExceptionResponse
+from ..pdu.message import Message
+from ..pdu.model import Diagnostics, Refusal
+
+
+class Deferral(Enum):
+    """The two outcomes that carry no reply."""
+
+    LATER = "later"
+    SILENCE = "silence"
+
+
+LATER: Final = Deferral.LATER
+"""The handler will call `RequestContext.reply` exactly once."""
+SILENCE: Final = Deferral.SILENCE
+"""No reply is sent."""
+
+Outcome = Message | Awaitable[Message] | Deferral
+
+
+class RequestContext:
+    """Who asks, by which way; and where a late reply goes.
+
+    Attributes:
+        peer: ``host:port`` of the client, or the name of a serial line.
+        listener: URL of the listener that the request came by.
+        role: role of the client's certificate; None without one.
+        unit: the unit identifier asked, 0…255.
+        transaction: the identifier of the request; 0 where the framing has none.
+        diagnostics: counters of the line or listener.
+    """
+
+    __slots__ = ("_finish", "diagnostics", "function", "listener", "peer", "role", "transaction", "unit")
+
+    def __init__(
+        self,
+        *,
+        unit: int,
+        function: int,
+        diagnostics: Diagnostics,
+        peer: str = "",
+        listener: str = "",
+        role: str | None = None,
+        transaction: int = 0,
+        finish: Callable[["RequestContext", Message | Deferral], None] | None = None,
+    ) -> None:
+        self.unit = unit
+        self.function = function
+        self.diagnostics = diagnostics
+        self.peer = peer
+        self.listener = listener
+        self.role = role
+        self.transaction = transaction
+        self._finish = finish
+
+    @property
+    def replied(self) -> bool:
+        """Whether the late reply was given already, or can not be given any more."""
+        return self._finish is None
+
+    def reply(self, reply: Message | Deferral) -> None:
+        """Give the reply that `LATER` promised; a second call does nothing. A client that has gone gets nothing."""
+        finish, self._finish = self._finish, None
+        if finish is not None:
+            finish(self, reply)
+
+    def refuse(self, code: int) -> None:
+        """Give an exception code as the late reply."""
+        self.reply(ExceptionResponse(self.function, code))
+
+
+class Handler(Protocol):
+    """Answers requests."""
+
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions it decodes."""
+
+    @property
+    def generation(self) -> int:
+        """Changes when offers of ``direct`` end."""
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        """The short road for the unit, peer and role of ``context``; empty where there is none."""
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """The long road."""
+
+
+__all__ = ["LATER", "SILENCE", "Deferral", "Handler", "Outcome", "Refusal", "RequestContext"]

@@ -1,0 +1,103 @@
+"""What can be set about a conversation. Checked once, here; whoever holds one can rely on it."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from ..errors import ConfigError
+
+
+class MismatchPolicy(Enum):
+    """What a client does with a reply whose transaction or unit is not the one asked.
+
+    Attributes:
+        STRICT: a foreign transaction is dropped and counted; a foreign unit is a broken reply.
+        AUTOMATIC: taken if exactly one request is in flight and all else fits; every timeout ends the connection.
+        IGNORE: taken for the one request in flight if function and length fit; every timeout ends the connection.
+    """
+
+    STRICT = "strict"
+    AUTOMATIC = "automatic"
+    IGNORE = "ignore"
+
+
+class Scope(Enum):
+    """What a limit of transactions counts for."""
+
+    CONNECTION = "connection"
+    SERVER = "server"
+
+
+def _within(key: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise ConfigError(f"must be {low:g}…{high:g}, not {value:g}", key=key)
+
+
+@dataclass(frozen=True, slots=True)
+class ClientParameters:
+    """How a client converses.
+
+    Attributes:
+        timeout: seconds from the last byte of a request to the last of its reply, per attempt.
+        retries: further attempts of a read after a timeout or a lost connection.
+        write_retries: further attempts of a write that may have been executed. 0 unless every write is idempotent.
+        deadline: seconds a call may take in all, waiting in the queue included; None for no limit.
+        max_transactions: NumberMaxOfClientTransaction, 1…16 requests in flight on a connection.
+        queue: calls that may wait on a link; one more is refused with `Overloaded`.
+        transaction_policy, unit_policy: what is done with replies that name another transaction or unit.
+        recycle_after_timeouts: timeouts in a row, with no sign of life, after which the connection is made anew.
+        recycle_after_foreign: replies of foreign transactions in a row after which the connection is made anew.
+        connect_delay: seconds to wait after connecting before the first request.
+        request_gap: seconds from the end of a reply to the next request.
+    """
+
+    timeout: float = 1.0
+    retries: int = 1
+    write_retries: int = 0
+    deadline: float | None = None
+    max_transactions: int = 1
+    queue: int = 64
+    transaction_policy: MismatchPolicy = MismatchPolicy.STRICT
+    unit_policy: MismatchPolicy = MismatchPolicy.STRICT
+    recycle_after_timeouts: int = 3
+    recycle_after_foreign: int = 16
+    connect_delay: float = 0.0
+    request_gap: float = 0.0
+
+    def __post_init__(self) -> None:
+        _within("timeout", self.timeout, 0.001, 3600)
+        _within("retries", self.retries, 0, 100)
+        _within("write_retries", self.write_retries, 0, 100)
+        if self.deadline is not None:
+            _within("deadline", self.deadline, 0.001, 86_400)
+        _within("max_transactions", self.max_transactions, 1, 16)
+        _within("queue", self.queue, 1, 65_536)
+        _within("recycle_after_timeouts", self.recycle_after_timeouts, 1, 1000)
+        _within("recycle_after_foreign", self.recycle_after_foreign, 1, 1000)
+        _within("connect_delay", self.connect_delay, 0, 60)
+        _within("request_gap", self.request_gap, 0, 60)
+        for key in ("transaction_policy", "unit_policy"):
+            if not isinstance(getattr(self, key), MismatchPolicy):
+                allowed = ", ".join(policy.value for policy in MismatchPolicy)
+                raise ConfigError(f"must be one of {allowed}, not {getattr(self, key)!r}", key=key)
+        if self.transaction_policy is MismatchPolicy.IGNORE and self.max_transactions > 1:
+            raise ConfigError("ignore goes with max_transactions 1 only", key="transaction_policy")
+
+
+@dataclass(frozen=True, slots=True)
+class ServerParameters:
+    """How a server converses.
+
+    Attributes:
+        max_transactions: NumberMaxOfServerTransaction, 1…16 requests that may be waiting for a slow handler.
+        scope: whether the server or each connection has that many.
+        diagnostics_changes: whether sub-functions of 08 that change the listener (01, 03, 04, 0A, 14) are offered.
+    """
+
+    max_transactions: int = 16
+    scope: Scope = Scope.CONNECTION
+    diagnostics_changes: bool = False
+
+    def __post_init__(self) -> None:
+        _within("max_transactions", self.max_transactions, 1, 16)
+        if not isinstance(self.scope, Scope):
+            raise ConfigError(f"must be connection or server, not {self.scope!r}", key="scope")

@@ -1,0 +1,113 @@
+"""Who is served next: the bounded queue in front of a line.
+
+Knows callers, units and the order among them; knows no clock and no bytes.
+
+1. Round robin over callers, one request each.
+2. Of one caller, its writes go before its reads to other units, never past its own earlier requests to the same unit.
+3. A unit that must not be asked now (``eligible``) holds up its own requests only.
+4. The queue is bounded; what does not fit is refused before anything was sent.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+
+from ..errors import Overloaded
+from .demand import Demand
+
+
+class _Caller:
+    """The demands of one caller, in the order they came."""
+
+    __slots__ = ("demands", "key", "writes")
+
+    def __init__(self, key: object) -> None:
+        self.key = key
+        self.demands: deque[Demand] = deque()
+        self.writes = 0
+
+    def pick(self, eligible: Callable[[int], bool] | None) -> Demand | None:
+        first = self.demands[0]
+        if (not self.writes or first.is_write) and (eligible is None or eligible(first.unit)):
+            return first
+        chosen: Demand | None = None
+        passed: set[int] = set()
+        for demand in self.demands:
+            if demand.unit in passed:
+                continue
+            passed.add(demand.unit)
+            if eligible is not None and not eligible(demand.unit):
+                continue
+            if demand.is_write:
+                return demand
+            if chosen is None:
+                chosen = demand
+        return chosen
+
+
+class RequestQueue:
+    """Demands that have something left to send."""
+
+    __slots__ = ("_callers", "_ring", "limit", "size")
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self.size = 0
+        self._callers: dict[object, _Caller] = {}
+        self._ring: deque[_Caller] = deque()
+
+    def add(self, demand: Demand) -> None:
+        """Put a demand behind the others of its caller. Raises `Overloaded` where the queue is full."""
+        if self.size >= self.limit:
+            raise Overloaded(f"{self.limit} calls wait on this link already; nothing was sent")
+        self._insert(demand, first=False)
+
+    def add_again(self, demand: Demand) -> None:
+        """Put a demand with a request to repeat before the others of its caller; the limit does not count here."""
+        self._insert(demand, first=True)
+
+    def _insert(self, demand: Demand, *, first: bool) -> None:
+        caller = self._callers.get(demand.caller)
+        if caller is None:
+            caller = self._callers[demand.caller] = _Caller(demand.caller)
+            self._ring.append(caller)
+        if demand in caller.demands:
+            return
+        if first:
+            caller.demands.appendleft(demand)
+        else:
+            caller.demands.append(demand)
+        caller.writes += demand.is_write
+        self.size += 1
+
+    def pick(self, eligible: Callable[[int], bool] | None = None) -> Demand | None:
+        """The demand whose next request is due, or None. Its caller goes to the end of the round."""
+        ring = self._ring
+        for _ in range(len(ring)):
+            caller = ring[0]
+            ring.rotate(-1)
+            demand = caller.pick(eligible)
+            if demand is not None:
+                return demand
+        return None
+
+    @property
+    def sole_caller(self) -> bool:
+        """Whether nobody else waits: then one demand may be sent from without asking for each request."""
+        return len(self._ring) == 1
+
+    def remove(self, demand: Demand) -> bool:
+        """Take a demand out, sent to the end or given up; whether it was in."""
+        caller = self._callers.get(demand.caller)
+        if caller is None or demand not in caller.demands:
+            return False
+        caller.demands.remove(demand)
+        caller.writes -= demand.is_write
+        self.size -= 1
+        if not caller.demands:
+            del self._callers[demand.caller]
+            self._ring.remove(caller)
+        return True
+
+    def __iter__(self) -> Iterator[Demand]:
+        for caller in list(self._ring):
+            yield from list(caller.demands)
