@@ -1,1 +1,200 @@
-"""busway: a MODBUS messaging system."""
+"""busway: a MODBUS messaging system.
+
+>>> import busway
+>>> with busway.connect("tcp://10.0.0.5") as link:          # doctest: +SKIP
+...     link.unit(1).read_holding_registers(0, count=10)
+
+Names are imported when they are used, so ``import busway`` costs little. What is listed in ``__all__`` is the public
+interface; everything else may change.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from .version import __version__
+
+if TYPE_CHECKING:
+    from .client.aio import AsyncLink, AsyncUnit
+    from .client.aio import open_link as open
+    from .client.blocking import Link, Unit, connect
+    from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
+    from .config.endpoints import Endpoint, parse_endpoint
+    from .errors import (
+        BadReply,
+        ConfigError,
+        ExceptionReply,
+        InvalidRequest,
+        LinkDown,
+        ModbusError,
+        NoReply,
+        Overloaded,
+        UnitSuspended,
+        WriteOutcomeUnknown,
+    )
+    from .pdu.diagnostics import (
+        GetCommEventCounter,
+        GetCommEventLog,
+        ReadExceptionStatus,
+        ReportServerId,
+        ReturnQueryData,
+    )
+    from .pdu.encapsulated import CanopenGeneralReference, ReadDeviceIdentification
+    from .pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
+    from .pdu.functions import STANDARD, FunctionTable
+    from .pdu.general import OpaqueRequest
+    from .pdu.message import Message, ReplyMessage, Request, Touch
+    from .pdu.model import Refusal
+    from .pdu.read_items import (
+        ReadCoils,
+        ReadDiscreteInputs,
+        ReadFifoQueue,
+        ReadHoldingRegisters,
+        ReadInputRegisters,
+    )
+    from .pdu.write_items import (
+        MaskWriteRegister,
+        ReadWriteMultipleRegisters,
+        WriteMultipleCoils,
+        WriteMultipleRegisters,
+        WriteSingleCoil,
+        WriteSingleRegister,
+    )
+    from .server.device import Device
+    from .server.server import Server
+    from .server.serving import serve, serve_forever, serve_in_thread
+    from .session.handler import LATER, SILENCE, RequestContext
+    from .values import Address, ValueType, parse_address, value_type
+
+_HOME = {
+    "client.aio": ("AsyncLink", "AsyncUnit", "open"),
+    "client.blocking": ("Link", "Unit", "connect"),
+    "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
+    "config.endpoints": ("Endpoint", "parse_endpoint"),
+    "errors": (
+        "BadReply",
+        "ConfigError",
+        "ExceptionReply",
+        "InvalidRequest",
+        "LinkDown",
+        "ModbusError",
+        "NoReply",
+        "Overloaded",
+        "UnitSuspended",
+        "WriteOutcomeUnknown",
+    ),
+    "pdu.diagnostics": (
+        "GetCommEventCounter",
+        "GetCommEventLog",
+        "ReadExceptionStatus",
+        "ReportServerId",
+        "ReturnQueryData",
+    ),
+    "pdu.encapsulated": ("CanopenGeneralReference", "ReadDeviceIdentification"),
+    "pdu.file_records": ("FileReference", "ReadFileRecord", "WriteFileRecord"),
+    "pdu.functions": ("STANDARD", "FunctionTable"),
+    "pdu.general": ("OpaqueRequest",),
+    "pdu.message": ("Message", "ReplyMessage", "Request", "Touch"),
+    "pdu.model": ("Refusal",),
+    "pdu.read_items": (
+        "ReadCoils",
+        "ReadDiscreteInputs",
+        "ReadFifoQueue",
+        "ReadHoldingRegisters",
+        "ReadInputRegisters",
+    ),
+    "pdu.write_items": (
+        "MaskWriteRegister",
+        "ReadWriteMultipleRegisters",
+        "WriteMultipleCoils",
+        "WriteMultipleRegisters",
+        "WriteSingleCoil",
+        "WriteSingleRegister",
+    ),
+    "server.device": ("Device",),
+    "server.server": ("Server",),
+    "server.serving": ("serve", "serve_forever", "serve_in_thread"),
+    "session.handler": ("LATER", "SILENCE", "RequestContext"),
+    "values": ("Address", "ValueType", "parse_address", "value_type"),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+_REAL_NAME = {"open": "open_link"}
+
+__all__ = [
+    "LATER",
+    "SILENCE",
+    "STANDARD",
+    "Address",
+    "AsyncLink",
+    "AsyncUnit",
+    "BadReply",
+    "CanopenGeneralReference",
+    "ConfigError",
+    "Device",
+    "DiagnosticCode",
+    "Endpoint",
+    "ExceptionCode",
+    "ExceptionReply",
+    "FileReference",
+    "FunctionCode",
+    "FunctionTable",
+    "GetCommEventCounter",
+    "GetCommEventLog",
+    "InvalidRequest",
+    "Link",
+    "LinkDown",
+    "MaskWriteRegister",
+    "Message",
+    "ModbusError",
+    "NoReply",
+    "OpaqueRequest",
+    "Overloaded",
+    "ReadCoils",
+    "ReadDeviceIdentification",
+    "ReadDiscreteInputs",
+    "ReadExceptionStatus",
+    "ReadFifoQueue",
+    "ReadFileRecord",
+    "ReadHoldingRegisters",
+    "ReadInputRegisters",
+    "ReadWriteMultipleRegisters",
+    "Refusal",
+    "ReplyMessage",
+    "ReportServerId",
+    "Request",
+    "RequestContext",
+    "ReturnQueryData",
+    "Server",
+    "Table",
+    "Touch",
+    "Unit",
+    "UnitSuspended",
+    "ValueType",
+    "WriteFileRecord",
+    "WriteMultipleCoils",
+    "WriteMultipleRegisters",
+    "WriteOutcomeUnknown",
+    "WriteSingleCoil",
+    "WriteSingleRegister",
+    "__version__",
+    "connect",
+    "open",
+    "parse_address",
+    "parse_endpoint",
+    "serve",
+    "serve_forever",
+    "serve_in_thread",
+    "value_type",
+]
+
+
+def __getattr__(name: str) -> Any:  # any public name, of any type
+    module = _MODULE_OF.get(name)
+    if module is None:
+        raise AttributeError(f"module 'busway' has no attribute {name!r}")
+    value = getattr(import_module(f".{module}", __name__), _REAL_NAME.get(name, name))
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -148,6 +148,11 @@ class TcpClientSession:
         return self._queue.size > 0
 
     @property
+    def has_gap(self) -> bool:
+        """Whether what waits may be sent only later: after the connect delay or the request gap."""
+        return self._connected and self._not_before > 0.0
+
+    @property
     def queued(self) -> int:
         """Demands with something left to send."""
         return self._queue.size
@@ -217,7 +222,8 @@ class TcpClientSession:
         return out
 
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
-        """Put up to ``at_most`` requests of a demand in flight."""
+        """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
+        adus: list[bytes] = []
         free, pending, expired = self._free, self._pending, self._expired
         transaction = self._transaction
         expires = now + demand.timeout
@@ -241,9 +247,13 @@ class TcpClientSession:
             flight.sent = now
             flight.expires = expires
             pending[transaction] = flight
-            out.append(_pack(transaction, 0, len(wire) + 1, unit) + wire)
-            self.counters.requests += 1
+            adus.append(_pack(transaction, 0, len(wire) + 1, unit) + wire)
         self._transaction = transaction
+        self.counters.requests += len(adus)
+        if len(adus) == 1 or self.parameters.single_adu_segments:
+            out += adus
+        else:
+            out.append(b"".join(adus))
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
         """Work through the first ``size`` bytes of ``buffer``. Demands that are complete are in ``finished``."""

@@ -46,6 +46,9 @@ class ClientParameters:
         transaction_policy, unit_policy: what is done with replies that name another transaction or unit.
         recycle_after_timeouts: timeouts in a row, with no sign of life, after which the connection is made anew.
         recycle_after_foreign: replies of foreign transactions in a row after which the connection is made anew.
+        join: whether requests that are asked for in one turn leave in one segment, and not each by itself.
+        single_adu_segments: whether even the requests of `execute_many` leave one by one, as Messaging on TCP/IP
+            V1.0b §4.3.2 advises.
         connect_delay: seconds to wait after connecting before the first request.
         request_gap: seconds from the end of a reply to the next request.
     """
@@ -60,6 +63,8 @@ class ClientParameters:
     unit_policy: MismatchPolicy = MismatchPolicy.STRICT
     recycle_after_timeouts: int = 3
     recycle_after_foreign: int = 16
+    join: bool = False
+    single_adu_segments: bool = False
     connect_delay: float = 0.0
     request_gap: float = 0.0
 
@@ -79,6 +84,8 @@ class ClientParameters:
             if not isinstance(getattr(self, key), MismatchPolicy):
                 allowed = ", ".join(policy.value for policy in MismatchPolicy)
                 raise ConfigError(f"must be one of {allowed}, not {getattr(self, key)!r}", key=key)
+        if self.join and self.single_adu_segments:
+            raise ConfigError("does not go with single_adu_segments", key="join")
         if self.transaction_policy is MismatchPolicy.IGNORE and self.max_transactions > 1:
             raise ConfigError("ignore goes with max_transactions 1 only", key="transaction_policy")
 

@@ -1,0 +1,319 @@
+"""A link: one conversation and the connection it has at the moment, on an event loop.
+
+Knows when to connect, write and look at the clock; knows nothing of what is asked.
+
+1. It connects at the first need, and again when the connection has gone and something is asked.
+2. One timer, for the next deadline of all; it is moved only where a new one is nearer.
+3. What arrived is worked through in one call; demands that it completes wake their callers.
+"""
+
+import asyncio
+import logging
+import random
+from typing import Any
+
+from ..errors import LinkDown
+from ..observe.trace import TRACE, StreamTrace
+from ..session.client import TcpClientSession
+from ..session.demand import Demand
+from ..session.parameters import ClientParameters
+from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
+from ..transport.buffers import receive_buffer
+from ..transport.tcp import network_reason
+from .connector import Connector
+
+_log = logging.getLogger("busway.client")
+
+
+class _LinkProtocol(asyncio.BufferedProtocol):
+    """Hands what the event loop reports to the link. One per connection, so that an old one can not speak."""
+
+    __slots__ = ("_buffer", "_link")
+
+    def __init__(self, link: "Link", buffer: bytearray) -> None:
+        self._link = link
+        self._buffer = buffer
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self._link.received(self, self._buffer, nbytes)
+
+    def eof_received(self) -> bool:
+        return False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._link.lost(self, network_reason(exc) if exc else "the peer closed it")
+
+    def pause_writing(self) -> None:
+        self._link.pause(self, True)
+
+    def resume_writing(self) -> None:
+        self._link.pause(self, False)
+
+
+class Link:
+    """The asynchronous driver of one client conversation. Made by `busway.client.pool`."""
+
+    def __init__(self, connector: Connector, parameters: ClientParameters, *, name: str) -> None:
+        self.name = name
+        self._loop = asyncio.get_running_loop()
+        self._connector = connector
+        self._parameters = parameters
+        # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
+        self.session = TcpClientSession(parameters, endpoint=name, first_transaction=random.getrandbits(16))
+        self.reconnect = Reconnect(random.random)
+        self._protocol: _LinkProtocol | None = None
+        self._transport: Any = None  # asyncio.Transport, or what a connector gives in its place
+        self._connecting: asyncio.Task[None] | None = None
+        self._paused = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_at = 0.0
+        self._flush_planned = False
+        self._trace: StreamTrace | None = None
+        self._closed = False
+        self._last_failure: LinkDown | None = None
+
+    # What the interface asks.
+
+    def now(self) -> float:
+        """The clock of demands."""
+        return self._loop.time()
+
+    async def run(self, demand: Demand) -> None:
+        """Bring a demand to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
+        now = self._loop.time()
+        if self._transport is None:
+            self._refuse_while_down(demand, now)
+        future = demand.owner = self._loop.create_future()
+        self.session.submit(demand, now)
+        if self._parameters.join:
+            if not self._flush_planned:
+                self._flush_planned = True
+                self._loop.call_soon(self._flush)
+        else:
+            self._pump(now)
+        soonest = now + demand.timeout
+        if demand.deadline is not None and demand.deadline < soonest:
+            soonest = demand.deadline
+        if self._timer is None or soonest < self._timer_at:
+            self._arm(soonest)
+        try:
+            await future
+        except asyncio.CancelledError:
+            self.session.cancel(demand)
+            self._pump(self._loop.time())
+            raise
+
+    async def close(self) -> None:
+        """Close the connection. What is still waiting ends as `LinkDown`."""
+        self._closed = True
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._connecting is not None:
+            self._connecting.cancel()
+            await asyncio.gather(self._connecting, return_exceptions=True)
+        transport, protocol = self._transport, self._protocol
+        self._transport = self._protocol = None
+        now = self._loop.time()
+        if transport is not None and protocol is not None:
+            transport.close()
+            self.session.disconnected(now, "the link was closed")
+        self.session.unreachable(now, LinkDown("the link was closed"))
+        self._wake()
+        # The loop closes the socket in its next turn; whoever closed a link may count on it being closed.
+        await asyncio.sleep(0)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a connection stands."""
+        return self._transport is not None
+
+    async def connect(self) -> None:
+        """Connect now, instead of at the first need. Raises `LinkDown`."""
+        if self.is_connected or self._closed:
+            return
+        self._ensure_connection(self._loop.time())
+        if self._connecting is not None:
+            await asyncio.shield(self._connecting)
+        if not self.is_connected:
+            raise self._failure()
+
+    # What the connection reports.
+
+    def received(self, protocol: _LinkProtocol, buffer: bytearray, size: int) -> None:
+        """Bytes have come."""
+        if protocol is not self._protocol:
+            return
+        now = self._loop.time()
+        if TRACE.level:
+            self._traced().received(bytes(buffer[:size]))
+        session = self.session
+        session.receive(buffer, size, now)
+        if self.reconnect.state is not ConnectionState.UP or self.reconnect.failures:
+            self._note_life(now)
+        if session.finished:
+            self._wake()
+        if session.recycle or session.has_demands:
+            self._pump(now)
+
+    def lost(self, protocol: _LinkProtocol, reason: str) -> None:
+        """The connection has ended."""
+        if protocol is not self._protocol:
+            return
+        self._transport = self._protocol = None
+        self._paused = False
+        now = self._loop.time()
+        had_reply = self.session.valid_reply
+        self.reconnect.move(ConnectionEvent.LOST, now, had_reply=had_reply)
+        _log.info("%s: connection ended: %s", self.name, reason)
+        self.session.disconnected(now, reason)
+        self._wake()
+        if self.session.has_demands:
+            self._pump(now)
+
+    def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
+        """The transport can take no more for now, or again."""
+        if protocol is self._protocol:
+            self._paused = paused
+            if not paused:
+                self._pump(self._loop.time())
+
+    # Inside.
+
+    def _flush(self) -> None:
+        self._flush_planned = False
+        self._pump(self._loop.time())
+
+    def _pump(self, now: float) -> None:
+        """Send what may be sent; connect where there is no connection; recycle one that is out of step."""
+        session = self.session
+        if self._transport is None:
+            if session.has_demands and not self._closed:
+                self._ensure_connection(now)
+            return
+        out = [] if self._paused or not session.has_demands else session.transmit(now)
+        if session.recycle:
+            self._recycle(now)
+        elif out:
+            transport = self._transport
+            if self._parameters.join:
+                transport.write(out[0] if len(out) == 1 else b"".join(out))
+            else:
+                for chunk in out:
+                    transport.write(chunk)
+            if TRACE.level:
+                self._traced().sent(b"".join(out))
+        elif session.has_gap:
+            self._rearm()
+
+    def _recycle(self, now: float) -> None:
+        """Close a connection that is out of step; what is still asked gets a new one."""
+        transport, protocol = self._transport, self._protocol
+        reason = self.session.recycle
+        _log.warning("%s: connection made anew: %s", self.name, reason)
+        if transport is not None and protocol is not None:
+            transport.abort()
+            self.lost(protocol, reason)
+
+    def _ensure_connection(self, now: float) -> None:
+        if self._connecting is not None:
+            return
+        if self.reconnect.may_dial(now):
+            self.reconnect.move(ConnectionEvent.DIALLED, now)
+            self._connecting = self._loop.create_task(self._connect())
+        elif self.reconnect.state is ConnectionState.BACKING_OFF:
+            self._arm(self.reconnect.not_before)
+
+    def _refuse_while_down(self, demand: Demand, now: float) -> None:
+        """Fail fast while the peer is known to be unreachable."""
+        if self._closed:
+            raise LinkDown("the link is closed", endpoint=self.name, unit=demand.unit)
+        if self._last_failure is not None and not self.reconnect.may_dial(now) and self._connecting is None:
+            pause = self.reconnect.not_before - now
+            error = LinkDown(
+                f"{self._last_failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
+                endpoint=self.name,
+                unit=demand.unit,
+            )
+            raise error from self._last_failure
+
+    def _failure(self) -> LinkDown:
+        failure = self._last_failure
+        again = LinkDown(failure.message if failure else "no connection", endpoint=self.name)
+        again.__cause__ = failure
+        return again
+
+    async def _connect(self) -> None:
+        protocol = _LinkProtocol(self, receive_buffer(self._loop))
+        try:
+            transport = await self._connector.connect(lambda: protocol)
+        except LinkDown as error:
+            self._connecting = None
+            self._last_failure = error
+            now = self._loop.time()
+            self.reconnect.move(ConnectionEvent.FAILED, now)
+            _log.info("%s: %s", self.name, error.message)
+            self.session.unreachable(now, error)
+            self._wake()
+            return
+        self._connecting = None
+        now = self._loop.time()
+        self._last_failure = None
+        self._protocol, self._transport = protocol, transport
+        self._trace = None
+        self.reconnect.move(ConnectionEvent.CONNECTED, now)
+        _log.info("%s: connected", self.name)
+        self.session.connected(now)
+        if transport.is_closing():
+            self.lost(protocol, "the peer closed it at once")
+        self._pump(now)
+        self._rearm()
+
+    def _note_life(self, now: float) -> None:
+        if self.session.valid_reply:
+            self.reconnect.move(ConnectionEvent.VALID_REPLY, now)
+
+    def _wake(self) -> None:
+        """Tell the callers whose demands are complete."""
+        session = self.session
+        finished, session.finished = session.finished, []
+        for demand in finished:
+            future = demand.owner
+            if future is not None and not future.done():
+                future.set_result(None)
+
+    def _arm(self, when: float) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer_at = when
+        self._timer = self._loop.call_at(when, self._on_timer)
+
+    def _rearm(self) -> None:
+        deadline = self.session.deadline()
+        if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_demands:
+            deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
+        if deadline is not None:
+            if self._timer is None or deadline != self._timer_at:
+                self._arm(deadline)
+        elif self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        timeouts = self.session.counters.timeouts
+        self.session.tick(now)
+        if self.session.counters.timeouts != timeouts:
+            self.reconnect.move(ConnectionEvent.TIMEOUT, now)
+        self._wake()
+        self._pump(now)
+        self._rearm()
+
+    def _traced(self) -> StreamTrace:
+        if self._trace is None:
+            self._trace = StreamTrace(self.name, is_server=False)
+        return self._trace

@@ -1,0 +1,195 @@
+"""What users ask of a unit, as exchanges of requests and replies, without any IO.
+
+Knows which requests an operation needs and what its result is made of; knows no link. Both interfaces run them: each
+operation is a generator that yields requests (one, or several to send together) and is sent their replies.
+"""
+
+from collections.abc import Generator, Sequence
+from typing import Any, Literal, TypedDict
+
+from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
+from ..errors import BadReply, InvalidRequest
+from ..pdu.compiler import as_integer
+from ..pdu.encapsulated import EXTENDED, INDIVIDUAL, ReadDeviceIdentification
+from ..pdu.functions import STANDARD
+from ..pdu.general import MalformedRequest, OpaqueReply
+from ..pdu.message import Message, Request
+from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from ..pdu.write_items import (
+    COIL_OFF,
+    COIL_ON,
+    MaskWriteRegister,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+from ..values import Address, ValueType, parse_address, value_type
+
+Operation = Generator[Sequence[Request], Sequence[Message], Any]
+WriteFunction = Literal["auto", "single", "multiple"]
+
+LEVELS = {"basic": 1, "regular": 2, "extended": EXTENDED}
+
+
+class CallOptions(TypedDict, total=False):
+    """Options of every call; what is left out is taken from the link.
+
+    timeout: seconds per attempt. retries: further attempts of reads. deadline: seconds in all, queueing included.
+    idempotent: a write may be executed twice, so it is repeated like a read.
+    """
+
+    timeout: float
+    retries: int
+    deadline: float
+    idempotent: bool
+
+
+def read_values(
+    address: int | str | Address, kind: str | ValueType | None, order: str, count: int | None, split: bool
+) -> Operation:
+    """Values from an address: one if ``count`` is None, else a list."""
+    place = _place(address)
+    number = 1 if count is None else count
+    if number < 1:
+        raise InvalidRequest(f"count must be at least 1, not {number}")
+    if place.table in (Table.COILS, Table.DISCRETE_INPUTS):
+        if kind is not None:
+            raise InvalidRequest(f"{place}: a {place.table.label} is one bit and has no type {kind}")
+        requests = _pieces(place, number, MAX_READ_BITS, split)
+        replies = yield requests
+        found: list[Any] = []
+        for request, reply in zip(requests, replies, strict=True):
+            assert isinstance(reply, ReadCoils.Reply | ReadDiscreteInputs.Reply)
+            assert isinstance(request, ReadCoils | ReadDiscreteInputs)
+            found += reply.bits(request.count)
+    else:
+        if place.bit is not None:
+            kind = f"bit:{place.bit}"
+        form = value_type(kind if kind is not None else "uint16", order)
+        requests = _pieces(place, form.registers_for(number), MAX_READ_REGISTERS, split)
+        replies = yield requests
+        data = b""
+        for reply in replies:
+            assert isinstance(reply, ReadHoldingRegisters.Reply | ReadInputRegisters.Reply)
+            data += reply.data
+        found = form.decode(data)
+    return found[0] if count is None else found
+
+
+def write_values(
+    address: int | str | Address, values: Any, kind: str | ValueType | None, order: str, function: WriteFunction
+) -> Operation:
+    """One value or a sequence of values to an address."""
+    place = _place(address)
+    if place.table is None or not place.table.is_writable:
+        raise InvalidRequest(f"{place}: a {place.table.label if place.table else 'table'} can not be written")
+    several = isinstance(values, list | tuple)
+    items = list(values) if several else [values]
+    if not items:
+        raise InvalidRequest(f"{place}: no value to write")
+    request: Request
+    if place.table is Table.COILS:
+        if kind is not None:
+            raise InvalidRequest(f"{place}: a coil is one bit and has no type {kind}")
+        for item in items:
+            if not isinstance(item, bool):
+                raise InvalidRequest(f"{place}: a coil is True or False, not {item!r}")
+        _check_single(place, len(items), MAX_WRITE_BITS, function)
+        if function == "multiple" or len(items) > 1:
+            request = WriteMultipleCoils.of(place.offset, items)
+        else:
+            request = WriteSingleCoil(place.offset, COIL_ON if items[0] else COIL_OFF)
+    elif place.bit is not None:
+        if several or not isinstance(items[0], bool):
+            raise InvalidRequest(f"{place}: one bit is written with True or False")
+        bit = 1 << place.bit
+        request = MaskWriteRegister(place.offset, 0xFFFF & ~bit, bit if items[0] else 0)
+    else:
+        data = value_type(kind if kind is not None else "uint16", order).encode(items)
+        registers = len(data) // 2
+        _check_single(place, registers, MAX_WRITE_REGISTERS, function)
+        if function == "multiple" or registers > 1:
+            request = WriteMultipleRegisters(place.offset, registers, data)
+        else:
+            request = WriteSingleRegister(place.offset, int.from_bytes(data, "big"))
+    yield (request,)
+
+
+def read_identification(level: str, object_id: int | None) -> Operation:
+    """Identification objects by number, however many replies they need."""
+    if object_id is not None:
+        code, start = INDIVIDUAL, object_id
+    elif level in LEVELS:
+        code, start = LEVELS[level], 0
+    else:
+        raise InvalidRequest(f"level must be one of {', '.join(LEVELS)}, not {level!r}")
+    objects: dict[int, bytes] = {}
+    while True:
+        (reply,) = yield (ReadDeviceIdentification(code, start),)
+        assert isinstance(reply, ReadDeviceIdentification.Reply)
+        objects.update((one.number, one.value) for one in reply.objects)
+        if not reply.more_follows:
+            return objects
+        if reply.next_object <= start:
+            raise BadReply(
+                f"more objects are said to follow from {reply.next_object} on, after {start}", raw=reply.encode()
+            )
+        start = reply.next_object
+
+
+def _place(address: int | str | Address) -> Address:
+    place = parse_address(address)
+    if place.table is None:
+        raise InvalidRequest(
+            f"address {address} names no table; write for example '4x{place.offset + 1}' or 'holding:{place.offset}'"
+        )
+    return place
+
+
+_READ = {
+    Table.COILS: ReadCoils,
+    Table.DISCRETE_INPUTS: ReadDiscreteInputs,
+    Table.HOLDING_REGISTERS: ReadHoldingRegisters,
+    Table.INPUT_REGISTERS: ReadInputRegisters,
+}
+
+
+def _pieces(place: Address, items: int, limit: int, split: bool) -> list[Request]:
+    assert place.table is not None
+    if items > limit and not split:
+        raise InvalidRequest(
+            f"{place}: {items} {place.table.label}s are more than the {limit} of one request; "
+            "ask for fewer, or let it be split"
+        )
+    if place.offset + items > 65_536:
+        raise InvalidRequest(f"{place}: {items} {place.table.label}s end beyond the last one, 65536")
+    kind = _READ[place.table]
+    return [kind(place.offset + done, min(limit, items - done)) for done in range(0, items, limit)]
+
+
+def _check_single(place: Address, items: int, limit: int, function: WriteFunction) -> None:
+    if function not in ("auto", "single", "multiple"):
+        raise InvalidRequest(f"function must be auto, single or multiple, not {function!r}")
+    if function == "single" and items > 1:
+        raise InvalidRequest(f"{place}: {items} items can not be written with a function for one")
+    if items > limit:
+        assert place.table is not None
+        raise InvalidRequest(f"{place}: {items} {place.table.label}s are more than the {limit} of one request")
+
+
+def diagnostic_request(sub_function: int, data: bytes) -> Request:
+    """The request of function 08 with a sub-function, also of one that the table does not know."""
+    if not 0 <= as_integer("sub-function", sub_function) <= 0xFFFF:
+        raise InvalidRequest(f"sub-function must be 0…65535, not {sub_function}")
+    pdu = bytes((FunctionCode.DIAGNOSTICS,)) + sub_function.to_bytes(2, "big") + bytes(data)
+    request = STANDARD.decode_request(pdu)
+    if isinstance(request, MalformedRequest):
+        raise InvalidRequest(f"sub-function {sub_function}: {request.reason}")
+    return request
+
+
+def diagnostic_data(reply: Message) -> bytes:
+    """The data of a reply of function 08."""
+    data: bytes = reply.values()["data"]
+    return data[2:] if isinstance(reply, OpaqueReply) else data

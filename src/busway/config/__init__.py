@@ -1,0 +1,1 @@
+"""Values that configure components: validated once, frozen, knowing nothing of the components' insides."""

@@ -1,0 +1,139 @@
+"""Endpoints: where a peer or a line is, as a URL.
+
+Knows the grammar of the URLs and which schemes there are; knows no transport. What an option means is checked by the
+component that takes it; an option that nobody takes is an error there.
+
+::
+
+    tcp://host[:502]   tls://host[:802]   udp://host[:502]
+    rtu:///dev/ttyUSB0?baud=19200&parity=even     ascii:///dev/ttyS1
+    rtu+tcp://host:4001   ascii+tcp://host:4001   rtu+udp://host:4001   ascii+udp://host:4001
+
+An empty host is every interface for a listener and 127.0.0.1 for a client.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from urllib.parse import parse_qsl, quote, unquote, urlsplit
+
+from ..codes import DEFAULT_TCP_PORT, DEFAULT_TLS_PORT
+from ..errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Scheme:
+    """What a scheme says: the framing, what carries it, and the port that is meant when none is named."""
+
+    framing: str
+    carrier: str
+    default_port: int | None = None
+
+
+SCHEMES: dict[str, Scheme] = {
+    "tcp": Scheme("mbap", "tcp", DEFAULT_TCP_PORT),
+    "tls": Scheme("mbap", "tls", DEFAULT_TLS_PORT),
+    "udp": Scheme("mbap", "udp", DEFAULT_TCP_PORT),
+    "rtu": Scheme("rtu", "serial"),
+    "ascii": Scheme("ascii", "serial"),
+    "rtu+tcp": Scheme("rtu", "tcp"),
+    "ascii+tcp": Scheme("ascii", "tcp"),
+    "rtu+udp": Scheme("rtu", "udp"),
+    "ascii+udp": Scheme("ascii", "udp"),
+}
+
+_HOST = re.compile(r"^[A-Za-z0-9._~%-]*$|^\[[0-9A-Fa-f:.%\w]+\]$")
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A parsed URL.
+
+    Attributes:
+        scheme: one of the keys of `SCHEMES`.
+        host: name or address; empty where the URL has none.
+        port: 0…65535; 0 lets a listener choose a free one. None for serial lines.
+        path: device path of a serial line; empty otherwise.
+        options: the query, each name once.
+    """
+
+    scheme: str
+    host: str = ""
+    port: int | None = None
+    path: str = ""
+    options: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    @property
+    def framing(self) -> str:
+        """``mbap``, ``rtu`` or ``ascii``."""
+        return SCHEMES[self.scheme].framing
+
+    @property
+    def carrier(self) -> str:
+        """``tcp``, ``tls``, ``udp`` or ``serial``."""
+        return SCHEMES[self.scheme].carrier
+
+    @property
+    def url(self) -> str:
+        """The URL without options: the name of the endpoint in messages, and what tells endpoints apart."""
+        if self.carrier == "serial":
+            return f"{self.scheme}://{quote(self.path)}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
+    def __str__(self) -> str:
+        if not self.options:
+            return self.url
+        query = "&".join(f"{quote(name)}={quote(value)}" for name, value in self.options.items())
+        return f"{self.url}?{query}"
+
+
+def parse_endpoint(url: "str | Endpoint") -> Endpoint:
+    """The endpoint of a URL; an `Endpoint` is returned as it is. Raises `ConfigError` that names what is wrong."""
+    if isinstance(url, Endpoint):
+        return url
+    if not isinstance(url, str) or "://" not in url:
+        raise ConfigError(f"{url!r} is no endpoint; write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0")
+    scheme = url.split("://", 1)[0].lower()
+    if scheme not in SCHEMES:
+        raise ConfigError(f"{url}: unknown scheme {scheme!r}; there are {', '.join(SCHEMES)}")
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as error:
+        raise ConfigError(f"{url}: {error}") from None
+    if parts.fragment:
+        raise ConfigError(f"{url}: an endpoint has no #{parts.fragment}")
+    if parts.username is not None:
+        raise ConfigError(f"{url}: an endpoint has no user name")
+    options = _options(url, parts.query)
+    rule = SCHEMES[scheme]
+    if rule.carrier == "serial":
+        if parts.netloc:
+            raise ConfigError(f"{url}: a serial line is {scheme}:///dev/… with three slashes")
+        if len(parts.path) < 2:
+            raise ConfigError(f"{url}: the path of the serial port is missing, as in {scheme}:///dev/ttyUSB0")
+        return Endpoint(scheme, path=unquote(parts.path), options=options)
+    if parts.path not in ("", "/"):
+        raise ConfigError(f"{url}: a network endpoint has no path {parts.path}")
+    netloc = parts.netloc.rsplit(":", 1)[0] if port is not None or parts.netloc.endswith(":") else parts.netloc
+    if not _HOST.match(netloc):
+        raise ConfigError(f"{url}: {netloc!r} is no host name or address (IPv6 goes in brackets)")
+    port = rule.default_port if port is None else port
+    if port is None:
+        raise ConfigError(f"{url}: the port is missing; {scheme} has no usual one")
+    return Endpoint(scheme, host=parts.hostname or "", port=port, options=options)
+
+
+def _options(url: str, query: str) -> dict[str, str]:
+    options: dict[str, str] = {}
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
+    except ValueError:
+        raise ConfigError(f"{url}: the options behind ? are name=value pairs joined by &") from None
+    for name, value in pairs:
+        name = name.replace("-", "_")
+        if name in options:
+            raise ConfigError(f"{url}: the option {name} stands twice", key=name)
+        options[name] = value
+    return options

@@ -1,0 +1,77 @@
+"""Options given as text (URLs, command line) or as keywords, turned into the fields of a parameter class.
+
+Knows the types that parameter classes use; knows no particular parameter.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from enum import Enum
+from types import NoneType, UnionType
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from ..errors import ConfigError
+
+Parameters = TypeVar("Parameters")
+
+_TRUE = frozenset({"1", "true", "yes", "on"})
+_FALSE = frozenset({"0", "false", "no", "off"})
+
+
+def option_names(kind: type[Any]) -> tuple[str, ...]:  # any parameter class, which share no base
+    """The options that a parameter class takes."""
+    return tuple(field.name for field in fields(kind))
+
+
+def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> Parameters:
+    """An instance of the frozen dataclass ``kind`` from values or their texts. Raises `ConfigError` with the key.
+
+    An option that ``kind`` does not have is an error that lists those it has.
+    """
+    hints = get_type_hints(kind)
+    known = option_names(kind)
+    values: dict[str, object] = {}
+    for name, value in options.items():
+        if name not in known:
+            raise ConfigError(f"unknown option; there are {', '.join(sorted(known))}", key=name)
+        values[name] = _converted(name, value, hints[name])
+    return kind(**values)
+
+
+def _converted(name: str, value: object, wanted: Any) -> object:  # a type, or a union of types
+    kinds = get_args(wanted) if isinstance(wanted, UnionType) else (wanted,)
+    if value is None and NoneType in kinds:
+        return None
+    kind = next(one for one in kinds if one is not NoneType)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        if isinstance(value, kind):
+            return value
+        try:
+            return kind(value)
+        except ValueError:
+            allowed = ", ".join(str(one.value) for one in kind)
+            raise ConfigError(f"must be one of {allowed}, not {value!r}", key=name) from None
+    if isinstance(value, str) and kind is not str:
+        return _from_text(name, value, kind)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise ConfigError(f"must be {_words(kind)}, not {value!r}", key=name)
+    return value
+
+
+def _from_text(name: str, text: str, kind: type) -> object:
+    try:
+        if kind is bool:
+            if text.lower() in _TRUE | _FALSE:
+                return text.lower() in _TRUE
+        elif kind is int:
+            return int(text)
+        elif kind is float:
+            return float(text)
+    except ValueError:
+        pass
+    raise ConfigError(f"must be {_words(kind)}, not {text!r}", key=name)
+
+
+def _words(kind: type) -> str:
+    return {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}.get(kind, kind.__name__)

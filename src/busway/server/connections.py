@@ -1,0 +1,167 @@
+"""Connection management of a server: who is connected, who may be, and who makes room (Messaging on TCP/IP §4.2).
+
+Knows connections and their limits; knows no request.
+
+1. A newcomer beyond the limit takes the place of the connection that has been unused longest; where all are busy,
+   of the oldest.
+2. What happens is counted, and can be seen.
+"""
+
+import asyncio
+import logging
+import time
+from dataclasses import dataclass
+
+from ..session.diagnostics import CommunicationState
+from ..session.handler import Handler
+from ..session.parameters import Scope, ServerParameters
+from ..session.server import TcpServerSession, TransactionSlots
+from ..transport.tcp import SocketParameters, network_reason
+from .connection import ServerConnection
+from .parameters import ListenerParameters
+
+_log = logging.getLogger("busway.server")
+
+
+@dataclass(slots=True)
+class ServerCounters:
+    """What happened on a server since it was made; ``requests`` and what follows is complete when a connection ends."""
+
+    accepted: int = 0
+    closed: int = 0
+    evicted: int = 0
+    broken_streams: int = 0
+    reading_paused: int = 0
+    handler_failures: int = 0
+    requests: int = 0
+    discarded_frames: int = 0
+    refused_busy: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionStatus:
+    """One connection as a status shows it. Times are seconds, sizes bytes."""
+
+    peer: str
+    listener: str
+    age: float
+    idle: float
+    received: int
+    sent: int
+    requests: int
+    waiting: int
+
+
+class ConnectionManagement:
+    """The connections of one listener.
+
+    Attributes:
+        loop: the event loop they live on.
+        listener: URL of the listener, as it is bound.
+        counters: shared by all listeners of a server.
+        diagnostics: communication counters of the listener (functions 08, 11, 12).
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        handler: Handler,
+        *,
+        listener: str,
+        parameters: ListenerParameters,
+        session_parameters: ServerParameters,
+        sockets: SocketParameters,
+        counters: ServerCounters,
+        slots: TransactionSlots,
+    ) -> None:
+        self.loop = loop
+        self.listener = listener
+        self.parameters = parameters
+        self.counters = counters
+        self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes)
+        self._handler = handler
+        self._session_parameters = session_parameters
+        self._sockets = sockets
+        self._server_slots = slots
+        self._connections: dict[ServerConnection, None] = {}  # in the order they came
+        self._emptied: asyncio.Event | None = None
+
+    def __len__(self) -> int:
+        return len(self._connections)
+
+    def admit(self, connection: ServerConnection, transport: asyncio.BaseTransport) -> TcpServerSession:
+        """Give a newcomer its session, and a place."""
+        while len(self._connections) >= self.parameters.max_connections:
+            self._evict()
+        self._connections[connection] = None
+        self.counters.accepted += 1
+        socket = transport.get_extra_info("socket")
+        if socket is not None:
+            self._sockets.apply(socket)
+        slots = self._server_slots
+        if self._session_parameters.scope is Scope.CONNECTION:
+            slots = TransactionSlots(self._session_parameters.max_transactions)
+        return TcpServerSession(
+            self._handler,
+            diagnostics=self.diagnostics,
+            slots=slots,
+            deliver=connection.deliver,
+            peer=connection.peer,
+            listener=self.listener,
+        )
+
+    def leave(self, connection: ServerConnection, session: TcpServerSession, error: Exception | None) -> None:
+        """A connection has ended."""
+        self._connections.pop(connection, None)
+        if not self._connections and self._emptied is not None:
+            self._emptied.set()
+        self.counters.closed += 1
+        self.counters.requests += session.requests
+        self.counters.discarded_frames += session.discarded
+        self.counters.refused_busy += session.refused_busy
+        if error is not None:
+            _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
+
+    def _evict(self) -> None:
+        """Make room: the connection unused longest goes, or the oldest if all are busy."""
+        idle = [one for one in self._connections if not one.is_busy]
+        chosen = min(idle, key=lambda one: one.last_used) if idle else next(iter(self._connections))
+        self.counters.evicted += 1
+        _log.warning("%s: closed to make room, %d connections are the limit", chosen.peer, len(self._connections))
+        del self._connections[chosen]
+        chosen.abort()
+
+    def status(self) -> list[ConnectionStatus]:
+        """The connections, the oldest first."""
+        now = time.monotonic()
+        return [
+            ConnectionStatus(
+                peer=one.peer,
+                listener=self.listener,
+                age=now - one.opened,
+                idle=now - one.last_used,
+                received=one.received,
+                sent=one.sent,
+                requests=one.session.requests if one.session else 0,
+                waiting=one.session.waiting if one.session else 0,
+            )
+            for one in self._connections
+        ]
+
+    def sessions(self) -> list[TcpServerSession]:
+        """The conversations of the living connections."""
+        return [one.session for one in self._connections if one.session is not None]
+
+    async def wait_until_empty(self) -> None:
+        """Wait until no connection is left."""
+        if self._connections:
+            self._emptied = asyncio.Event()
+            await self._emptied.wait()
+
+    def close_all(self, *, at_once: bool = False) -> None:
+        """Close every connection, after what is written has gone out or at once."""
+        for connection in list(self._connections):
+            if at_once:
+                connection.abort()
+            else:
+                connection.close()

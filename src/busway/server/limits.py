@@ -1,0 +1,14 @@
+"""The system's limit of open files: one connection needs one, and the soft limit is often 1024."""
+
+import sys
+
+
+def raise_open_file_limit() -> None:
+    """Raise the soft limit of open files to the hard one, where the system has such limits."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != resource.RLIM_INFINITY and soft < hard:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

@@ -1,0 +1,112 @@
+"""The handler of a server that holds its devices itself: unit → device, then the function does its work on it.
+
+Knows devices and the rules of units on TCP; knows no connection.
+
+1. ``listed``: a unit that is not listed is answered 0B (or not at all), because a client must learn that nobody is
+   there. ``any``: the sole device answers whatever unit it is asked with, as much hardware does.
+2. 0 and 255 address the device of a server that has exactly one (Messaging on TCP/IP V1.0b §4.4.1.2).
+3. Function not offered → 01, before its lengths are judged (Application Protocol V1.1b3 figure 9).
+4. A request is executed under the device's lock: 22 and 23 read and write in one step, for every thread.
+"""
+
+from collections.abc import Mapping
+from enum import Enum
+
+from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
+from ..errors import ConfigError
+from ..pdu.direct import Answer
+from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
+from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ..pdu.message import Request
+from ..session.handler import SILENCE, Outcome, RequestContext
+from .device import Device
+
+
+class UnitPolicy(Enum):
+    """Which units a server on TCP answers."""
+
+    LISTED = "listed"
+    ANY = "any"
+
+
+class UnlistedUnit(Enum):
+    """What a unit that is not listed gets."""
+
+    EXCEPTION = "exception"
+    SILENCE = "silence"
+
+
+class LocalHandler:
+    """Answers for devices of this process.
+
+    Args:
+        units: device by unit identifier, 0…255.
+        unit_policy: `UnitPolicy`; ``ANY`` needs exactly one device.
+        unlisted: what a unit gets that is not there.
+        functions: the table of functions, with the user's own if there are any.
+    """
+
+    def __init__(
+        self,
+        units: Mapping[int, Device],
+        *,
+        unit_policy: UnitPolicy = UnitPolicy.LISTED,
+        unlisted: UnlistedUnit = UnlistedUnit.EXCEPTION,
+        functions: FunctionTable = STANDARD,
+    ) -> None:
+        for unit in units:
+            if not isinstance(unit, int) or not 0 <= unit <= 255:
+                raise ConfigError(f"a unit is 0…255, not {unit!r}", key="units")
+        if not units:
+            raise ConfigError("at least one unit is needed", key="units")
+        distinct = {id(device): device for device in units.values()}
+        self._units = dict(units)
+        self._sole = next(iter(distinct.values())) if len(distinct) == 1 else None
+        if unit_policy is UnitPolicy.ANY and self._sole is None:
+            raise ConfigError("unit policy any needs exactly one device", key="unit_policy")
+        self._any = unit_policy is UnitPolicy.ANY
+        self._silent = unlisted is UnlistedUnit.SILENCE
+        self._devices = tuple(distinct.values())
+        self.functions = functions
+
+    @property
+    def generation(self) -> int:
+        """Changes when a device no longer offers a short road that it offered before."""
+        total = 0
+        for device in self._devices:
+            total += device.generation
+        return total
+
+    def find(self, unit: int) -> Device | None:
+        """The device that answers for ``unit``."""
+        device = self._units.get(unit)
+        if device is None and self._sole is not None and (self._any or unit in (BROADCAST_UNIT, TCP_DEVICE_UNIT)):
+            return self._sole
+        return device
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        """The compiled answers of the unit's device, by function code."""
+        device = self.find(context.unit)
+        answers: dict[int, Answer] = {}
+        if device is not None:
+            for function in self.functions:
+                if device.enabled(function.code):
+                    answer = function.direct(device)
+                    if answer is not None:
+                        answers[function.code] = answer
+        return answers
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """Execute a request on the unit's device."""
+        device = self.find(context.unit)
+        if device is None:
+            if self._silent:
+                return SILENCE
+            return ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+        if isinstance(request, OpaqueRequest) or not device.enabled(context.function):
+            return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_FUNCTION)
+        if isinstance(request, MalformedRequest):
+            return ExceptionResponse(context.function, request.code)
+        assert isinstance(request, Request)
+        with device.lock:
+            return request.apply(device, context)

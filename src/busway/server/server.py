@@ -1,0 +1,209 @@
+"""A server: listeners in front of a handler. Start, stop, reset, status (Messaging on TCP/IP V1.0b §5.1.2).
+
+Knows listeners and their life; knows no request.
+
+1. It answers only between start and stop. Stopping ends within a second, whatever the clients do.
+2. Start, stop and reset say what they did, or raise. A listener that can not be opened closes those opened before.
+"""
+
+import asyncio
+import contextlib
+import socket
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+from ..config.endpoints import Endpoint, parse_endpoint
+from ..errors import ConfigError, LinkDown
+from ..session.handler import Handler
+from ..session.parameters import ServerParameters
+from ..session.server import TransactionSlots
+from ..transport.tcp import SocketParameters, network_reason
+from .connection import ServerConnection
+from .connections import ConnectionManagement, ConnectionStatus, ServerCounters
+from .limits import raise_open_file_limit
+from .parameters import ListenerParameters
+
+_STOP_SECONDS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ServerStatus:
+    """A server as a status shows it.
+
+    Attributes:
+        running: whether it answers.
+        uptime: seconds since the start; 0 while stopped.
+        endpoints: URLs of the listeners as they are bound.
+        connections: the connections, the oldest first.
+        counters: what happened since the server was made or reset.
+    """
+
+    running: bool
+    uptime: float
+    endpoints: tuple[str, ...]
+    connections: tuple[ConnectionStatus, ...]
+    counters: ServerCounters
+
+
+class Server:
+    """Listeners in front of one handler; an asynchronous context manager that starts and stops.
+
+    Args:
+        endpoints: URLs to listen on (``tcp://127.0.0.1:5020``); port 0 takes a free one, an empty host every
+            interface, IPv4 and IPv6.
+        handler: what answers.
+        parameters: of the conversation, `ServerParameters`.
+        listener: of connections, `ListenerParameters`.
+        sockets: of sockets, `SocketParameters`.
+
+    Raises:
+        ConfigError: an endpoint that can not be listened on.
+    """
+
+    def __init__(
+        self,
+        endpoints: Sequence[str | Endpoint],
+        handler: Handler,
+        *,
+        parameters: ServerParameters | None = None,
+        listener: ListenerParameters | None = None,
+        sockets: SocketParameters | None = None,
+    ) -> None:
+        self._wanted = [parse_endpoint(one) for one in endpoints]
+        if not self._wanted:
+            raise ConfigError("at least one endpoint to listen on is needed", key="endpoints")
+        for endpoint in self._wanted:
+            if endpoint.scheme != "tcp":
+                raise ConfigError(f"{endpoint}: a server can not listen on {endpoint.scheme}:// yet")
+            if endpoint.options:
+                raise ConfigError(f"{endpoint}: unknown option {next(iter(endpoint.options))}")
+        self._handler = handler
+        self._parameters = parameters or ServerParameters()
+        self._listener = listener or ListenerParameters()
+        self._sockets = sockets or SocketParameters()
+        self._listeners: list[asyncio.Server] = []
+        self._managements: list[ConnectionManagement] = []
+        self._bound: list[str] = []
+        self._started = 0.0
+        self.counters = ServerCounters()
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs of the listeners as they are bound, with the real ports; empty while stopped."""
+        return list(self._bound)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it answers."""
+        return bool(self._listeners)
+
+    async def start(self) -> None:
+        """Open all listeners. Raises `LinkDown` that names the one that can not be had; then none is open."""
+        if self._listeners:
+            return
+        raise_open_file_limit()
+        loop = asyncio.get_running_loop()
+        slots = TransactionSlots(self._parameters.max_transactions)
+        self._managements.clear()
+        try:
+            for endpoint in self._wanted:
+                await self._open(loop, endpoint, slots)
+        except OSError as error:
+            await self.stop()
+            down = LinkDown(f"can not listen: {network_reason(error)}", endpoint=endpoint.url)
+            raise down from error
+        self._started = time.monotonic()
+
+    async def _open(self, loop: asyncio.AbstractEventLoop, endpoint: Endpoint, slots: TransactionSlots) -> None:
+        management = ConnectionManagement(
+            loop,
+            self._handler,
+            listener=endpoint.url,
+            parameters=self._listener,
+            session_parameters=self._parameters,
+            sockets=self._sockets,
+            counters=self.counters,
+            slots=slots,
+        )
+        listener = await loop.create_server(
+            lambda: ServerConnection(management),
+            endpoint.host or None,
+            endpoint.port or 0,
+            backlog=self._listener.backlog,
+            reuse_address=True,
+        )
+        self._listeners.append(listener)
+        self._managements.append(management)
+        for bound in listener.sockets:
+            self._sockets.apply_buffers(bound)
+        names = [_bound_name(endpoint.scheme, one) for one in listener.sockets]
+        management.listener = names[0]
+        self._bound += names
+
+    async def stop(self) -> None:
+        """Close all listeners and connections. Replies that are written go out; after half a second nothing waits."""
+        listeners, self._listeners = self._listeners, []
+        self._bound.clear()
+        for listener in listeners:
+            listener.close()
+        for management in self._managements:
+            management.close_all()
+        waits = [management.wait_until_empty() for management in self._managements]
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(asyncio.gather(*waits), _STOP_SECONDS)
+        for management in self._managements:
+            management.close_all(at_once=True)
+        for _ in range(3):  # connection_lost runs in the next turn of the loop
+            await asyncio.sleep(0)
+        self._started = 0.0
+
+    async def reset(self) -> None:
+        """Stop, clear the counters, start again."""
+        await self.stop()
+        self.counters = ServerCounters()
+        await self.start()
+
+    async def serve_until_cancelled(self) -> None:
+        """Start if need be, and serve until the task is cancelled; then stop."""
+        await self.start()
+        try:
+            await asyncio.get_running_loop().create_future()
+        finally:
+            await self.stop()
+
+    def status(self) -> ServerStatus:
+        """How it stands now."""
+        return ServerStatus(
+            running=self.is_running,
+            uptime=time.monotonic() - self._started if self._started else 0.0,
+            endpoints=tuple(self._bound),
+            connections=tuple(one for management in self._managements for one in management.status()),
+            counters=self._counters_now(),
+        )
+
+    def _counters_now(self) -> ServerCounters:
+        """The counters, with what the living connections have not handed over yet."""
+        living = [session for management in self._managements for session in management.sessions()]
+        return replace(
+            self.counters,
+            requests=self.counters.requests + sum(session.requests for session in living),
+            discarded_frames=self.counters.discarded_frames + sum(session.discarded for session in living),
+            refused_busy=self.counters.refused_busy + sum(session.refused_busy for session in living),
+        )
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.stop()
+
+
+def _bound_name(scheme: str, bound: socket.socket) -> str:
+    host, port = bound.getsockname()[:2]
+    return f"{scheme}://[{host}]:{port}" if bound.family == socket.AF_INET6 else f"{scheme}://{host}:{port}"

@@ -1,0 +1,177 @@
+"""The three ways to serve: in a coroutine, for ever from a blocking program, and in a thread beside one."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from ..config.endpoints import Endpoint
+from ..config.options import build_parameters, option_names
+from ..errors import ConfigError
+from ..pdu.functions import STANDARD, FunctionTable
+from ..session.handler import Handler
+from ..session.parameters import ServerParameters
+from ..transport.tcp import SocketParameters
+from .device import Device
+from .local import LocalHandler, UnitPolicy, UnlistedUnit
+from .parameters import ListenerParameters
+from .server import Server, ServerStatus
+
+DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
+
+
+def serve(
+    *endpoints: str | Endpoint,
+    units: Mapping[int, Device] | Device | None = None,
+    handler: Handler | None = None,
+    unit_policy: UnitPolicy | str = UnitPolicy.LISTED,
+    unlisted: UnlistedUnit | str = UnlistedUnit.EXCEPTION,
+    functions: FunctionTable = STANDARD,
+    **options: Any,  # fields of the three parameter classes, checked by them
+) -> Server:
+    """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
+
+    Args:
+        endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one.
+        units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with.
+        handler: instead of ``units``, anything that answers requests (`busway.session.handler.Handler`).
+        unit_policy: ``listed`` (others get exception 0B) or ``any`` (the sole device answers every unit).
+        unlisted: what a unit that is not listed gets: ``exception`` (0B) or ``silence``.
+        functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
+        options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name.
+
+    Raises:
+        ConfigError: an endpoint, unit or option that can not be.
+    """
+    if (units is None) == (handler is None):
+        raise ConfigError("either units or a handler is needed", key="units")
+    if handler is None:
+        if isinstance(units, Device):
+            units, unit_policy = {1: units}, UnitPolicy.ANY
+        assert units is not None
+        try:
+            policy, silence = UnitPolicy(unit_policy), UnlistedUnit(unlisted)
+        except ValueError as error:
+            raise ConfigError(str(error), key="unit_policy") from None
+        handler = LocalHandler(units, unit_policy=policy, unlisted=silence, functions=functions)
+    kinds = (ServerParameters, ListenerParameters, SocketParameters)
+    chosen: list[dict[str, object]] = [{}, {}, {}]
+    for name, value in options.items():
+        for kind, values in zip(kinds, chosen, strict=True):
+            if name in option_names(kind):
+                values[name] = value
+                break
+        else:
+            known = sorted(name for kind in kinds for name in option_names(kind))
+            raise ConfigError(f"unknown option; there are {', '.join(known)}", key=name)
+    return Server(
+        endpoints or (DEFAULT_ENDPOINT,),
+        handler,
+        parameters=build_parameters(ServerParameters, chosen[0]),
+        listener=build_parameters(ListenerParameters, chosen[1]),
+        sockets=build_parameters(SocketParameters, chosen[2]),
+    )
+
+
+def serve_forever(
+    *endpoints: str | Endpoint, started: Callable[[Server], None] | None = None, **options: Any
+) -> None:  # Any: see serve
+    """Serve from a blocking program until it is interrupted (Ctrl-C).
+
+    Args:
+        endpoints: as in `serve`.
+        started: called once with the running server, for example to print its endpoints.
+        options: as in `serve`.
+    """
+
+    async def run() -> None:
+        async with serve(*endpoints, **options) as server:
+            if started is not None:
+                started(server)
+            await asyncio.get_running_loop().create_future()
+
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(run())
+
+
+class ServerThread:
+    """A server in a thread of its own, as `serve_in_thread` gives it."""
+
+    def __init__(self, server: Server, loop: asyncio.AbstractEventLoop) -> None:
+        self._server = server
+        self._loop = loop
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs of the listeners as they are bound."""
+        return self._server.endpoints
+
+    def status(self) -> ServerStatus:
+        """How the server stands now."""
+
+        async def ask() -> ServerStatus:
+            return self._server.status()
+
+        return asyncio.run_coroutine_threadsafe(ask(), self._loop).result()
+
+    def reset(self) -> None:
+        """Stop, clear the counters, start again."""
+        asyncio.run_coroutine_threadsafe(self._server.reset(), self._loop).result()
+
+
+@contextlib.contextmanager
+def serve_in_thread(*endpoints: str | Endpoint, **options: Any) -> Iterator[ServerThread]:  # Any: see serve
+    """Serve in a thread beside a blocking program: ``with busway.serve_in_thread(units={1: device}) as server: …``.
+
+    Devices may be read and written from any thread. Leaving the block stops the server within a second.
+
+    Args:
+        endpoints: as in `serve`.
+        options: as in `serve`.
+
+    Raises:
+        ConfigError, LinkDown: as in `serve` and `Server.start`.
+    """
+    server = serve(*endpoints, **options)
+    ready = _Ready()
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        try:
+            await server.start()
+        except BaseException as error:
+            ready.error = error
+            ready.event.set()
+            return
+        ready.loop, ready.stop = asyncio.get_running_loop(), stop
+        ready.event.set()
+        await stop.wait()
+        await server.stop()
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()), name="busway server", daemon=True)
+    thread.start()
+    ready.event.wait()
+    if ready.error is not None:
+        thread.join()
+        raise ready.error
+    assert ready.loop is not None
+    assert ready.stop is not None
+    try:
+        yield ServerThread(server, ready.loop)
+    finally:
+        ready.loop.call_soon_threadsafe(ready.stop.set)
+        thread.join()
+
+
+class _Ready:
+    """What the thread tells the program that started it."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self.stop: asyncio.Event | None = None
+        self.error: BaseException | None = None
+
+
+__all__ = ["DEFAULT_ENDPOINT", "ServerThread", "serve", "serve_forever", "serve_in_thread"]

@@ -1,0 +1,25 @@
+"""One receive buffer for all connections of an event loop.
+
+The loop calls ``get_buffer``, receives and calls ``buffer_updated`` in one step, so what one connection received is
+worked through before the next one receives. 1000 idle connections then hold one buffer, not a thousand. On loops that
+hand a buffer to the system first and let it be filled later (Windows' proactor), each connection needs its own.
+"""
+
+import asyncio
+from weakref import WeakKeyDictionary
+
+RECEIVE_SIZE = 65_536
+"""What one receive call takes at most: some 5000 read requests."""
+
+_shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, bytearray]" = WeakKeyDictionary()
+
+
+def receive_buffer(loop: asyncio.AbstractEventLoop) -> bytearray:
+    """The buffer to receive into on ``loop``."""
+    if "Proactor" in type(loop).__name__:
+        return bytearray(4096)
+    try:
+        return _shared[loop]
+    except KeyError:
+        buffer = _shared[loop] = bytearray(RECEIVE_SIZE)
+        return buffer
