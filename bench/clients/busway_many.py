@@ -30,7 +30,7 @@ async def main(port: int, seconds: float, registers: int, connections: int, in_f
             while going:
                 began = time.perf_counter()
                 replies = await unit.execute_many(batch)
-                if len(replies) != BATCH or replies[-1].values != expected:
+                if len(replies) != BATCH or replies[-1].registers != expected:
                     raise SystemExit(f"wrong replies, the last of {len(replies)} is {replies[-1]}")
                 going = window.count(BATCH, began)
 

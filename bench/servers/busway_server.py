@@ -5,17 +5,17 @@ Run from `bench/`: python -m servers.busway_server [--uvloop] [--trace-memory]
 
 import asyncio
 import sys
+from urllib.parse import urlsplit
 
 from harness import announce
 
+import busway
+
 
 async def main() -> None:
-    import busway
-
-    device = busway.Device(holding_registers=65536)
-    device.holding_registers[0:65536] = list(range(65536))
-    async with busway.serve("tcp://127.0.0.1:0", units={1: device}, connections=20_000) as server:
-        announce.port(server.port)
+    device = busway.Device(holding_registers=list(range(65536)))
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}, max_connections=20_000) as server:
+        announce.port(urlsplit(server.endpoints[0]).port or 0)
         await asyncio.Event().wait()
 
 
