@@ -1,0 +1,190 @@
+"""Runs of items in wire order: the memory of a device.
+
+Knows bytes, positions and the lock that writers share; knows no table, no address rule, no hook and no request.
+
+1. ``data`` is read without a lock, in one slice. Whoever changes it holds the lock and changes it in one slice
+   assignment of equal length, or replaces it by another object, so a reader never meets half of a change.
+2. A position counts from the run's first item. Whoever gives one has checked that the items exist.
+3. Several runs change at once by `replace_all` and in no other way.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Mapping
+from itertools import repeat
+from typing import Protocol
+
+from ..pdu.bits import slice_bits, splice_bits
+
+
+class Run(Protocol):
+    """Items of consecutive addresses."""
+
+    @property
+    def first(self) -> int:
+        """Address of the first item."""
+
+    @property
+    def count(self) -> int:
+        """Number of items."""
+
+    @property
+    def memory(self) -> "RegisterRun | BitRun":
+        """The run that holds the bytes: this one, or the one that this one is another view of."""
+
+    def fetch(self, data: bytearray, position: int, count: int) -> bytes:
+        """The items out of ``data``, the bytes of ``memory`` or a copy of them."""
+
+    def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
+        """Put the items into ``data``, the bytes of ``memory`` or a copy of them, in one assignment."""
+
+    def get(self, position: int, count: int) -> bytes:
+        """The items as they are now, in wire order."""
+
+    def put(self, position: int, count: int, data: bytes) -> None:
+        """Replace items, safely from any thread."""
+
+
+class RegisterRun:
+    """Registers of consecutive addresses, big-endian.
+
+    Args:
+        first: address of the first register.
+        data: two bytes for each register.
+        lock: taken for every change.
+    """
+
+    __slots__ = ("_lock", "count", "data", "first")
+
+    def __init__(self, first: int, data: bytearray, lock: threading.RLock) -> None:
+        self.first = first
+        self.count = len(data) // 2
+        self.data = data
+        self._lock = lock
+
+    @property
+    def memory(self) -> "RegisterRun":
+        """The run itself."""
+        return self
+
+    def fetch(self, data: bytearray, position: int, count: int) -> bytes:
+        """As `Run.fetch`."""
+        return bytes(data[2 * position : 2 * (position + count)])
+
+    def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
+        """As `Run.patch`."""
+        data[2 * position : 2 * (position + count)] = items
+
+    def get(self, position: int, count: int) -> bytes:
+        """As `Run.get`."""
+        return bytes(self.data[2 * position : 2 * (position + count)])
+
+    def put(self, position: int, count: int, data: bytes) -> None:
+        """As `Run.put`."""
+        with self._lock:
+            self.data[2 * position : 2 * (position + count)] = data
+
+
+class BitRun:
+    """Bits of consecutive addresses, packed from the lowest bit of the first byte.
+
+    Args:
+        first: address of the first bit.
+        count: number of bits.
+        data: the packed bits.
+        lock: taken for every change.
+    """
+
+    __slots__ = ("_lock", "count", "data", "first")
+
+    def __init__(self, first: int, count: int, data: bytearray, lock: threading.RLock) -> None:
+        self.first = first
+        self.count = count
+        self.data = data
+        self._lock = lock
+
+    @property
+    def memory(self) -> "BitRun":
+        """The run itself."""
+        return self
+
+    def fetch(self, data: bytearray, position: int, count: int) -> bytes:
+        """As `Run.fetch`."""
+        return slice_bits(data, position, count)
+
+    def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
+        """As `Run.patch`."""
+        splice_bits(data, position, count, items)
+
+    def get(self, position: int, count: int) -> bytes:
+        """As `Run.get`."""
+        return slice_bits(self.data, position, count)
+
+    def put(self, position: int, count: int, data: bytes) -> None:
+        """As `Run.put`."""
+        with self._lock:
+            splice_bits(self.data, position, count, data)
+
+
+class RegisterBits:
+    """The bits of some registers as items of their own: bit ``n`` is bit ``n % 16`` of register ``n // 16``.
+
+    Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block for all).
+
+    Args:
+        memory: the registers.
+        start: the register, counted from the run's first, whose least significant bit is bit 0.
+        count: number of bits.
+        lock: taken for every change; the one of ``memory``.
+    """
+
+    __slots__ = ("_lock", "_start", "count", "first", "memory")
+
+    def __init__(self, memory: RegisterRun, start: int, count: int, lock: threading.RLock) -> None:
+        self.first = 0
+        self.count = count
+        self.memory = memory
+        self._start = start
+        self._lock = lock
+
+    def fetch(self, data: bytearray, position: int, count: int) -> bytes:
+        """As `Run.fetch`."""
+        low, high = self._bytes_of(position, count)
+        return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
+
+    def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
+        """As `Run.patch`."""
+        low, high = self._bytes_of(position, count)
+        words = _bytes_swapped(data[low:high])
+        splice_bits(words, position & 15, count, items)
+        data[low:high] = _bytes_swapped(words)
+
+    def get(self, position: int, count: int) -> bytes:
+        """As `Run.get`."""
+        return self.fetch(self.memory.data, position, count)
+
+    def put(self, position: int, count: int, data: bytes) -> None:
+        """As `Run.put`."""
+        with self._lock:
+            self.patch(self.memory.data, position, count, data)
+
+    def _bytes_of(self, position: int, count: int) -> tuple[int, int]:
+        """Where the registers that hold some bits begin and end, in bytes."""
+        return 2 * (self._start + position // 16), 2 * (self._start + (position + count + 15) // 16)
+
+
+def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
+    """Give each run its new bytes, all at once for every reader; the caller holds the lock.
+
+    Readers hold no lock, so between two Python statements one of them could see the first run new and the second
+    old. ``deque`` draws ``map`` dry inside one call of C code, during which no other thread runs Python.
+    """
+    deque(map(setattr, fresh.keys(), repeat("data"), fresh.values()), maxlen=0)
+
+
+def _bytes_swapped(words: bytearray) -> bytearray:
+    """Registers with their two bytes exchanged: big-endian ⇄ bits packed from the lowest."""
+    swapped = bytearray(len(words))
+    swapped[0::2] = words[1::2]
+    swapped[1::2] = words[0::2]
+    return swapped

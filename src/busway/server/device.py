@@ -1,0 +1,500 @@
+"""A device: its tables, files and queues, what it says of itself, and the hooks of its application.
+
+Knows what requests do to it (`DataModel`, `DirectModel`) and what its application does; knows no connection, no unit
+it is reached by, and no function beyond their codes.
+
+1. An access by Modbus goes: exists and may be written (02), hooks before, the items, hooks after. What fails before the
+   items are touched has changed nothing.
+2. What changes items holds ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
+   Whoever executes a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
+3. Hooks are for Modbus. The application's own accesses call none.
+4. ``generation`` changes with whatever ends a short road that was offered earlier.
+"""
+
+import threading
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
+from types import MappingProxyType
+from typing import Any, Final, TypeVar, overload
+
+from ..codes import TABLE_SIZE, ExceptionCode, Table
+from ..errors import ConfigError
+from ..pdu.direct import Block
+from ..pdu.model import Context, Refusal
+from ..values import Address, ValueType
+from ..values.refusal import shown
+from .blocks import BitRun, RegisterRun
+from .cells import TableLike, lay_out
+from .groups import Groups
+from .hooks import Access, Change, Hook, Hooks, ReadFunction, When, WriteFunction, call, function_of, role_of
+from .identity import DEFAULT_SERVER_ID, ExceptionStatus, identification_objects, server_id_data, status_source
+from .items import unpacked
+from .records import RecordFile, RegisterQueue, build_files, build_queues
+from .single_block import SingleBlock, as_table, block_stores
+from .stores import Store, bit_store, register_store
+from .typed import TypedAccess
+from .views import TableView
+
+AnyReadFunction = TypeVar("AnyReadFunction", bound=ReadFunction)
+AnyWriteFunction = TypeVar("AnyWriteFunction", bound=WriteFunction)
+
+_HIGHEST_FUNCTION: Final = 127
+
+
+class Device:
+    """A Modbus device, to be served under one or several units.
+
+    Args:
+        holding_registers: the table: a number of items from address 0 on, a list of their values, a mapping of address
+            to value or values (then exactly these exist), or `Cells`. None or 0: there are none, and every access is
+            answered with exception 02.
+        input_registers: the table, likewise.
+        coils: the table, likewise.
+        discrete_inputs: the table, likewise.
+        files: records by file number 1…65535, each declared like a table; records are 0…9999.
+        fifos: queued registers by address 0…65535, oldest first.
+        identification: identification objects by number 0…255, text (sent as UTF-8) or bytes, at most 244 bytes each.
+            Objects 0, 1 and 2 (vendor, product, revision) have defaults, because every device has them.
+        server_id: the data of function 17, at most 251 bytes, run indicator (FF on, 00 off) included.
+        exception_status: eight status bits 0…255, or a function that gives them each time they are asked.
+        canopen: answers a CANopen general reference (43/13), bytes to bytes; None: exception 01.
+        functions: function codes that the device offers, 1…127; the others are answered with exception 01. None: all.
+        block: one block of memory behind several tables; those it serves are not declared a second time.
+
+    Raises:
+        ConfigError: something declared can not be; names the argument.
+
+    Attributes:
+        holding_registers, input_registers, coils, discrete_inputs: the tables for the application (`TableView`).
+        files: files by number (`RecordFile`).
+        fifos: queues by address (`RegisterQueue`).
+        lock: held while a request is executed and while items change. The application holds it, from any thread,
+            where a value depends on the one before it: ``with device.lock: device.holding_registers[0] += 1``. While
+            it is held, requests that are not plain reads wait, and the event loop with them: keep it short.
+    """
+
+    def __init__(
+        self,
+        *,
+        holding_registers: TableLike = None,
+        input_registers: TableLike = None,
+        coils: TableLike = None,
+        discrete_inputs: TableLike = None,
+        files: Mapping[int, TableLike] | None = None,
+        fifos: Mapping[int, Sequence[int]] | None = None,
+        identification: Mapping[int, str | bytes] | None = None,
+        server_id: bytes = DEFAULT_SERVER_ID,
+        exception_status: ExceptionStatus = 0,
+        canopen: Callable[[bytes], bytes] | None = None,
+        functions: Collection[int] | None = None,
+        block: SingleBlock | None = None,
+    ) -> None:
+        self.lock = threading.RLock()
+        self._groups = Groups(self.lock)
+        self._stores = _build_stores(
+            {
+                Table.HOLDING_REGISTERS: holding_registers,
+                Table.INPUT_REGISTERS: input_registers,
+                Table.COILS: coils,
+                Table.DISCRETE_INPUTS: discrete_inputs,
+            },
+            block,
+            self.lock,
+        )
+        views = {
+            table: TableView(table.value, store, self._groups, bits=table.holds_bits)
+            for table, store in self._stores.items()
+        }
+        self._typed = TypedAccess(views, self.lock)
+        self.holding_registers = views[Table.HOLDING_REGISTERS]
+        self.input_registers = views[Table.INPUT_REGISTERS]
+        self.coils = views[Table.COILS]
+        self.discrete_inputs = views[Table.DISCRETE_INPUTS]
+        self.files: Mapping[int, RecordFile] = MappingProxyType(build_files(files, self.lock, self._groups))
+        self.fifos: Mapping[int, RegisterQueue] = MappingProxyType(build_queues(fifos, self.lock))
+        self._identification = MappingProxyType(identification_objects(identification))
+        self._server_id = server_id_data(server_id)
+        self._exception_status = status_source(exception_status)
+        self._canopen = canopen
+        self._functions = _checked_functions(functions)
+        self._read_hooks = {table: Hooks() for table in Table}
+        self._write_hooks = {table: Hooks() for table in Table}
+        self._generation = 0
+
+    # ---- the application: values
+
+    def update(self) -> AbstractContextManager[None]:
+        """A group of changes that become visible together: ``with device.update(): …``.
+
+        No Modbus client and no other thread sees some of the group's changes to tables and files without the others,
+        not even by several requests one after the other. The group takes effect when the block ends; when it ends with
+        an exception, nothing of it does. Inside, the thread or task sees its own changes. Modbus is served meanwhile
+        and nothing it writes is lost; on an item that both wrote, the group's value stands. A group inside a group is
+        part of it. Queues change at once, in a group or not.
+        """
+        return self._groups.update()
+
+    @overload
+    def read(self, table: Table, address: int, count: int, context: Context) -> bytes: ...
+    @overload
+    def read(
+        self,
+        address: str | Address,
+        type: str | ValueType | None = None,
+        *,
+        order: str = "ABCD",
+        count: int | None = None,
+    ) -> Any: ...  # Any: what the type says
+
+    def read(self, *arguments: Any, **options: Any) -> Any:  # Any: as the two signatures above
+        """A value, or several: ``device.read("4x101", "float32", order="CDAB")``.
+
+        With a `Table` first, it is a read by Modbus as `DataModel.read` says, hooks included.
+
+        Args:
+            address: item in a notation that names the table: ``4x101``, ``holding:100``, ``%MW100``; one bit of a
+                register as ``4x101.3``.
+            type: a type of `busway.values`; None for the items themselves (``int`` for registers, ``bool`` for bits).
+            order: byte and register order.
+            count: number of values, 1 or more; None for one that is given alone, not in a list.
+
+        Returns:
+            The value; a list of them if ``count`` is given.
+
+        Raises:
+            InvalidRequest: an item does not exist, or there is no such address, type, order or count.
+            BadReply: the registers mean nothing in this type: a BCD digit above 9, bytes outside a string's encoding.
+        """
+        if arguments and isinstance(arguments[0], Table):
+            return self._read_by_modbus(*arguments, **options)
+        return self._typed.read(*arguments, **options)
+
+    @overload
+    def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None: ...
+    @overload
+    def write(
+        self, address: str | Address, value: object, type: str | ValueType | None = None, *, order: str = "ABCD"
+    ) -> None: ...
+
+    def write(self, *arguments: Any, **options: Any) -> None:  # Any: as the two signatures above
+        """Set a value, or several, in one step: ``device.write("4x101", 3.5, "float32", order="CDAB")``.
+
+        With a `Table` first, it is a write by Modbus as `DataModel.write` says, hooks included.
+
+        Args:
+            address: as for ``read``; one bit of a register (``4x101.3``) is changed without touching the others.
+            value: the value, or a list of values for the items from ``address`` on.
+            type: a type of `busway.values`; None for the items themselves.
+            order: byte and register order.
+
+        Raises:
+            InvalidRequest: an item does not exist, a value does not fit, or there is no such address, type or order.
+                Nothing has changed.
+        """
+        if arguments and isinstance(arguments[0], Table):
+            self._write_by_modbus(*arguments, **options)
+        else:
+            self._typed.write(*arguments, **options)
+
+    # ---- the application: hooks and settings
+
+    @overload
+    def on_read(
+        self,
+        table: Table | str,
+        function: AnyReadFunction,
+        *,
+        when: str = "before",
+        address: int | None = None,
+        count: int | None = None,
+    ) -> AnyReadFunction: ...
+    @overload
+    def on_read(
+        self, table: Table | str, *, when: str = "before", address: int | None = None, count: int | None = None
+    ) -> Callable[[AnyReadFunction], AnyReadFunction]: ...
+
+    def on_read(
+        self,
+        table: Table | str,
+        function: AnyReadFunction | None = None,
+        *,
+        when: str = "before",
+        address: int | None = None,
+        count: int | None = None,
+    ) -> AnyReadFunction | Callable[[AnyReadFunction], AnyReadFunction]:
+        """Call a function at every read by Modbus: ``@device.on_read("input_registers")``, or with the function second.
+
+        ``before`` the read, it may set the items that will be read, or raise `Refusal`; ``after``, it learns what was
+        read. Any other exception is answered with 04. The read inside function 22 calls it too, and so does that of
+        23, which comes after its write: a refusal there does not undo the write.
+
+        Args:
+            table: the table by which the read comes, ``holding_registers`` or `Table.HOLDING_REGISTERS`.
+            function: takes an `Access`; called in the thread that executes the request, under ``lock``.
+            when: ``before`` or ``after``.
+            address: only reads that touch items from here on; None for all.
+            count: number of items from ``address`` on; None for one, or for all without an address.
+
+        Returns:
+            The function, or without one a decorator that gives it back.
+
+        Raises:
+            ConfigError: no such table or moment, or an impossible range.
+        """
+        hook = self._hook_maker(self._read_hooks[as_table(table)], when, address, count)
+        return hook if function is None else hook(function)
+
+    @overload
+    def on_write(
+        self,
+        table: Table | str,
+        function: AnyWriteFunction,
+        *,
+        when: str = "before",
+        address: int | None = None,
+        count: int | None = None,
+    ) -> AnyWriteFunction: ...
+    @overload
+    def on_write(
+        self, table: Table | str, *, when: str = "before", address: int | None = None, count: int | None = None
+    ) -> Callable[[AnyWriteFunction], AnyWriteFunction]: ...
+
+    def on_write(
+        self,
+        table: Table | str,
+        function: AnyWriteFunction | None = None,
+        *,
+        when: str = "before",
+        address: int | None = None,
+        count: int | None = None,
+    ) -> AnyWriteFunction | Callable[[AnyWriteFunction], AnyWriteFunction]:
+        """Call a function at every write by Modbus: ``@device.on_write("holding_registers")``, or with it second.
+
+        ``before`` the write, it may raise `Refusal` with an exception code (04 without one), and nothing changes; it
+        can not replace the value. ``after``, the items have changed, and stay changed whatever it raises. Any other
+        exception is answered with 04.
+
+        Args:
+            table: the table by which the write comes, ``coils`` or ``holding_registers``.
+            function: takes a `Change`; called in the thread that executes the request, under ``lock``.
+            when: ``before`` or ``after``.
+            address: only writes that touch items from here on; None for all.
+            count: number of items from ``address`` on; None for one, or for all without an address.
+
+        Returns:
+            The function, or without one a decorator that gives it back.
+
+        Raises:
+            ConfigError: no such table or moment, a table that Modbus can not write, or an impossible range.
+        """
+        written = as_table(table)
+        if not written.is_writable:
+            raise ConfigError(f"no function writes {written.label}s")
+        hook = self._hook_maker(self._write_hooks[written], when, address, count)
+        return hook if function is None else hook(function)
+
+    def remove_hook(self, function: Callable[..., object]) -> None:
+        """Call ``function`` no more, in whatever tables it was hooked. Raises `ConfigError` if it was in none."""
+        with self.lock:
+            every = [*self._read_hooks.values(), *self._write_hooks.values()]
+            found = [hooks.remove(function) for hooks in every]
+            if not any(found):
+                raise ConfigError(f"{shown(function)} is no hook of this device")
+            self._generation += 1
+
+    @property
+    def functions(self) -> frozenset[int] | None:
+        """The function codes that the device offers; None for all. Can be set at any time to any collection."""
+        return self._functions
+
+    @functions.setter
+    def functions(self, functions: Collection[int] | None) -> None:
+        with self.lock:
+            self._functions = _checked_functions(functions)
+            self._generation += 1
+
+    def enabled(self, code: int) -> bool:
+        """Whether the device offers a function."""
+        return self._functions is None or code in self._functions
+
+    def set_identification(self, objects: Mapping[int, str | bytes]) -> None:
+        """Replace the identification objects, as the argument ``identification`` says. Raises `ConfigError`."""
+        self._identification = MappingProxyType(identification_objects(objects))
+
+    def set_server_id(self, data: bytes) -> None:
+        """Replace the data of function 17, as the argument ``server_id`` says. Raises `ConfigError`."""
+        self._server_id = server_id_data(data)
+
+    def set_exception_status(self, status: ExceptionStatus) -> None:
+        """Replace the status bits of function 07, as the argument ``exception_status`` says. Raises `ConfigError`."""
+        self._exception_status = status_source(status)
+
+    def _hook_maker(self, hooks: Hooks, when: str, address: int | None, count: int | None) -> Callable[[Any], Any]:
+        """What adds a function to ``hooks`` and gives it back: of whatever type it is, hence Any."""
+        moment = _moment(when)
+        first, end = _hooked_range(address, count)
+
+        def hook(function: Any) -> Any:
+            with self.lock:
+                hooks.add(Hook(function, moment, first, end))
+                self._generation += 1
+            return function
+
+        return hook
+
+    # ---- requests
+
+    @property
+    def generation(self) -> int:
+        """Changes when a block that was offered by ``plain_block``, or an enabled function, is no longer right."""
+        return self._generation
+
+    def plain_block(self, table: Table, *, writes: bool) -> Block | None:
+        """The run of a table whose accesses nobody needs to know of; None where there are several, a hook, a limit."""
+        store = self._stores[table]
+        if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
+            return None
+        run = store.runs[0]
+        if not isinstance(run, RegisterRun | BitRun) or (writes and store.read_only):
+            return None
+        return run
+
+    def check(self, table: Table, address: int, count: int, writes: bool) -> None:
+        """As `DataModel.check`."""
+        store = self._stores[table]
+        if store.find(address, count) is None:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
+        if writes and store.is_read_only(address, count):
+            raise Refusal(
+                ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{table.label}s {address}…{address + count - 1} are read-only"
+            )
+
+    def _read_by_modbus(self, table: Table, address: int, count: int, context: Context) -> bytes:
+        place = self._stores[table].find(address, count)
+        if place is None:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
+        hooks = self._read_hooks[table].wanted(address, count)
+        if not hooks:
+            return place.run.get(place.position, count)
+        who = (context.peer, context.unit, table, address, count)
+        how = (function_of(context), role_of(context))
+        with self.lock:
+            call(hooks, When.BEFORE, Access(*who, [], *how))
+            data = place.run.get(place.position, count)
+            call(hooks, When.AFTER, Access(*who, unpacked(data, count, bits=table.holds_bits), *how))
+        return data
+
+    def _write_by_modbus(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
+        self.check(table, address, count, True)
+        place = self._stores[table].find(address, count)
+        assert place is not None  # `check` has seen it
+        hooks = self._write_hooks[table].wanted(address, count)
+        if not hooks:
+            place.run.put(place.position, count, data)
+            return
+        with self.lock:
+            change = Change(
+                context.peer,
+                context.unit,
+                table,
+                address,
+                count,
+                unpacked(place.run.get(place.position, count), count, bits=table.holds_bits),
+                unpacked(data, count, bits=table.holds_bits),
+                function_of(context),
+                role_of(context),
+            )
+            call(hooks, When.BEFORE, change)
+            place.run.put(place.position, count, data)
+            call(hooks, When.AFTER, change)
+
+    def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
+        """As `DataModel.read_file`."""
+        place = self._file(file).accessed(record, count, writes=False)
+        return place.run.get(place.position, count)
+
+    def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
+        """As `DataModel.write_file`."""
+        count = len(data) // 2
+        place = self._file(file).accessed(record, count, writes=True)
+        if not dry:
+            place.run.put(place.position, count, data)
+
+    def _file(self, number: int) -> RecordFile:
+        file = self.files.get(number)
+        if file is None:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"there is no file {number}")
+        return file
+
+    def read_fifo(self, address: int, context: Context) -> bytes:
+        """As `DataModel.read_fifo`."""
+        queue = self.fifos.get(address)
+        if queue is None:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"there is no queue at {address}")
+        return b"".join(value.to_bytes(2, "big") for value in queue)
+
+    def exception_status(self) -> int:
+        """As `DataModel.exception_status`."""
+        return self._exception_status()
+
+    def server_id(self) -> bytes:
+        """As `DataModel.server_id`."""
+        return self._server_id
+
+    def identification(self) -> Mapping[int, bytes]:
+        """As `DataModel.identification`."""
+        return self._identification
+
+    def canopen(self, data: bytes) -> bytes:
+        """As `DataModel.canopen`."""
+        if self._canopen is None:
+            raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "no CANopen behind this device")
+        return self._canopen(data)
+
+
+def _build_stores(
+    declared: Mapping[Table, TableLike], block: SingleBlock | None, lock: threading.RLock
+) -> dict[Table, Store]:
+    served: Mapping[Table, Store] = {} if block is None else block_stores(block, lock)
+    stores = {}
+    for table, cells in declared.items():
+        if table in served:
+            if cells is not None:
+                raise ConfigError("the table is served by the block already", key=table.value)
+            stores[table] = served[table]
+        else:
+            layout = lay_out(cells, key=table.value, bits=table.holds_bits)
+            stores[table] = bit_store(layout, lock) if table.holds_bits else register_store(layout, lock)
+    return stores
+
+
+def _checked_functions(functions: Collection[int] | None) -> frozenset[int] | None:
+    if functions is None:
+        return None
+    for code in functions:
+        if isinstance(code, bool) or not isinstance(code, int) or not 1 <= code <= _HIGHEST_FUNCTION:
+            raise ConfigError(f"a function code is 1…{_HIGHEST_FUNCTION}, not {shown(code)}", key="functions")
+    return frozenset(int(code) for code in functions)
+
+
+def _moment(when: str) -> When:
+    try:
+        return When(when)
+    except ValueError as error:
+        raise ConfigError(f"a hook comes before or after, not {shown(when)}", key="when") from error
+
+
+def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
+    """First address and address after the last that a hook is for."""
+    if address is None:
+        if count is not None:
+            raise ConfigError("a count of items needs their first address", key="address")
+        return 0, TABLE_SIZE
+    length = 1 if count is None else count
+    if not 0 <= address < TABLE_SIZE or not 1 <= length <= TABLE_SIZE - address:
+        raise ConfigError(f"{length} items from {address} on are not within 0…{TABLE_SIZE - 1}", key="address")
+    return address, address + length
+
+
+def _absent(table: Table, address: int, count: int) -> str:
+    return f"{table.label}s {address}…{address + count - 1} do not all exist"

@@ -1,0 +1,121 @@
+"""Changes of the application that become visible together.
+
+Knows runs and the lock; knows no table, no hook and no request.
+
+1. A group never holds the lock while the application works in it: it keeps a journal, and applies it when it ends, to
+   fresh copies of what the runs hold then. So a Modbus write that came meanwhile is not lost, and nobody waits
+   for longer than the copying takes.
+2. Where the group and a Modbus write met on the same item, the group's value stands: it is as if the Modbus write had
+   come just before. A value that depends on the one before it (a counter) is changed under ``Device.lock``.
+3. Inside the group, its own thread or task sees what the runs held when the group first touched them, with the group's
+   changes. Nobody else sees anything of it before it ends.
+4. A group that ends with an exception changes nothing.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+
+from .blocks import BitRun, RegisterRun, Run, replace_all
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """One change of the journal."""
+
+    run: Run
+    position: int
+    count: int
+    items: bytes
+
+
+class _Group:
+    """The journal of one group, and copies that show its effect."""
+
+    __slots__ = ("copies", "is_open", "journal", "owner")
+
+    def __init__(self, owner: "Groups") -> None:
+        self.owner = owner
+        self.is_open = True
+        self.journal: list[_Entry] = []
+        self.copies: dict[RegisterRun | BitRun, bytearray] = {}
+
+    def copy_of(self, run: Run) -> bytearray:
+        memory = run.memory
+        copy = self.copies.get(memory)
+        if copy is None:
+            copy = self.copies[memory] = bytearray(memory.data)
+        return copy
+
+
+_open_groups: ContextVar[tuple[_Group, ...]] = ContextVar("busway_open_groups", default=())
+"""The groups that this thread or task has open, of whatever device, the innermost last."""
+
+
+class Groups:
+    """Reads and writes of the application on the runs of one device, in a group or at once.
+
+    Args:
+        lock: the lock of the device.
+    """
+
+    __slots__ = ("_lock",)
+
+    def __init__(self, lock: threading.RLock) -> None:
+        self._lock = lock
+
+    def get(self, run: Run, position: int, count: int) -> bytes:
+        """The items, as the open group sees them if there is one."""
+        group = self._current()
+        if group is None:
+            return run.get(position, count)
+        return run.fetch(group.copy_of(run), position, count)
+
+    def put(self, run: Run, position: int, count: int, items: bytes) -> None:
+        """Replace the items, at once or with the open group."""
+        # Under the lock, because a thread that was started inside the group may come while the group ends.
+        with self._lock:
+            group = self._current()
+            if group is None:
+                run.put(position, count, items)
+            else:
+                run.patch(group.copy_of(run), position, count, items)
+                group.journal.append(_Entry(run, position, count, items))
+
+    @contextmanager
+    def update(self) -> Iterator[None]:
+        """Open a group; one that is opened inside another of the same device is a part of it."""
+        if self._current() is not None:
+            yield
+            return
+        group = _Group(self)
+        token = _open_groups.set((*_open_groups.get(), group))
+        try:
+            yield
+        except BaseException:
+            group.is_open = False
+            raise
+        finally:
+            _open_groups.reset(token)
+        self._apply(group)
+
+    def _apply(self, group: _Group) -> None:
+        with self._lock:
+            group.is_open = False
+            fresh: dict[RegisterRun | BitRun, bytearray] = {}
+            for entry in group.journal:
+                memory = entry.run.memory
+                data = fresh.get(memory)
+                if data is None:
+                    data = fresh[memory] = bytearray(memory.data)
+                entry.run.patch(data, entry.position, entry.count, entry.items)
+            replace_all(fresh)
+
+    def _current(self) -> _Group | None:
+        for group in reversed(_open_groups.get()):
+            # A task that was started inside a group still has it in its context after the group ended.
+            if group.owner is self and group.is_open:
+                return group
+        return None

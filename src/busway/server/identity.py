@@ -1,0 +1,54 @@
+"""What a device says of itself: functions 07, 17 and 43/14.
+
+Knows the objects and their limits; knows no request.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from ..errors import ConfigError
+from ..values.refusal import shown
+from ..version import __version__
+
+OBJECT_LIMIT: Final = 244
+"""Bytes of an identification object: what fits one reply (Application Protocol V1.1b3 §6.21)."""
+SERVER_ID_LIMIT: Final = 251
+"""Bytes of the data of function 17: what fits one reply (Application Protocol V1.1b3 §6.13)."""
+
+MANDATORY_OBJECTS: Final[Mapping[int, bytes]] = {0: b"busway", 1: b"device", 2: __version__.encode("ascii")}
+"""Vendor name, product code and revision, which every device has (§6.21); a declaration replaces them."""
+DEFAULT_SERVER_ID: Final = b"busway\xff"
+"""Server id and run indicator: on (§6.13)."""
+
+ExceptionStatus = int | Callable[[], int]
+
+
+def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[int, bytes]:
+    """The objects by number, in ascending order, the mandatory ones always; `ConfigError` where one can not be."""
+    objects = dict(MANDATORY_OBJECTS)
+    for number, value in (declared or {}).items():
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= 255:
+            raise ConfigError(f"an object has a number 0…255, not {shown(number)}", key="identification")
+        key = f"identification[{number}]"
+        if not isinstance(value, str | bytes | bytearray):
+            raise ConfigError(f"an object is text or bytes, not {shown(value)}", key=key)
+        objects[number] = value.encode("utf-8") if isinstance(value, str) else bytes(value)
+        if len(objects[number]) > OBJECT_LIMIT:
+            raise ConfigError(f"an object has at most {OBJECT_LIMIT} bytes, not {len(objects[number])}", key=key)
+    return dict(sorted(objects.items()))
+
+
+def server_id_data(declared: bytes) -> bytes:
+    """The data of function 17; `ConfigError` if it does not fit."""
+    if not isinstance(declared, bytes | bytearray) or len(declared) > SERVER_ID_LIMIT:
+        raise ConfigError(f"a server id is at most {SERVER_ID_LIMIT} bytes, not {shown(declared)}", key="server_id")
+    return bytes(declared)
+
+
+def status_source(declared: ExceptionStatus) -> Callable[[], int]:
+    """What gives the eight status bits; `ConfigError` for a number outside 0…255."""
+    if callable(declared):
+        return declared
+    if isinstance(declared, bool) or not isinstance(declared, int) or not 0 <= declared <= 255:
+        raise ConfigError(f"the exception status is 0…255, not {shown(declared)}", key="exception_status")
+    return lambda: declared

@@ -1,0 +1,114 @@
+"""Files of records and queues of registers (Application Protocol V1.1b3 §6.14, §6.15, §6.18).
+
+Knows what they hold; knows no request. A record is one register; a file has records 0…9999 and a number 1…65535.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from ..codes import MAX_FILE_RECORD_NUMBER, TABLE_SIZE, ExceptionCode
+from ..errors import ConfigError, InvalidRequest
+from ..pdu.model import Refusal
+from ..pdu.write_items import pack_registers
+from ..values.refusal import shown
+from .cells import TableLike, lay_out
+from .groups import Groups
+from .stores import Place, Store, register_store
+from .views import TableView
+
+
+class RecordFile(TableView):
+    """One file: its records by number, ``file[3]``, ``file[0:5]``, as `TableView` says.
+
+    Attributes:
+        is_consistent: False while the file area is known to be damaged; every Modbus access to it is then
+            refused with exception 08, and the application's own still work.
+    """
+
+    __slots__ = ("is_consistent",)
+
+    def __init__(self, number: int, store: Store, groups: Groups) -> None:
+        super().__init__(f"file {number}", store, groups, bits=False)
+        self.is_consistent = True
+
+    def accessed(self, record: int, count: int, *, writes: bool) -> Place:
+        """Where some records lie; `Refusal` if Modbus can not have them: 02, 03 for none at all, 08."""
+        if count == 0:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")
+        place = self._store.find(record, count)
+        if place is None or (writes and self._store.is_read_only(record, count)):
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{self._name}, records {record}…{record + count - 1}")
+        if not self.is_consistent:
+            raise Refusal(ExceptionCode.MEMORY_PARITY_ERROR, f"{self._name} is not consistent")
+        return place
+
+
+class RegisterQueue:
+    """A queue of registers, each 0…65535, that Modbus reads with function 24 and only the application changes.
+
+    Function 24 gives up to 31 registers and leaves them in the queue; while there are more it is answered with
+    exception 03. Each method is one step for every thread.
+
+    Args:
+        values: what is queued at first, oldest first.
+        lock: taken for every access.
+    """
+
+    __slots__ = ("_lock", "_values")
+
+    def __init__(self, values: Iterable[int], lock: threading.RLock) -> None:
+        self._lock = lock
+        self._values: deque[int] = deque()
+        self.push(*values)
+
+    def push(self, *values: int) -> None:
+        """Queue registers behind those that are there. Raises `InvalidRequest` for a value outside 0…65535."""
+        pack_registers(values)
+        with self._lock:
+            self._values.extend(values)
+
+    def pop(self) -> int:
+        """Take the oldest register out. Raises `IndexError` if the queue is empty."""
+        with self._lock:
+            return self._values.popleft()
+
+    def clear(self) -> None:
+        """Take all registers out."""
+        with self._lock:
+            self._values.clear()
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __iter__(self) -> Iterator[int]:
+        """The registers as they are now, oldest first."""
+        with self._lock:
+            return iter(list(self._values))
+
+
+def build_files(
+    declared: Mapping[int, TableLike] | None, lock: threading.RLock, groups: Groups
+) -> dict[int, RecordFile]:
+    """The files of a declaration, each as `lay_out` takes it; `ConfigError` where one can not be."""
+    files = {}
+    for number, cells in (declared or {}).items():
+        key = f"files[{shown(number)}]"
+        if not isinstance(number, int) or not 1 <= number <= 0xFFFF:
+            raise ConfigError(f"a file has a number 1…65535, not {shown(number)}", key="files")
+        layout = lay_out(cells, key=key, size=MAX_FILE_RECORD_NUMBER + 1)
+        files[number] = RecordFile(number, register_store(layout, lock), groups)
+    return files
+
+
+def build_queues(declared: Mapping[int, Sequence[int]] | None, lock: threading.RLock) -> dict[int, RegisterQueue]:
+    """The queues of a declaration, by address; `ConfigError` where one can not be."""
+    queues = {}
+    for address, values in (declared or {}).items():
+        if not isinstance(address, int) or not 0 <= address < TABLE_SIZE:
+            raise ConfigError(f"a queue has an address 0…65535, not {shown(address)}", key="fifos")
+        try:
+            queues[address] = RegisterQueue(values, lock)
+        except (InvalidRequest, TypeError) as error:
+            raise ConfigError(f"a queue is a list of registers 0…65535: {error}", key=f"fifos[{address}]") from error
+    return queues

@@ -1,0 +1,80 @@
+"""A device with one block of memory: bit functions and word functions reach the same registers.
+
+Application Protocol V1.1b3 §4.3, figure 7. Knows the mapping; knows no request.
+
+1. Register ``n`` is register ``n`` of every word table that the block serves.
+2. Bit ``n`` of a bit table is bit ``n % 16`` of register ``first + n // 16``; bit 0 is the least significant.
+3. What is read-only as a register is so as a coil.
+"""
+
+import threading
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from ..codes import TABLE_SIZE, Table
+from ..errors import ConfigError
+from ..values.refusal import shown
+from .blocks import RegisterBits, RegisterRun
+from .cells import TableLike, lay_out
+from .stores import Store, register_store
+
+
+@dataclass(frozen=True, slots=True)
+class SingleBlock:
+    """One block of registers behind several tables.
+
+    Args:
+        registers: the registers, in one run: a number of them from 0 on, their values, or `Cells`.
+        coils_at: the register with coils 0…15, and the number of coils; None for all bits of the block.
+        discrete_inputs_at: the register with discrete inputs 0…15, and their number; None for all bits of the block.
+        tables: the tables that the block serves, by name or as `Table`; the others can be declared beside it.
+    """
+
+    registers: TableLike
+    coils_at: tuple[int, int] | None = None
+    discrete_inputs_at: tuple[int, int] | None = None
+    tables: Collection[Table | str] = tuple(Table)
+
+
+def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, Store]:
+    """The store of each table that the block serves; `ConfigError` where the block can not be."""
+    words = register_store(lay_out(block.registers, key="block.registers"), lock)
+    if len(words.runs) != 1:
+        raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")
+    memory = words.runs[0].memory
+    assert isinstance(memory, RegisterRun)
+    stores: dict[Table, Store] = {}
+    for table in map(as_table, block.tables):
+        if not table.holds_bits:
+            stores[table] = words
+        else:
+            declared = block.coils_at if table is Table.COILS else block.discrete_inputs_at
+            stores[table] = _bits_of(memory, words, declared, f"block.{table.value}_at", lock)
+    return MappingProxyType(stores)
+
+
+def as_table(table: Table | str) -> Table:
+    """The table of a name, ``holding_registers``; `ConfigError` if there is none."""
+    try:
+        return Table(table)
+    except ValueError as error:
+        names = ", ".join(each.value for each in Table)
+        raise ConfigError(f"there is no table {shown(table)}, but {names}") from error
+
+
+def _bits_of(
+    memory: RegisterRun, words: Store, declared: tuple[int, int] | None, key: str, lock: threading.RLock
+) -> Store:
+    register, count = declared or (memory.first, min(16 * memory.count, TABLE_SIZE))
+    start = register - memory.first
+    if start < 0 or not 1 <= count <= TABLE_SIZE or start + (count + 15) // 16 > memory.count:
+        raise ConfigError(
+            f"{count} bits from register {register} on do not lie in registers"
+            f" {memory.first}…{memory.first + memory.count - 1}",
+            key=key,
+        )
+    read_only = tuple(
+        (max(0, 16 * (first - register)), 16 * (end - register)) for first, end in words.read_only if end > register
+    )
+    return Store((RegisterBits(memory, start, count, lock),), read_only)

@@ -1,0 +1,69 @@
+"""One table of a device: its runs, found by address, and the ranges that Modbus can not write.
+
+Knows runs and addresses; knows no hook, no group of changes and no request.
+
+1. Adjacent runs are one run, so a range exists only where one run holds all of it.
+2. Runs and read-only ranges never change once the table stands; only what the runs hold does.
+"""
+
+import threading
+from bisect import bisect_right
+from dataclasses import dataclass
+
+from ..pdu.bits import pack_bits
+from ..pdu.write_items import pack_registers
+from .blocks import BitRun, RegisterRun, Run
+from .cells import Layout
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a range lies."""
+
+    run: Run
+    position: int
+
+
+class Store:
+    """The items of one table or file.
+
+    Args:
+        runs: in ascending order, no two adjacent.
+        read_only: ranges (first address, address after the last) that Modbus can not write, ascending.
+    """
+
+    __slots__ = ("_firsts", "count", "read_only", "runs")
+
+    def __init__(self, runs: tuple[Run, ...] = (), read_only: tuple[tuple[int, int], ...] = ()) -> None:
+        self.runs = runs
+        self.read_only = read_only
+        self.count = sum(run.count for run in runs)
+        self._firsts = [run.first for run in runs]
+
+    def find(self, address: int, count: int) -> Place | None:
+        """Where the ``count`` (1 or more) items from ``address`` on lie; None unless all of them exist."""
+        index = bisect_right(self._firsts, address) - 1
+        if index < 0:
+            return None
+        run = self.runs[index]
+        position = address - run.first
+        return Place(run, position) if count > 0 and position + count <= run.count else None
+
+    def is_read_only(self, address: int, count: int) -> bool:
+        """Whether Modbus may not write one of the items."""
+        return any(first < address + count and address < end for first, end in self.read_only)
+
+
+def register_store(layout: Layout, lock: threading.RLock) -> Store:
+    """A store of registers that hold what ``layout`` says."""
+    runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
+    return Store(runs, layout.read_only)
+
+
+def bit_store(layout: Layout, lock: threading.RLock) -> Store:
+    """A store of bits that hold what ``layout`` says."""
+    runs = tuple(
+        BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)
+        for piece in layout.pieces
+    )
+    return Store(runs, layout.read_only)

@@ -1,0 +1,95 @@
+"""Typed values of a device's tables, by written address.
+
+Knows views, notations and types; knows no request.
+"""
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from ..codes import Table
+from ..errors import InvalidRequest
+from ..values import Address, ValueType, parse_address, value_type
+from ..values.refusal import shown
+from .views import TableView
+
+
+class TypedAccess:
+    """Reads and writes of values in the tables of one device, as `Device.read` and `Device.write` say.
+
+    Args:
+        views: the tables.
+        lock: the lock of the device.
+    """
+
+    __slots__ = ("_lock", "_views")
+
+    def __init__(self, views: Mapping[Table, TableView], lock: threading.RLock) -> None:
+        self._views = views
+        self._lock = lock
+
+    def read(
+        self,
+        address: str | Address,
+        type: str | ValueType | None = None,
+        *,
+        order: str = "ABCD",
+        count: int | None = None,
+    ) -> Any:  # Any: what the type says
+        """The value, or a list of ``count`` values."""
+        where, view = self._located(address)
+        items = _item_type(where, type, order)
+        number = 1 if count is None else count
+        if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+            raise InvalidRequest(f"count is a number of values, 1 or more, not {shown(number)}")
+        try:
+            if items is not None:
+                values = items.decode(view.read_wire(where.offset, items.registers_for(number)))
+            elif where.bit is not None:
+                values = [bool(each >> where.bit & 1) for each in view.read(where.offset, number)]
+            else:
+                values = list(view.read(where.offset, number))
+        except IndexError as error:
+            raise InvalidRequest(str(error)) from error
+        return values[0] if count is None else values
+
+    def write(
+        self, address: str | Address, value: object, type: str | ValueType | None = None, *, order: str = "ABCD"
+    ) -> None:
+        """Set the value, or the values of a list, in one step."""
+        where, view = self._located(address)
+        items = _item_type(where, type, order)
+        values: list[Any] = value if isinstance(value, list) else [value]  # Any: the type judges them
+        try:
+            if items is not None:
+                data = items.encode(values)
+                view.write_wire(where.offset, len(data) // 2, data)
+            elif where.bit is not None:
+                self._write_bit(view, where.offset, where.bit, value)
+            else:
+                view.write(where.offset, values)
+        except IndexError as error:
+            raise InvalidRequest(str(error)) from error
+
+    def _write_bit(self, view: TableView, offset: int, bit: int, value: object) -> None:
+        if not isinstance(value, int) or value not in (0, 1):
+            raise InvalidRequest(f"a bit is True or False, not {shown(value)}")
+        with self._lock:
+            view[offset] = view[offset] & ~(1 << bit) | value << bit
+
+    def _located(self, address: str | Address) -> tuple[Address, TableView]:
+        where = parse_address(address)
+        if where.table is None:
+            raise InvalidRequest(f"address {where} does not say which table; write for example holding:{where.offset}")
+        return where, self._views[where.table]
+
+
+def _item_type(where: Address, type: str | ValueType | None, order: str) -> ValueType | None:
+    """The type of the values at an address; None where they are the items themselves."""
+    if type is None:
+        return None
+    if where.table is not None and where.table.holds_bits:
+        raise InvalidRequest(f"address {where}: a {where.table.label} is one bit and has no type")
+    if where.bit is not None:
+        raise InvalidRequest(f"address {where}: one bit of a register has no type")
+    return value_type(type, order)

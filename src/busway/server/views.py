@@ -1,0 +1,116 @@
+"""A table or file of a device as its application sees it: indexed by address, from any thread.
+
+Knows stores and groups; knows no hook and no request: the application's own accesses pass none.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import overload
+
+from ..errors import InvalidRequest
+from ..values.refusal import shown
+from .groups import Groups
+from .items import packed, unpacked
+from .stores import Place, Store
+
+
+class TableView:
+    """Items by address, 0-based as on the wire: ``view[5]``, ``view[5:9]``, and both with ``= …``.
+
+    Registers are ``int`` 0…65535, bits ``bool``. A slice reads and writes its items in one step: no other thread and no
+    Modbus client sees half of it. Without a start it begins at the first item there is, without an end it goes to the
+    last; all of its addresses must exist. Read-only ranges are read-only for Modbus, not here.
+
+    Raises:
+        IndexError: an item does not exist, or the slice has a step.
+        InvalidRequest: a value does not fit, or a slice is given another number of values than it has items.
+    """
+
+    __slots__ = ("_bits", "_groups", "_name", "_store")
+
+    def __init__(self, name: str, store: Store, groups: Groups, *, bits: bool) -> None:
+        self._name = name
+        self._store = store
+        self._groups = groups
+        self._bits = bits
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """First address and count of each run of items, ascending."""
+        return tuple((run.first, run.count) for run in self._store.runs)
+
+    def __len__(self) -> int:
+        """Number of items."""
+        return self._store.count
+
+    def __iter__(self) -> Iterator[int]:
+        """The values, in the order of their addresses."""
+        for run in self._store.runs:
+            yield from unpacked(self._groups.get(run, 0, run.count), run.count, bits=self._bits)
+
+    @overload
+    def __getitem__(self, key: int) -> int: ...
+    @overload
+    def __getitem__(self, key: slice) -> list[int]: ...
+
+    def __getitem__(self, key: int | slice) -> int | list[int]:
+        if isinstance(key, slice):
+            first, count = self._range(key)
+            return self.read(first, count)
+        return self.read(key, 1)[0]
+
+    @overload
+    def __setitem__(self, key: int, value: int) -> None: ...
+    @overload
+    def __setitem__(self, key: slice, value: Sequence[int]) -> None: ...
+
+    def __setitem__(self, key: int | slice, value: int | Sequence[int]) -> None:
+        if isinstance(key, slice):
+            first, count = self._range(key)
+            if isinstance(value, int | str | bytes) or len(value) != count:
+                raise InvalidRequest(f"{self._name}: {count} values are needed, not {shown(value)}")
+            self.write(first, value)
+        elif isinstance(value, int):
+            self.write(key, [value])
+        else:
+            raise InvalidRequest(f"{self._name}: one item takes one value, not {shown(value)}")
+
+    def read(self, address: int, count: int) -> list[int]:
+        """The ``count`` items from ``address`` on, in one step."""
+        return unpacked(self.read_wire(address, count), count, bits=self._bits)
+
+    def write(self, address: int, values: Sequence[int]) -> None:
+        """Replace the items from ``address`` on, in one step."""
+        self.write_wire(address, len(values), packed(values, bits=self._bits))
+
+    def read_wire(self, address: int, count: int) -> bytes:
+        """The items in wire order: registers big-endian, bits packed from the lowest bit."""
+        if not count:
+            return b""
+        place = self._place(address, count)
+        return self._groups.get(place.run, place.position, count)
+
+    def write_wire(self, address: int, count: int, data: bytes) -> None:
+        """Replace items by such bytes."""
+        if count:
+            place = self._place(address, count)
+            self._groups.put(place.run, place.position, count, data)
+
+    def _place(self, address: int, count: int) -> Place:
+        place = self._store.find(address, count)
+        if place is None:
+            asked = f"{address}" if count == 1 else f"{address}…{address + count - 1}"
+            there = ", ".join(f"{run.first}…{run.first + run.count - 1}" for run in self._store.runs[:8])
+            more = ", …" if len(self._store.runs) > 8 else ""
+            raise IndexError(f"{self._name}: there is no {asked}; there is {there or 'nothing'}{more}")
+        return place
+
+    def _range(self, key: slice) -> tuple[int, int]:
+        """First address and count of a slice."""
+        if key.step not in (None, 1):
+            raise IndexError(f"{self._name}: a slice of items has no step")
+        runs = self._store.runs
+        first: int = key.start if key.start is not None else runs[0].first if runs else 0
+        end: int = key.stop if key.stop is not None else runs[-1].first + runs[-1].count if runs else 0
+        if first < 0 or end < first:
+            raise IndexError(f"{self._name}: {first}…{end} is no range of addresses")
+        return first, end - first
