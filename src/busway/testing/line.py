@@ -1,0 +1,407 @@
+"""A serial bus in real time, over pseudo-terminals: programs open its ports as they open real ones.
+
+Knows ptys, a thread and the clock; what passes on the line, and when, is `VirtualLine`'s to say. It knows no Modbus.
+
+::
+
+    with PacedLine(ports=2, baud=9600) as line:
+        with BlockingSerialPort(line.paths[0], settings) as port:
+            port.write(request)
+
+1. One thread owns the line and the ptys. Whatever other threads ask for is done by it, in between.
+2. Characters are handed over at the moment their last bit has passed. Where they are shorter than `GRANULARITY`,
+   several are handed over together, as a UART with a buffer does; the last one of a transmission always in its time.
+3. A pty takes its time too, some 50 µs from a write until the other end has woken up, which no wire does. It is
+   measured when the line is made: transmissions begin, and characters are handed over, that much earlier.
+4. A pty has no parity bit and no stop bits: the line's baud and parity say how long a character takes, whatever the
+   programs set their ends to.
+"""
+
+import ctypes
+import os
+import select
+import sys
+import tempfile
+import threading
+import time
+import tty
+from collections import deque
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from dataclasses import dataclass, field
+from queue import SimpleQueue
+from statistics import median
+from typing import Self
+
+from ..transport.serial.settings import Parity, SerialSettings
+from .virtual_line import NOISE, LineByte, Transmission, VirtualLine, VirtualPort, gathered
+
+__all__ = ["NOISE", "LineByte", "PacedLine", "Transmission", "VirtualLine", "VirtualPort"]
+
+GRANULARITY = 0.0005
+"""Seconds. Waking two programs for every character of 115 200 baud would take more than a processor; this is below
+1.5 characters at every rate, where the specification holds that silence at 750 µs."""
+
+SPIN = 0.00006
+"""Seconds before each handing over that are waited for in a loop: about how late a sleeping thread is woken."""
+
+TRANSIT_SAMPLES = 11
+TIME_TO_FALL_ASLEEP = 0.002
+"""Seconds. A processor that has just slept wakes up faster than one of a line that is quiet for longer."""
+LONGEST_TRANSIT = 0.0002
+"""Seconds. A machine that is busy while it is measured must not make characters arrive before their time."""
+
+LARGEST_BACKLOG = 4096
+"""Characters of a port that wait to be sent; beyond, its program is made to wait, as by a real port."""
+
+
+@dataclass(slots=True)
+class _Pty:
+    """The near end, and a handle on the far end: without one, the near end fails whenever no program has it open."""
+
+    near: int
+    far: int
+
+    @classmethod
+    def opened(cls) -> Self:
+        near, far = os.openpty()
+        tty.setraw(far)
+        os.set_blocking(near, False)
+        return cls(near, far)
+
+    @property
+    def device(self) -> str:
+        return os.ttyname(self.far)
+
+    def close(self) -> None:
+        os.close(self.near)
+        os.close(self.far)
+
+
+@dataclass(slots=True)
+class _Order:
+    """Something for the line's thread to do."""
+
+    action: Callable[[], object]
+    done: threading.Event = field(default_factory=threading.Event)
+    failure: Exception | None = None
+
+
+@dataclass(slots=True)
+class _Listener:
+    """Somebody who waits for the line to be quiet."""
+
+    silence: float
+    heard: threading.Event = field(default_factory=threading.Event)
+
+
+class PacedLine:
+    """A bus with so many ports, in real time. A context manager; `close` ends it.
+
+    Attributes:
+        paths: where the ports are, by number. They are links; a path stays when its port is unplugged and comes back.
+        settings: what gives a character its length.
+        character_time: seconds that one takes.
+        overruns: characters that were lost because no program fetched them.
+    """
+
+    def __init__(
+        self,
+        ports: int = 2,
+        baud: int = 9600,
+        parity: str | Parity = Parity.EVEN,
+        *,
+        data_bits: int = 8,
+        stop_bits: int | None = None,
+        echo: bool | Collection[int] = False,
+        noise: float = 0.0,
+        seed: int = 0,
+        granularity: float = GRANULARITY,
+    ) -> None:
+        """Make the line and start it.
+
+        Args:
+            ports: how many, at least 1.
+            baud, parity, data_bits, stop_bits: what gives a character its length, as in `SerialSettings`.
+            echo: whether ports hear themselves: all, none, or those with these numbers.
+            noise: probability, 0…1, that a character is damaged.
+            seed: of what is random.
+            granularity: seconds of characters that may be handed over together; 0 hands over each by itself.
+        """
+        self._line = VirtualLine(
+            ports, baud, parity, data_bits=data_bits, stop_bits=stop_bits, echo=echo, noise=noise, seed=seed
+        )
+        self._granularity = granularity
+        self._directory = tempfile.TemporaryDirectory(prefix="busway-line-")
+        self._ptys: list[_Pty | None] = [_Pty.opened() for _ in range(ports)]
+        self.paths = [os.path.join(self._directory.name, f"port{number}") for number in range(ports)]
+        for path, pty in zip(self.paths, self._ptys, strict=True):
+            if pty is not None:
+                os.symlink(pty.device, path)
+        self._transit = _transit_time()
+        self.overruns = 0
+        self._orders: deque[_Order] = deque()
+        self._listeners: list[_Listener] = []
+        self._bell_read, self._bell = os.pipe()
+        os.set_blocking(self._bell, False)
+        self._ended = False
+        self._last_sound = time.monotonic()
+        self._handed_over_at = 0.0
+        self._thread = threading.Thread(target=self._run, name="busway-line", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def settings(self) -> SerialSettings:
+        """What gives a character its length."""
+        return self._line.settings
+
+    @property
+    def character_time(self) -> float:
+        """Seconds that one character takes."""
+        return self._line.character_time
+
+    @property
+    def collisions(self) -> int:
+        """Characters that were spoilt because two ports talked at once."""
+        return self._line.collisions
+
+    @property
+    def noise(self) -> float:
+        """Probability, 0…1, that a character is damaged on its way. May be changed at any time."""
+        return self._line.noise
+
+    @noise.setter
+    def noise(self, probability: float) -> None:
+        self._line.noise = probability
+
+    @property
+    def tap(self) -> list[LineByte]:
+        """Every character that has passed, with its time (``time.monotonic``) and port; the last 200 000 of them."""
+        copied: list[LineByte] = []
+        self._do(lambda: copied.extend(self._line.tap))
+        return copied
+
+    def transmissions(self, silence: float | None = None) -> list[Transmission]:
+        """What the tap has heard, cut where there was a silence (seconds; 1.5 characters) or another port spoke."""
+        return gathered(self.tap, self.character_time, silence)
+
+    def forget(self) -> None:
+        """Empty the tap and set the counters back."""
+
+        def clear() -> None:
+            self._line.tap.clear()
+            self._line.collisions = 0
+            self.overruns = 0
+
+        self._do(clear)
+
+    def cut(self, *ports: int) -> None:
+        """Break the wire to these ports, or to all."""
+        self._do(lambda: self._line.cut(*ports))
+
+    def mend(self, *ports: int) -> None:
+        """Mend the wire to these ports, or to all."""
+        self._do(lambda: self._line.mend(*ports))
+
+    def inject(self, data: bytes) -> None:
+        """Put characters on the line that no port has sent."""
+        self._do(lambda: self._line.inject(data, max(time.monotonic(), self._line.now)))
+
+    def unplug(self, port: int) -> None:
+        """Take a port away, as an adapter is pulled: its path is gone, and the system tells whoever has it open."""
+        self._do(lambda: self._unplug(port))
+
+    def replug(self, port: int, name: str | None = None) -> str:
+        """Bring an unplugged port back, and give its path: the one it had, or ``name`` in the same directory."""
+        self._do(lambda: self._replug(port, name))
+        return self.paths[port]
+
+    def wait_quiet(self, silence: float | None = None, timeout: float = 10.0) -> None:
+        """Wait until nothing was on the line for so long.
+
+        Args:
+            silence: seconds; 3.5 characters if not given.
+            timeout: seconds after which it is given up.
+
+        Raises:
+            TimeoutError: the line was not quiet in that time.
+        """
+        listener = _Listener(3.5 * self.character_time if silence is None else silence)
+        self._do(lambda: self._listeners.append(listener))
+        if not listener.heard.wait(timeout):
+            raise TimeoutError(f"the line was not quiet for {listener.silence:g} s within {timeout:g} s")
+
+    def close(self) -> None:
+        """End the line: its paths are gone, and the system tells whoever has a port open. May be called twice."""
+        if self._ended:
+            return
+        self._ended = True
+        self._ring()
+        self._thread.join()
+        for pty in self._ptys:
+            if pty is not None:
+                pty.close()
+        os.close(self._bell)
+        os.close(self._bell_read)
+        self._directory.cleanup()
+
+    def _do(self, action: Callable[[], object]) -> None:
+        if self._ended:
+            raise ValueError("the line is closed")
+        order = _Order(action)
+        self._orders.append(order)
+        self._ring()
+        while not order.done.wait(1.0):
+            if not self._thread.is_alive():
+                raise RuntimeError("the line's thread has ended")
+        if order.failure is not None:
+            raise order.failure
+
+    def _ring(self) -> None:
+        with suppress(BlockingIOError):  # it has been rung often enough
+            os.write(self._bell, b"\0")
+
+    # From here on: the line's own thread.
+
+    def _run(self) -> None:
+        _ask_for_exact_timers()
+        while not self._ended:
+            wake_at = self._wake_at()
+            ready = self._wait(wake_at)
+            now = time.monotonic()
+            written_at = max(now - self._transit, self._line.now)
+            for port, pty in enumerate(self._ptys):
+                if pty is not None and pty.near in ready:
+                    self._take(port, pty, written_at)
+            self._hand_over(self._line.advance(now + self._transit), now)
+            if self._bell_read in ready:
+                self._obey()
+            if self._listeners:
+                self._tell_listeners(now)
+
+    def _wake_at(self) -> float | None:
+        """When there is something to hand over, or a silence to report."""
+        next_byte, next_pause = self._line.deadline(), self._line.pause_at()
+        if next_byte is not None and next_pause is not None:
+            return min(next_pause, max(next_byte, self._handed_over_at + self._granularity)) - self._transit
+        if self._listeners:
+            return self._last_sound + min(listener.silence for listener in self._listeners)
+        return None
+
+    def _wait(self, wake_at: float | None) -> list[int]:
+        watched = [self._bell_read]
+        for port, pty in zip(self._line.ports, self._ptys, strict=True):
+            if pty is not None and port.backlog < LARGEST_BACKLOG:
+                watched.append(pty.near)
+        timeout = None if wake_at is None else max(wake_at - SPIN - time.monotonic(), 0.0)
+        ready = select.select(watched, [], [], timeout)[0]
+        if not ready and wake_at is not None:
+            while time.monotonic() < wake_at:
+                pass
+        return ready
+
+    def _take(self, port: int, pty: _Pty, written_at: float) -> None:
+        """What a program has written starts on its way."""
+        try:
+            data = os.read(pty.near, LARGEST_BACKLOG)
+        except BlockingIOError:
+            return
+        self._line.ports[port].write(data, written_at)
+        self._last_sound = written_at
+
+    def _hand_over(self, passed: list[LineByte], now: float) -> None:
+        if not passed:
+            return
+        self._handed_over_at = self._last_sound = now
+        arrived: dict[int, bytearray] = {}
+        for byte in passed:
+            for port in byte.heard_by:
+                arrived.setdefault(port, bytearray()).append(byte.value)
+        for port, data in arrived.items():
+            self._line.ports[port].read()  # the pty takes them instead
+            pty = self._ptys[port]
+            if pty is None:
+                continue
+            try:
+                written = os.write(pty.near, data)
+            except BlockingIOError:
+                written = 0
+            self.overruns += len(data) - written
+
+    def _obey(self) -> None:
+        os.read(self._bell_read, 4096)
+        while self._orders:
+            order = self._orders.popleft()
+            try:
+                order.action()
+            except Exception as failure:
+                order.failure = failure  # it is the caller's, and raised there
+            order.done.set()
+
+    def _tell_listeners(self, now: float) -> None:
+        if self._line.deadline() is not None:
+            return
+        for listener in [each for each in self._listeners if now - self._last_sound >= each.silence]:
+            listener.heard.set()
+            self._listeners.remove(listener)
+
+    def _unplug(self, port: int) -> None:
+        pty = self._ptys[port]
+        if pty is None:
+            raise ValueError(f"port {port} is unplugged already")
+        self._ptys[port] = None
+        os.unlink(self.paths[port])
+        pty.close()
+
+    def _replug(self, port: int, name: str | None) -> None:
+        if self._ptys[port] is not None:
+            raise ValueError(f"port {port} is plugged in")
+        pty = _Pty.opened()
+        if name is not None:
+            self.paths[port] = os.path.join(self._directory.name, name)
+        os.symlink(pty.device, self.paths[port])
+        self._ptys[port] = pty
+
+
+def _transit_time() -> float:
+    """Seconds from a write at one end of a pty until a program that sleeps at the other has been woken."""
+    pty = _Pty.opened()
+    taken = []
+    asleep = threading.Semaphore(0)
+    woken_at: SimpleQueue[float] = SimpleQueue()
+
+    def sleeper() -> None:
+        for _ in range(TRANSIT_SAMPLES):
+            asleep.release()
+            select.select([pty.far], [], [], 1.0)
+            woken_at.put(time.monotonic())
+            os.read(pty.far, 1)
+
+    thread = threading.Thread(target=sleeper, name="busway-line-transit", daemon=True)
+    thread.start()
+    try:
+        for _ in range(TRANSIT_SAMPLES):
+            asleep.acquire()
+            time.sleep(TIME_TO_FALL_ASLEEP)
+            begun = time.monotonic()
+            os.write(pty.near, b"\0")
+            taken.append(woken_at.get() - begun)
+    finally:
+        thread.join()
+        pty.close()
+    return min(median(taken), LONGEST_TRANSIT)
+
+
+_PR_SET_TIMERSLACK = 29
+
+
+def _ask_for_exact_timers() -> None:
+    """Linux lets timers of a thread be 50 µs late to save power, half a character at 115 200 baud. Not of this one."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

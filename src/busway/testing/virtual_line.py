@@ -1,0 +1,325 @@
+"""A serial bus as pure simulation: ports that talk, characters that take their time, and what goes wrong on wires.
+
+Knows character times and who hears whom; knows no clock, no thread and no device: every call is handed the time, so
+that hours on a line pass in seconds and every run is the same. `PacedLine` puts real ports around it.
+
+1. A character is heard when its last bit has passed, by every other port; by its sender too where that has an echo.
+2. Two ports that talk at once spoil each other's characters, and neither hears while it talks (a driver that sends
+   has its receiver off), unless it has an echo.
+3. Times never run backwards. What is written at a time must be written before the line is advanced beyond it.
+"""
+
+import random
+from collections import deque
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+from ..transport.serial.marks import Received
+from ..transport.serial.settings import Parity, SerialSettings
+
+NOISE = -1
+"""The number under which the tap lists characters that no port has sent."""
+
+TAP_SIZE = 200_000
+"""Characters that the tap keeps, some 100 bytes of memory each: four minutes of uninterrupted talk at 9600 baud."""
+
+
+@dataclass(slots=True)
+class LineByte:
+    """One character that has passed.
+
+    Attributes:
+        time: when its last bit passed, in seconds.
+        port: who sent it, or `NOISE`.
+        value: as it was heard, 0…255.
+        damaged: whether that differs from what was sent.
+        heard_by: the ports that heard it.
+    """
+
+    time: float
+    port: int
+    value: int
+    damaged: bool
+    heard_by: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Transmission:
+    """Characters of one port without a silence between them.
+
+    Attributes:
+        port: who sent them, or `NOISE`.
+        begin, end: from the first start bit to the last stop bit, in seconds.
+        data: as they were heard.
+        damaged: how many of them differ from what was sent.
+    """
+
+    port: int
+    begin: float
+    end: float
+    data: bytes
+    damaged: int
+
+
+class VirtualLine:
+    """A bus with so many ports.
+
+    Attributes:
+        ports: its ports, by number.
+        settings: what all of them are set to.
+        tap: every character that has passed, the oldest first; the last 200 000 of them.
+        now: how far it has been advanced, in seconds.
+        collisions: characters that were spoilt because two ports talked at once.
+        noise: probability, 0…1, that a character is damaged on its way. May be changed at any time.
+    """
+
+    def __init__(
+        self,
+        ports: int = 2,
+        baud: int = 9600,
+        parity: str | Parity = Parity.EVEN,
+        *,
+        data_bits: int = 8,
+        stop_bits: int | None = None,
+        echo: bool | Collection[int] = False,
+        noise: float = 0.0,
+        seed: int = 0,
+        tap_size: int = TAP_SIZE,
+    ) -> None:
+        """Make a quiet line.
+
+        Args:
+            ports: how many, at least 1.
+            baud, parity, data_bits, stop_bits: what gives a character its length, as in `SerialSettings`.
+            echo: whether ports hear themselves: all, none, or those with these numbers.
+            noise: probability that a character is damaged.
+            seed: of what is random; the same seed gives the same run.
+            tap_size: how many characters the tap keeps.
+        """
+        if ports < 1:
+            raise ValueError(f"a line has at least one port, not {ports}")
+        self.settings = SerialSettings(baud=baud, parity=Parity(parity), data_bits=data_bits, stop_bits=stop_bits)
+        self.character_time = self.settings.character_time
+        self.noise = noise
+        self.collisions = 0
+        self.tap: deque[LineByte] = deque(maxlen=tap_size)
+        numbers = range(ports)
+        echoing = frozenset(numbers if echo is True else () if echo is False else echo)
+        self.ports = tuple(VirtualPort(self, number, echo=number in echoing) for number in numbers)
+        self._noise_source = VirtualPort(self, NOISE, echo=False)
+        self._talkers = (*self.ports, self._noise_source)
+        self._cut: set[int] = set()
+        self._random = random.Random(seed)
+        self.now = float("-inf")
+        self._tolerance = self.character_time * 1e-6
+
+    def deadline(self) -> float | None:
+        """When the next character will have passed; None while nobody talks."""
+        return min((port.head_end for port in self._talkers if port.talking), default=None)
+
+    def pause_at(self) -> float | None:
+        """When the first of those who talk will have passed all they have to say; None while nobody talks."""
+        return min((port.free_at for port in self._talkers if port.talking), default=None)
+
+    def quiet_at(self) -> float | None:
+        """When all that was written will have passed; None while nobody talks."""
+        return max((port.free_at for port in self._talkers if port.talking), default=None)
+
+    def advance(self, until: float) -> list[LineByte]:
+        """Let the time pass; gives the characters whose last bit has passed by ``until``, in order.
+
+        Each is also put into `VirtualPort.read` of those who heard it.
+        """
+        passed: list[LineByte] = []
+        while True:
+            talking = [port for port in self._talkers if port.talking]
+            if not talking:
+                break
+            sender = min(talking, key=lambda port: port.head_end) if len(talking) > 1 else talking[0]
+            if sender.head_end > until:
+                break
+            passed.append(self._pass(sender))
+        self.now = max(self.now, until)
+        return passed
+
+    def cut(self, *ports: int) -> None:
+        """Break the wire to these ports, or to all: what they say from now on, and what is said to them, is lost."""
+        self._cut.update(ports or range(len(self.ports)))
+
+    def mend(self, *ports: int) -> None:
+        """Mend the wire to these ports, or to all."""
+        self._cut.difference_update(ports or range(len(self.ports)))
+
+    def inject(self, data: bytes, now: float) -> float:
+        """Put characters on the line that no port has sent; gives when the last will have passed."""
+        return self._noise_source.write(data, now)
+
+    def transmissions(self, silence: float | None = None) -> list[Transmission]:
+        """What the tap has heard, cut where there was a silence or another port spoke.
+
+        Args:
+            silence: seconds that separate two transmissions of one port; 1.5 characters if not given.
+        """
+        return gathered(list(self.tap), self.character_time, silence)
+
+    def _pass(self, sender: "VirtualPort") -> LineByte:
+        begin, end, value = sender.take()
+        damaged = False
+        if sender.number in self._cut:
+            heard_by: tuple[int, ...] = (sender.number,) if sender.echo else ()
+        else:
+            deaf = self._talking_between(begin, end, sender)
+            if deaf:
+                self.collisions += 1
+                damaged = True
+            elif self.noise and self._random.random() < self.noise:
+                damaged = True
+            heard_by = tuple(
+                port.number
+                for port in self.ports
+                if port.number not in self._cut and (port.echo or (port is not sender and port not in deaf))
+            )
+        if damaged:
+            value ^= 1 + self._random.randrange(255)
+        byte = LineByte(end, sender.number, value, damaged, heard_by)
+        for number in heard_by:
+            self.ports[number].hear(value, damaged)
+        self.tap.append(byte)
+        return byte
+
+    def _talking_between(self, begin: float, end: float, sender: "VirtualPort") -> "list[VirtualPort]":
+        begin += self._tolerance
+        end -= self._tolerance
+        return [
+            port
+            for port in self._talkers
+            if port is not sender
+            and port.number not in self._cut
+            and (port.passed_at > begin or (port.talking and port.head_begin < end))
+        ]
+
+    def _earliest(self, now: float) -> float:
+        if now < self.now - self._tolerance:
+            raise ValueError(f"the line is at {self.now:.6f} s already, {now:.6f} s has passed")
+        return max(now, self.now)
+
+
+class VirtualPort:
+    """One port of a `VirtualLine`.
+
+    Attributes:
+        number: its number on the line.
+        echo: whether it hears itself.
+        talking: whether it has characters to send.
+        free_at: when the last character written will have passed.
+        passed_at: when its last character passed.
+    """
+
+    __slots__ = (
+        "_data",
+        "_errors",
+        "_line",
+        "_outgoing",
+        "_start",
+        "echo",
+        "free_at",
+        "number",
+        "passed_at",
+        "talking",
+    )
+
+    def __init__(self, line: VirtualLine, number: int, *, echo: bool) -> None:
+        self._line = line
+        self._outgoing: deque[tuple[float, int]] = deque()
+        self._data = bytearray()
+        self._errors = 0
+        self.number = number
+        self.echo = echo
+        self.talking = False
+        self.free_at = float("-inf")
+        self.passed_at = float("-inf")
+
+    def write(self, data: bytes, now: float) -> float:
+        """Send characters, from ``now`` or as soon as the earlier ones have left.
+
+        Returns:
+            When the last of them will have passed.
+
+        Raises:
+            ValueError: the line has been advanced beyond ``now``.
+        """
+        start = max(self._line._earliest(now), self.free_at)
+        length = self._line.character_time
+        self._outgoing.extend((start + index * length, value) for index, value in enumerate(data))
+        if data:
+            self.free_at = start + len(data) * length
+            self.talking = True
+        return self.free_at
+
+    def read(self) -> Received:
+        """Take what was heard since the last call, and how many of it came damaged.
+
+        Damage shows only where there is a parity bit, as on a real port; the data has it in any case.
+        """
+        received = Received(bytes(self._data), self._errors)
+        self._data.clear()
+        self._errors = 0
+        return received
+
+    @property
+    def backlog(self) -> int:
+        """Characters that have not passed yet."""
+        return len(self._outgoing)
+
+    # What the line asks.
+
+    @property
+    def head_begin(self) -> float:
+        """When the next character begins. Only while talking."""
+        return self._outgoing[0][0]
+
+    @property
+    def head_end(self) -> float:
+        """When the next character will have passed. Only while talking."""
+        return self._outgoing[0][0] + self._line.character_time
+
+    def take(self) -> tuple[float, float, int]:
+        """The next character, which has passed: begin, end, value."""
+        begin, value = self._outgoing.popleft()
+        self.talking = bool(self._outgoing)
+        end = self.passed_at = begin + self._line.character_time
+        return begin, end, value
+
+    def hear(self, value: int, damaged: bool) -> None:
+        """A character has arrived."""
+        self._data.append(value)
+        if damaged and self._line.settings.parity is not Parity.NONE:
+            self._errors += 1
+
+
+def gathered(tap: Iterable[LineByte], character_time: float, silence: float | None = None) -> list[Transmission]:
+    """The transmissions in what a tap has heard; see `VirtualLine.transmissions`."""
+    limit = 1.5 * character_time if silence is None else silence
+    found: list[Transmission] = []
+    data = bytearray()
+    damaged = 0
+    first: LineByte | None = None
+    last: LineByte | None = None
+    for byte in tap:
+        if (
+            last is not None
+            and first is not None
+            and (byte.port != last.port or byte.time - last.time - character_time > limit)
+        ):
+            found.append(Transmission(last.port, first.time - character_time, last.time, bytes(data), damaged))
+            data.clear()
+            damaged = 0
+            first = None
+        if first is None:
+            first = byte
+        data.append(byte.value)
+        damaged += byte.damaged
+        last = byte
+    if first is not None and last is not None:
+        found.append(Transmission(last.port, first.time - character_time, last.time, bytes(data), damaged))
+    return found

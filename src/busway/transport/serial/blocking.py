@@ -1,0 +1,243 @@
+"""A serial port for a thread that waits: read, write, drain, close.
+
+Knows `serialx` and the descriptor under it; knows no Modbus and starts no thread.
+
+1. A wait may be asked for in microseconds and is kept as exactly as the system can: gaps between frames are short.
+2. A port that vanishes ends every call with `LinkDown`; the descriptor is closed by `close` alone.
+"""
+
+import os
+import select
+import time
+from typing import TYPE_CHECKING, Self
+
+from ...errors import LinkDown
+from .counters import LineCounters
+from .device import OpenDevice, descriptor_of, opening_arguments
+from .errors import opening_failed, port_lost
+from .ioctl import Ioctl, system_ioctl
+from .ports import is_pseudo_terminal, resolve_port
+from .rs485 import Direction
+from .settings import SerialSettings
+
+if TYPE_CHECKING:
+    from serialx import BaseSerial
+
+READ_SIZE = 4096
+"""What one read takes at most: as much as the system's own buffer holds."""
+
+SELECT_LIMIT = 1024
+"""Descriptors that ``select`` takes are below this. It waits for microseconds, ``poll`` only for milliseconds."""
+
+STUCK_AFTER = 5.0
+"""Seconds after which a port that takes no more bytes is given up: its buffer empties within one at the lowest baud."""
+
+
+class BlockingSerialPort:
+    """An open serial port, for one thread at a time.
+
+    Attributes:
+        port: the name it was opened by.
+        path: the path that this name stood for.
+        settings: what the line is set to.
+        pseudo_terminal: whether the system only keeps the bytes and no times.
+    """
+
+    def __init__(self, port: str, settings: SerialSettings, *, ioctl: Ioctl = system_ioctl) -> None:
+        """Open the port.
+
+        Args:
+            port: a path, a name under by-id, or a USB identity (see `resolve_port`).
+            settings: what the line is set to.
+            ioctl: asks the driver; a test may hand in its own.
+
+        Raises:
+            LinkDown: it is not there, taken (the message names the holder), or not for this user.
+            ConfigError: it is no serial port, or can not be set so.
+        """
+        import serialx
+
+        self.port = port
+        self.path = resolve_port(port)
+        self.settings = settings
+        self.pseudo_terminal = is_pseudo_terminal(self.path)
+        self._serial: BaseSerial | None = None
+        try:
+            opened = serialx.serial_for_url(
+                self.path, **opening_arguments(settings, pseudo_terminal=self.pseudo_terminal)
+            )
+            opened.open()
+        except (OSError, serialx.SerialException) as error:
+            raise opening_failed(error, port=self.path, settings=str(settings)) from error
+        try:
+            self._descriptor = descriptor_of(opened)
+            self._device = OpenDevice(self._descriptor, settings, ioctl)
+        except OSError as error:
+            opened.close()
+            raise opening_failed(error, port=self.path, settings=str(settings)) from error
+        except BaseException:
+            opened.close()
+            raise
+        self._serial = opened
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it was not closed."""
+        return self._serial is not None
+
+    @property
+    def sent_at(self) -> float:
+        """When the last character written has left, as far as is known (``time.monotonic``)."""
+        return self._device.emission.until
+
+    def read(self, timeout: float | None) -> tuple[bytes, int]:
+        """Wait for bytes.
+
+        Args:
+            timeout: seconds; 0 takes what is there, None waits for ever.
+
+        Returns:
+            The bytes, and how many of them the port marked as damaged. No bytes when the time is over.
+
+        Raises:
+            LinkDown: the port vanished, or is closed.
+        """
+        opened = self._opened()
+        try:
+            if self._descriptor is None:
+                buffer = bytearray(READ_SIZE)
+                count = opened.readinto(buffer, timeout=timeout)
+                data = bytes(buffer[:count])
+            else:
+                if not _ready(self._descriptor, timeout):
+                    return b"", 0
+                data = os.read(self._descriptor, READ_SIZE)
+                if not data:
+                    raise port_lost(None, port=self.path)
+        except BlockingIOError:
+            return b"", 0
+        except LinkDown:
+            raise
+        except OSError as error:
+            raise port_lost(error, port=self.path) from error
+        received = self._device.unmarked(data)
+        return received.data, received.errors
+
+    def write(self, data: bytes) -> float:
+        """Hand bytes over for sending.
+
+        Returns when the port has them, which is before they have left the line; with RTS switched by hand it returns
+        after they have, since RTS must be put back.
+
+        Returns:
+            When the last character will have left (``time.monotonic``).
+
+        Raises:
+            LinkDown: the port vanished; bytes may have gone out.
+        """
+        opened = self._opened()
+        by_hand = self._device.direction is Direction.RTS
+        try:
+            if by_hand:
+                self._device.turn_to_sending()
+                _sleep_until(time.monotonic() + self.settings.delay_before_send)
+            started = time.monotonic()
+            if self._descriptor is None:
+                opened.write(data)
+            else:
+                self._write_whole(self._descriptor, data)
+            until = self._device.emission.written(len(data), started)
+            if by_hand:
+                until = self.drain()
+                _sleep_until(until + self.settings.delay_after_send)
+                self._device.turn_to_receiving()
+        except LinkDown:
+            raise
+        except OSError as error:
+            raise port_lost(error, port=self.path, sent=True) from error
+        return until
+
+    def drain(self, timeout: float | None = None) -> float:
+        """Wait until the last character has left.
+
+        Args:
+            timeout: seconds; None waits for ever. A port whose driver is stuck never gets rid of its characters.
+
+        Returns:
+            When it left (``time.monotonic``).
+
+        Raises:
+            LinkDown: the port vanished, or the time is over: the bytes may have gone out.
+        """
+        self._opened()
+        emission = self._device.emission
+        limit = None if timeout is None else time.monotonic() + timeout
+        try:
+            while True:
+                now = time.monotonic()
+                if now >= emission.until:
+                    held = self._device.held()
+                    if not held:
+                        return emission.until
+                    emission.still_held(held, now)
+                if limit is not None and now >= limit:
+                    raise LinkDown(f"{self.path} did not send within {timeout:g} s", sent=True)
+                _sleep_until(emission.until if limit is None else min(emission.until, limit))
+        except LinkDown:
+            raise
+        except OSError as error:
+            raise port_lost(error, port=self.path, sent=True) from error
+
+    def counters(self) -> LineCounters | None:
+        """What the port's driver has counted; None where it keeps no counters. Raises `LinkDown`."""
+        self._opened()
+        try:
+            return self._device.counters()
+        except OSError as error:
+            raise port_lost(error, port=self.path) from error
+
+    def close(self) -> None:
+        """Give the port back. May be called twice."""
+        opened, self._serial = self._serial, None
+        if opened is None:
+            return
+        self._device.release()
+        try:
+            opened.close()
+        except OSError:
+            return  # the descriptor is closed all the same; the port had vanished
+
+    def _write_whole(self, descriptor: int, data: bytes) -> None:
+        left = memoryview(data)
+        while left:
+            try:
+                left = left[os.write(descriptor, left) :]
+            except BlockingIOError:
+                if not _ready(descriptor, STUCK_AFTER, writing=True):
+                    raise LinkDown(f"{self.path} has taken no bytes for {STUCK_AFTER:g} s", sent=True) from None
+
+    def _opened(self) -> "BaseSerial":
+        if self._serial is None:
+            raise LinkDown(f"{self.path} is closed")
+        return self._serial
+
+
+def _ready(descriptor: int, timeout: float | None, *, writing: bool = False) -> bool:
+    if descriptor < SELECT_LIMIT:
+        reading = [] if writing else [descriptor]
+        return any(select.select(reading, [descriptor] if writing else [], [], timeout))
+    poll = select.poll()
+    poll.register(descriptor, select.POLLOUT if writing else select.POLLIN)
+    return bool(poll.poll(None if timeout is None else timeout * 1000))
+
+
+def _sleep_until(when: float) -> None:
+    pause = when - time.monotonic()
+    if pause > 0:
+        time.sleep(pause)

@@ -1,0 +1,331 @@
+"""A serial port under asyncio: bytes are handed to a callback as they come, and written when they are given.
+
+Knows asyncio and `serialx`; knows no Modbus.
+
+1. Received bytes go to one callback, together with how many of them the port marked as damaged.
+2. ``write`` returns when the last character will have left: silences on the line are measured from there.
+3. A port that vanishes is told once, to ``lost``; its descriptor is closed then. Waiting for it is for whoever
+   opened it (`open_when_there`).
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Self, cast
+
+from ...errors import LinkDown
+from .counters import LineCounters
+from .device import OpenDevice, descriptor_of, opening_arguments
+from .errors import opening_failed, port_lost
+from .ioctl import Ioctl, system_ioctl
+from .ports import is_pseudo_terminal, resolve_port
+from .rs485 import Direction
+from .settings import SerialSettings
+
+if TYPE_CHECKING:
+    from serialx import BaseSerialTransport
+
+SETTLING_POLL = 0.0005
+"""Seconds between two looks whether the last character has left, where RTS must be put back at once."""
+
+
+class SerialConnection:
+    """An open serial port, used from the event loop that opened it. Made by `open`.
+
+    Attributes:
+        port: the name it was opened by.
+        path: the path that this name stood for.
+        settings: what the line is set to.
+        pseudo_terminal: whether the system only keeps the bytes and no times.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        path: str,
+        settings: SerialSettings,
+        received: Callable[[bytes, int], None],
+        lost: Callable[[LinkDown], None],
+        ioctl: Ioctl,
+    ) -> None:
+        self.port = port
+        self.path = path
+        self.settings = settings
+        self.pseudo_terminal = is_pseudo_terminal(path)
+        self._received = received
+        self._lost = lost
+        self._ioctl = ioctl
+        self._loop = asyncio.get_running_loop()
+        self._transport: BaseSerialTransport | None = None
+        self._device: OpenDevice | None = None
+        self._sender: _SenderByRts | None = None
+        self._closed = self._loop.create_future()
+        self._told = True  # nothing to tell before it is open
+
+    @classmethod
+    async def open(
+        cls,
+        port: str,
+        settings: SerialSettings,
+        *,
+        received: Callable[[bytes, int], None],
+        lost: Callable[[LinkDown], None],
+        ioctl: Ioctl = system_ioctl,
+    ) -> Self:
+        """Open a port.
+
+        Args:
+            port: a path, a name under by-id, or a USB identity (see `resolve_port`).
+            settings: what the line is set to.
+            received: gets bytes, and how many of them the port marked as damaged.
+            lost: told once if the port vanishes; not told after `close`.
+            ioctl: asks the driver; a test may hand in its own.
+
+        Raises:
+            LinkDown: it is not there, taken (the message names the holder), or not for this user.
+            ConfigError: it is no serial port, or can not be set so.
+        """
+        import serialx
+
+        loop = asyncio.get_running_loop()
+        path = await loop.run_in_executor(None, resolve_port, port)
+        connection = cls(port, path, settings, received, lost, ioctl)
+        try:
+            await serialx.create_serial_connection(
+                loop,
+                lambda: _Events(connection),
+                path,
+                **opening_arguments(settings, pseudo_terminal=connection.pseudo_terminal),
+            )
+        except LinkDown:
+            raise
+        except (OSError, serialx.SerialException) as error:
+            # Finding the holder reads many small files.
+            raise await loop.run_in_executor(None, _opening_failed, error, path, settings) from error
+        return connection
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can be written to."""
+        return self._device is not None
+
+    @property
+    def sent_at(self) -> float:
+        """When the last character written has left, as far as is known (``time.monotonic``); 0 if none was."""
+        if self._device is None:
+            return 0.0
+        return self._device.emission.until
+
+    def write(self, data: bytes) -> float:
+        """Hand bytes over for sending.
+
+        Returns:
+            When the last character will have left (``time.monotonic``), by arithmetic; with RTS switched by hand the
+            delay before sending is in it.
+
+        Raises:
+            LinkDown: the port vanished or is closed; nothing of these bytes went out.
+        """
+        transport, device = self._opened()
+        if self._sender is not None:
+            return self._sender.write(data, self.path)
+        now = time.monotonic()
+        try:
+            transport.write(data)
+        except OSError as error:
+            raise port_lost(error, port=self.path) from error
+        return device.emission.written(len(data), now)
+
+    def held(self) -> int:
+        """Characters that were written and have not left, as far as the system tells. Raises `LinkDown`."""
+        transport, device = self._opened()
+        waiting = transport.get_write_buffer_size()
+        if self._sender is not None:
+            waiting += self._sender.waiting
+        try:
+            return waiting + device.held()
+        except OSError as error:
+            raise port_lost(error, port=self.path, sent=True) from error
+
+    async def drain(self) -> float:
+        """Wait until the last character has left; gives when it did (``time.monotonic``).
+
+        Raises:
+            LinkDown: the port vanished meanwhile; the bytes may have gone out.
+        """
+        while True:
+            _, device = self._opened()
+            now = time.monotonic()
+            if now >= device.emission.until:
+                held = self.held()
+                if not held:
+                    return device.emission.until
+                device.emission.still_held(held, now)
+            await asyncio.sleep(max(device.emission.until - now, 0.0))
+
+    def counters(self) -> LineCounters | None:
+        """What the port's driver has counted; None where it keeps no counters. Raises `LinkDown`."""
+        _, device = self._opened()
+        try:
+            return device.counters()
+        except OSError as error:
+            raise port_lost(error, port=self.path) from error
+
+    def close(self) -> None:
+        """Give the port back; what has not left yet is dropped. May be called twice."""
+        self._told = True
+        if self._sender is not None:
+            self._sender.stop()
+        if self._device is not None:
+            self._device.release()
+            self._device = None
+        if self._transport is not None:
+            self._transport.abort()
+
+    async def wait_closed(self) -> None:
+        """Wait until the descriptor is closed, after `close` or a loss."""
+        await asyncio.shield(self._closed)
+
+    def _opened(self) -> "tuple[BaseSerialTransport, OpenDevice]":
+        if self._transport is None or self._device is None:
+            raise LinkDown(f"{self.path} is closed")
+        return self._transport, self._device
+
+    # What `serialx` tells, through `_Events`.
+
+    def _made(self, transport: "BaseSerialTransport") -> None:
+        device = OpenDevice(descriptor_of(transport.serial), self.settings, self._ioctl)
+        self._transport = transport
+        self._device = device
+        self._told = False
+        if device.direction is Direction.RTS:
+            self._sender = _SenderByRts(self._loop, transport, device, self.settings, self._gone)
+
+    def _arrived(self, data: bytes) -> None:
+        if self._device is None:
+            return
+        received = self._device.unmarked(data)
+        if received.data:
+            self._received(received.data, received.errors)
+
+    def _ended(self, error: Exception | None) -> None:
+        if self._device is not None:
+            self._device.forget()
+            self._device = None
+        if self._sender is not None:
+            self._sender.stop()
+        self._transport = None
+        if not self._closed.done():
+            self._closed.set_result(None)
+        if not self._told:
+            self._told = True
+            self._lost(port_lost(error, port=self.path))
+
+    def _gone(self, error: OSError) -> None:
+        """The driver says that the port is gone before a read did."""
+        if self._told:
+            return
+        self.close()
+        self._lost(port_lost(error, port=self.path, sent=True))
+
+
+class _Events(asyncio.Protocol):
+    """What asyncio calls; kept off the names of `SerialConnection`."""
+
+    def __init__(self, connection: SerialConnection) -> None:
+        self._connection = connection
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._connection._made(cast("BaseSerialTransport", transport))
+
+    def data_received(self, data: bytes) -> None:
+        self._connection._arrived(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._connection._ended(exc)
+
+
+class _SenderByRts:
+    """Keeps RTS up while there is something to send: delay, bytes, their time, delay."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        transport: "BaseSerialTransport",
+        device: OpenDevice,
+        settings: SerialSettings,
+        gone: Callable[[OSError], None],
+    ) -> None:
+        self._loop = loop
+        self._transport = transport
+        self._device = device
+        self._settings = settings
+        self._gone = gone
+        self._outbox = bytearray()
+        self._timer: asyncio.TimerHandle | None = None
+        self._sending = False
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait for the delay before sending."""
+        return len(self._outbox)
+
+    def write(self, data: bytes, path: str) -> float:
+        now = time.monotonic()
+        delay = 0.0
+        try:
+            if not self._sending:
+                self._device.turn_to_sending()
+                self._sending = True
+                delay = self._settings.delay_before_send
+                self._timer = self._loop.call_later(delay, self._send)
+                if delay:
+                    self._outbox += data
+                else:
+                    self._transport.write(data)
+            elif self._outbox:
+                self._outbox += data
+            else:
+                self._transport.write(data)
+        except OSError as error:
+            raise port_lost(error, port=path) from error
+        return self._device.emission.written(len(data), now + delay)
+
+    def _send(self) -> None:
+        """The delay before sending is over."""
+        data = bytes(self._outbox)
+        self._outbox.clear()
+        try:
+            self._transport.write(data)
+        except OSError as error:
+            self._gone(error)
+            return
+        self._look_again(self._device.emission.still_held(len(data), time.monotonic()))
+
+    def _look_again(self, when: float) -> None:
+        self._timer = self._loop.call_later(max(when - time.monotonic(), SETTLING_POLL), self._look)
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        try:
+            until = self._device.emission.still_held(self._transport.get_write_buffer_size() + self._device.held(), now)
+            if until > now:
+                self._look_again(until)
+                return
+            back_at = until + self._settings.delay_after_send
+            if back_at > now:
+                self._look_again(back_at)
+                return
+            self._device.turn_to_receiving()
+        except OSError as error:
+            self._gone(error)
+            return
+        self._sending = False
+
+    def stop(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+
+def _opening_failed(error: Exception, path: str, settings: SerialSettings) -> Exception:
+    return opening_failed(error, port=path, settings=str(settings))

@@ -1,0 +1,55 @@
+"""What the port's driver has counted since the system started (``struct serial_icounter_struct``).
+
+Knows the numbers; what they mean for a conversation is for others.
+"""
+
+import struct
+from dataclasses import dataclass
+
+from .ioctl import Ioctl, asked, system_ioctl
+
+TIOCGICOUNT = 0x545D
+
+_LAYOUT = struct.Struct("11i9i")
+
+
+@dataclass(frozen=True, slots=True)
+class LineCounters:
+    """Characters, errors and breaks of one port.
+
+    Attributes:
+        received, sent: characters.
+        framing_errors, parity_errors: characters whose stop or parity bit was wrong.
+        overruns: characters lost in the port because nobody fetched them in time.
+        buffer_overruns: characters lost because the system's buffer was full.
+        breaks: times that the line stood at zero for longer than a character.
+    """
+
+    received: int = 0
+    sent: int = 0
+    framing_errors: int = 0
+    parity_errors: int = 0
+    overruns: int = 0
+    buffer_overruns: int = 0
+    breaks: int = 0
+
+    def since(self, earlier: "LineCounters") -> "LineCounters":
+        """What was counted after ``earlier``."""
+        return LineCounters(
+            received=self.received - earlier.received,
+            sent=self.sent - earlier.sent,
+            framing_errors=self.framing_errors - earlier.framing_errors,
+            parity_errors=self.parity_errors - earlier.parity_errors,
+            overruns=self.overruns - earlier.overruns,
+            buffer_overruns=self.buffer_overruns - earlier.buffer_overruns,
+            breaks=self.breaks - earlier.breaks,
+        )
+
+
+def read_counters(descriptor: int, ioctl: Ioctl = system_ioctl) -> LineCounters | None:
+    """The counters of an open port; None where its driver keeps none (many USB adapters, pseudo-terminals)."""
+    buffer = bytearray(_LAYOUT.size)
+    if not asked(ioctl, descriptor, TIOCGICOUNT, buffer):
+        return None
+    _, _, _, _, received, sent, framing, overrun, parity, breaks, buffer_overrun, *_ = _LAYOUT.unpack(buffer)
+    return LineCounters(received, sent, framing, parity, overrun, buffer_overrun, breaks)

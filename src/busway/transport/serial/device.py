@@ -1,0 +1,111 @@
+"""An open port beside its bytes: set up once, asked while it is open, given back at the end.
+
+Knows what must be done to every port, whichever way it is used; `connection` and `blocking` move the bytes. Where
+ports have no descriptors (Windows) `serialx` does all there is, and the rest reports that it is not offered.
+"""
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from .counters import LineCounters, read_counters
+from .emission import Emission, characters_held
+from .ioctl import Ioctl, system_ioctl
+from .lock import admit_others, refuse_others
+from .marks import MarkDecoder, Received, switch_marks_on
+from .rs485 import Direction, set_rts, settle_direction
+from .settings import Parity, Rs485, SerialSettings
+
+if TYPE_CHECKING:
+    from serialx import BaseSerial
+
+_PARITY_LETTERS = {Parity.NONE: "N", Parity.EVEN: "E", Parity.ODD: "O"}
+
+
+def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dict[str, Any]:
+    """The arguments by which `serialx` opens a port with these settings.
+
+    The values are of whatever types its keywords take. A pseudo-terminal refuses parity and 7 data bits: there they
+    only say how long a character takes.
+    """
+    from serialx import PinState
+
+    if settings.rs485 is Rs485.OFF:
+        rts = PinState.HIGH  # many adapters feed themselves from it
+    elif settings.rs485 is Rs485.KERNEL:
+        rts = PinState.UNDEFINED  # the driver's own
+    else:
+        rts = PinState.convert(settings.rts_after_send)
+    return {
+        "baudrate": settings.baud,
+        "parity": "N" if pseudo_terminal else _PARITY_LETTERS[settings.parity],
+        "byte_size": 8 if pseudo_terminal else settings.data_bits,
+        "stopbits": settings.stop_bits_on_line,
+        "exclusive": settings.exclusive,
+        "low_latency": settings.low_latency,
+        "rts_on_open": rts,
+    }
+
+
+def descriptor_of(opened: "BaseSerial") -> int | None:
+    """The descriptor of an open port; None where ports have none."""
+    return opened.fileno() if os.name == "posix" else None
+
+
+class OpenDevice:
+    """What an open port is beside its bytes.
+
+    Attributes:
+        direction: who switches the direction of the driver.
+        emission: the characters on their way out.
+    """
+
+    __slots__ = ("_descriptor", "_ioctl", "_marks", "_settings", "direction", "emission")
+
+    def __init__(self, descriptor: int | None, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> None:
+        """Set up a port that `serialx` has just opened. Raises `OSError` or `ConfigError`."""
+        self._descriptor = descriptor
+        self._settings = settings
+        self._ioctl = ioctl
+        self._marks: MarkDecoder | None = None
+        self.direction = Direction.NOBODY
+        self.emission = Emission(settings.character_time)
+        if descriptor is None:
+            return
+        if settings.exclusive:
+            refuse_others(descriptor, ioctl)
+        self.direction = settle_direction(descriptor, settings, ioctl)
+        if settings.mark_errors:
+            switch_marks_on(descriptor)
+            self._marks = MarkDecoder()
+
+    def unmarked(self, data: bytes) -> Received:
+        """The bytes that were received, and how many of them were damaged."""
+        return self._marks.feed(data) if self._marks is not None else Received(data, 0)
+
+    def held(self) -> int:
+        """Characters that the system still holds, as far as it tells. Raises `OSError` when the port is gone."""
+        return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
+
+    def counters(self) -> LineCounters | None:
+        """What the driver has counted; None where it keeps no counters. Raises `OSError` when the port is gone."""
+        return None if self._descriptor is None else read_counters(self._descriptor, self._ioctl)
+
+    def turn_to_sending(self) -> None:
+        """Raise (or lower) RTS for sending. Raises `OSError` when the port is gone."""
+        if self._descriptor is not None:
+            set_rts(self._descriptor, self._settings.rts_on_send, self._ioctl)
+
+    def turn_to_receiving(self) -> None:
+        """Put RTS back. Raises `OSError` when the port is gone."""
+        if self._descriptor is not None:
+            set_rts(self._descriptor, self._settings.rts_after_send, self._ioctl)
+
+    def release(self) -> None:
+        """To be called before the descriptor is closed; afterwards nothing is asked of it."""
+        if self._descriptor is not None and self._settings.exclusive:
+            admit_others(self._descriptor, self._ioctl)
+        self.forget()
+
+    def forget(self) -> None:
+        """The descriptor is closed already; its number may soon be another file's."""
+        self._descriptor = None

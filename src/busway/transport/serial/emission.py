@@ -1,0 +1,51 @@
+"""When the last character has left the port.
+
+Knows character times and what the system still holds; knows no clock: ``now`` is handed in.
+
+1. Arithmetic comes first: characters leave one after the other, none before it was written.
+2. What the system says can only make it later. A driver that says nothing (a pseudo-terminal) leaves the arithmetic.
+"""
+
+from .ioctl import Ioctl, asked_integer, system_ioctl
+
+TIOCOUTQ = 0x5411
+TIOCSERGETLSR = 0x5459
+TRANSMITTER_EMPTY = 0x01
+
+
+class Emission:
+    """The characters on their way out of one port.
+
+    Attributes:
+        until: when the last one has left, in the clock of ``now``.
+    """
+
+    __slots__ = ("_character_time", "until")
+
+    def __init__(self, character_time: float) -> None:
+        self._character_time = character_time
+        self.until = 0.0
+
+    def written(self, count: int, now: float) -> float:
+        """``count`` characters were handed over; gives when the last of them will have left."""
+        self.until = max(self.until, now) + count * self._character_time
+        return self.until
+
+    def still_held(self, count: int, now: float) -> float:
+        """The system still holds ``count`` characters; gives when the last of them can have left at the earliest."""
+        if count:
+            self.until = max(self.until, now + count * self._character_time)
+        return self.until
+
+
+def characters_held(descriptor: int, ioctl: Ioctl = system_ioctl) -> int:
+    """Characters that were written and have not left, as far as the driver tells.
+
+    The buffer's count leaves out the character that is being sent; where the driver tells whether its transmitter is
+    empty, that one counts too.
+    """
+    waiting = asked_integer(ioctl, descriptor, TIOCOUTQ) or 0
+    if waiting:
+        return waiting
+    state = asked_integer(ioctl, descriptor, TIOCSERGETLSR)
+    return 0 if state is None or state & TRANSMITTER_EMPTY else 1

@@ -1,0 +1,65 @@
+"""What goes wrong with ports becomes our errors here, and nowhere else.
+
+Knows the errors of the system and of `serialx`; knows no Modbus.
+
+1. What may be different later (not there, taken, unplugged) is `LinkDown`; what stays so until somebody changes a
+   setting is `ConfigError`.
+"""
+
+import errno
+
+from ...errors import ConfigError, LinkDown
+from .lock import holder_of
+
+_REASONS = {
+    errno.ENOENT: "it is not there",
+    errno.ENODEV: "it is not there (the device was unplugged, or its driver does not run)",
+    errno.ENXIO: "it is not there (the device was unplugged, or its driver does not run)",
+    errno.EIO: "the device was unplugged or its other end closed",
+    errno.EACCES: "this user may not use it; on many systems the members of the group dialout may",
+    errno.EPERM: "this user may not use it; on many systems the members of the group dialout may",
+    errno.EMFILE: "this process has no file handles left",
+}
+
+_TAKEN = frozenset({errno.EBUSY, errno.EAGAIN})
+_IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTSUPP})
+
+
+def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDown | ConfigError:
+    """Our error for one that came while a port was opened; the foreign one stays its cause. No byte was sent.
+
+    Args:
+        error: what was raised.
+        port: the path that was opened.
+        settings: what the line was to be set to, in words, for the message.
+    """
+    number = getattr(error, "errno", None)
+    ours: LinkDown | ConfigError
+    if number in _TAKEN:
+        holder = holder_of(port)
+        ours = LinkDown(f"{port} can not be opened: it is held by {holder or 'another program, which does not show'}")
+    elif number == errno.ENOTTY:
+        ours = ConfigError(f"{port} is not a serial port", key="port")
+    elif number in _IMPOSSIBLE or not isinstance(error, OSError):
+        ours = ConfigError(f"{port} can not be set to {settings or 'these settings'} ({_words(error)})", key="port")
+    else:
+        ours = LinkDown(f"{port} can not be opened: {_words(error)}")
+    ours.__cause__ = error
+    return ours
+
+
+def port_lost(error: BaseException | None, *, port: str, sent: bool = False) -> LinkDown:
+    """Our error for a port that vanished while it was open.
+
+    Args:
+        error: what was raised; None where a read merely ended.
+        port: its path.
+        sent: whether bytes of a request may have left.
+    """
+    down = LinkDown(f"{port} is lost: {_words(error) if error else _REASONS[errno.EIO]}", sent=sent)
+    down.__cause__ = error
+    return down
+
+
+def _words(error: BaseException) -> str:
+    return _REASONS.get(getattr(error, "errno", None) or 0) or str(error) or type(error).__name__

@@ -1,0 +1,40 @@
+"""The one door to the driver of an open port, so that a test can stand behind it instead of a driver.
+
+Knows numbers of the system's calls; knows not what they are for. Buffers are filled in place.
+"""
+
+import errno
+import struct
+from collections.abc import Callable
+
+Ioctl = Callable[[int, int, bytearray], None]
+"""Descriptor, request, buffer. Raises `OSError` where the driver refuses."""
+
+NOT_OFFERED = frozenset({errno.ENOTTY, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM, errno.EACCES})
+"""Answers by which a driver says that it has no such thing, or not for this user."""
+
+
+def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
+    """Ask the system."""
+    import fcntl  # where ports have no descriptors there is no such module, and nobody gets here
+
+    fcntl.ioctl(descriptor, request, buffer)
+
+
+def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
+    """Ask; False where the driver does not offer it. Other failures, as of a port that is gone, are raised."""
+    try:
+        ioctl(descriptor, request, buffer)
+    except OSError as error:
+        if error.errno in NOT_OFFERED:
+            return False
+        raise
+    return True
+
+
+def asked_integer(ioctl: Ioctl, descriptor: int, request: int, value: int = 0) -> int | None:
+    """Ask with an integer and give the one that comes back; None where the driver does not offer it."""
+    buffer = bytearray(struct.pack("i", value))
+    if not asked(ioctl, descriptor, request, buffer):
+        return None
+    return int(struct.unpack("i", buffer)[0])

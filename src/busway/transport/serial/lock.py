@@ -1,0 +1,110 @@
+"""One program per port: refusing it to others, and naming who has it.
+
+Knows the lock that `serialx` takes on an open port (``flock``), the system's own refusal (``TIOCEXCL``) and where
+Linux lists who holds what; knows no Modbus. Elsewhere the lock works and the holder stays unnamed.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from .ioctl import Ioctl, asked, system_ioctl
+
+TIOCEXCL = 0x540C
+TIOCNXCL = 0x540D
+
+PROCESSES = Path("/proc")
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """A program that holds a port.
+
+    Attributes:
+        process: its process number.
+        command: its command line; empty where it may not be seen.
+        ourselves: whether it is this very process.
+    """
+
+    process: int
+    command: str = ""
+    ourselves: bool = False
+
+    def __str__(self) -> str:
+        if self.ourselves:
+            return f"this program itself (process {self.process})"
+        return f"process {self.process} ({self.command})" if self.command else f"process {self.process}"
+
+
+def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
+    """Let the system refuse the port to whoever opens it from now on, lock or no lock."""
+    asked(ioctl, descriptor, TIOCEXCL, bytearray())
+
+
+def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
+    """Take the refusal back: it would outlive us while any other descriptor of the port is open."""
+    try:
+        asked(ioctl, descriptor, TIOCNXCL, bytearray())
+    except OSError:
+        return  # the port is gone, and with it the refusal
+
+
+def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
+    """Who holds the port at ``path``: who locked it, or else who has it open. None where that can not be seen."""
+    if not processes.is_dir():
+        return None
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    process = _who_locked(place, processes)
+    if process is None:
+        process = next(_who_opened(status, processes), None)
+    if process is None:
+        return None
+    return Holder(process, _command(process, processes), ourselves=process == os.getpid())
+
+
+def _who_locked(place: str, processes: Path) -> int | None:
+    """The process of a line such as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
+    try:
+        lines = (processes / "locks").read_text().splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        words = line.split()
+        if len(words) >= 6 and words[1] == "FLOCK" and words[5] == place and int(words[4]) > 0:
+            return int(words[4])
+    return None
+
+
+def _who_opened(status: os.stat_result, processes: Path) -> Iterator[int]:
+    """Processes other than this one that have the device open, as far as they may be seen."""
+    for directory in _listed(processes):
+        if not directory.name.isdigit() or int(directory.name) == os.getpid():
+            continue
+        for entry in _listed(directory / "fd"):
+            try:
+                opened = entry.stat()
+            except OSError:
+                continue
+            if (opened.st_rdev, opened.st_dev, opened.st_ino) == (status.st_rdev, status.st_dev, status.st_ino):
+                yield int(directory.name)
+                break
+
+
+def _listed(directory: Path) -> list[Path]:
+    try:
+        return list(directory.iterdir())
+    except OSError:
+        return []  # another user's process, or one that has just ended
+
+
+def _command(process: int, processes: Path) -> str:
+    try:
+        words = (processes / str(process) / "cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return ""
+    return b" ".join(words).decode(errors="replace").strip()[:200]

@@ -1,0 +1,81 @@
+"""Characters that arrived damaged, marked by the system inside the stream of bytes (``PARMRK``).
+
+Knows the marks of termios: ``FF 00 x`` is a character x with a parity or framing error, ``FF 00 00`` also a break,
+``FF FF`` one good FF. Knows no port: switching the marks on works on the attributes that termios gives.
+
+1. A damaged character stays in the data, as it was received: a frame keeps its length, and whoever frames the bytes
+   decides (Serial Line V1.02 §2.5.1: the frame is discarded).
+2. A mark may be split between two reads, at any place.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+MARK = 0xFF
+
+
+class _Within(Enum):
+    DATA = 0
+    MARK = 1
+    """after FF"""
+    DAMAGED = 2
+    """after FF 00"""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes without marks, and how many of them were marked."""
+
+    data: bytes
+    errors: int
+
+
+class MarkDecoder:
+    """Takes the marks out of a stream."""
+
+    __slots__ = ("_within",)
+
+    def __init__(self) -> None:
+        self._within = _Within.DATA
+
+    def feed(self, stream: bytes) -> Received:
+        """The data in the next bytes of the stream. It may be empty, when a mark has only begun."""
+        if self._within is _Within.DATA and MARK not in stream:
+            return Received(stream, 0)
+        data = bytearray()
+        errors = 0
+        within = self._within
+        for byte in stream:
+            if within is _Within.DATA:
+                if byte == MARK:
+                    within = _Within.MARK
+                else:
+                    data.append(byte)
+            elif within is _Within.MARK:
+                if byte == 0:
+                    within = _Within.DAMAGED
+                    continue
+                if byte != MARK:
+                    # No system sends this; both bytes are kept rather than guessed about.
+                    data.append(MARK)
+                data.append(byte)
+                within = _Within.DATA
+            else:
+                data.append(byte)
+                errors += 1
+                within = _Within.DATA
+        self._within = within
+        return Received(bytes(data), errors)
+
+
+def switch_marks_on(descriptor: int) -> None:
+    """Ask the system to check each character and mark damaged ones. Raises `OSError`."""
+    import termios  # where ports have no descriptors there is no such module, and nobody gets here
+
+    try:
+        attributes = termios.tcgetattr(descriptor)
+        attributes[0] |= termios.INPCK | termios.PARMRK
+        attributes[0] &= ~(termios.IGNPAR | termios.IGNBRK | termios.BRKINT | termios.ISTRIP)
+        termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+    except termios.error as error:
+        raise OSError(*error.args) from error

@@ -1,0 +1,116 @@
+"""Which port is meant: a path, a name under ``by-id``, or a USB identity.
+
+Knows how ports are named and listed; opens none and knows no Modbus. A name is looked up each time a port is opened, so
+a USB adapter is found again under whatever path it comes back.
+
+::
+
+    /dev/ttyUSB0   /dev/serial/by-id/usb-FTDI_…-if00-port0   COM3
+    usb:0403:6001            the only adapter of this maker and product
+    usb:0403:6001:A50285BI   the one with this serial number
+
+A leading slash, as the path of a URL has it, may stand before each of them.
+"""
+
+import os
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from ...errors import ConfigError, LinkDown
+
+_USB = re.compile(r"/?(?:usb:)?(?P<vendor>[0-9A-Fa-f]{4}):(?P<product>[0-9A-Fa-f]{4})(?::(?P<serial>[^/]+))?")
+_WINDOWS = re.compile(r"/?(?P<name>COM[0-9]+)", re.IGNORECASE)
+
+UNIX98_PTY_MAJORS = range(136, 144)
+"""Device numbers that Linux keeps for the far ends of pseudo-terminals."""
+
+BSD_PTY_PATHS = ("/dev/pts/", "/dev/ttys00", "/dev/ttys01", "/dev/ttys02")
+"""Where other systems keep them; macOS numbers them with three digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPort:
+    """A serial port of this machine.
+
+    Attributes:
+        path: the name to open it by; one that stays with the device (``by-id``) where there is one.
+        device: the name that the system gave it now.
+        vendor, product: USB identity, 0…65 535; None for ports that are not on USB.
+        serial_number: as the device tells it, if it does.
+        description: maker and product in words; empty if unknown.
+    """
+
+    path: str
+    device: str
+    vendor: int | None = None
+    product: int | None = None
+    serial_number: str | None = None
+    description: str = ""
+
+    @property
+    def identity(self) -> str | None:
+        """The USB identity, in the form that opens the port."""
+        if self.vendor is None or self.product is None:
+            return None
+        name = f"usb:{self.vendor:04x}:{self.product:04x}"
+        return f"{name}:{self.serial_number}" if self.serial_number else name
+
+
+def list_ports() -> list[FoundPort]:
+    """The serial ports of this machine, sorted by path. Opens none; pseudo-terminals are not among them."""
+    import serialx
+
+    found = []
+    for port in serialx.list_serial_ports():
+        words = [word for word in (port.manufacturer, port.product) if word]
+        found.append(
+            FoundPort(port.device, port.resolved_device, port.vid, port.pid, port.serial_number, " ".join(words))
+        )
+    return sorted(found, key=lambda port: port.path)
+
+
+def resolve_port(name: str, listing: Callable[[], Iterable[FoundPort]] = list_ports) -> str:
+    """The path to open now for ``name``.
+
+    Raises:
+        LinkDown: no device with this USB identity is plugged in. It may be later.
+        ConfigError: several devices have it, or the name is empty.
+    """
+    if not name:
+        raise ConfigError("the name of the serial port is missing, as in /dev/ttyUSB0", key="port")
+    identity = _USB.fullmatch(name)
+    if identity is not None:
+        return _by_identity(name, identity, listing)
+    windows = _WINDOWS.fullmatch(name)
+    if windows is not None:
+        return windows["name"].upper()
+    return name
+
+
+def _by_identity(name: str, identity: re.Match[str], listing: Callable[[], Iterable[FoundPort]]) -> str:
+    vendor, product, serial_number = int(identity["vendor"], 16), int(identity["product"], 16), identity["serial"]
+    fitting = [
+        port
+        for port in listing()
+        if (port.vendor, port.product) == (vendor, product) and serial_number in (None, port.serial_number)
+    ]
+    if not fitting:
+        raise LinkDown(f"no serial port with the USB identity {name.lstrip('/')} is plugged in")
+    if len(fitting) > 1:
+        choices = ", ".join(port.path for port in fitting)
+        raise ConfigError(
+            f"{name.lstrip('/')} is the identity of {len(fitting)} ports; choose one: {choices}", key="port"
+        )
+    return fitting[0].path
+
+
+def is_pseudo_terminal(path: str) -> bool:
+    """Whether the port is a pseudo-terminal: it has no wire, so the system takes no parity and no 7 bits for it."""
+    try:
+        device = os.stat(path).st_rdev
+    except OSError:
+        return False
+    if os.path.realpath(path).startswith(BSD_PTY_PATHS):
+        return True
+    return os.name == "posix" and os.major(device) in UNIX98_PTY_MAJORS

@@ -1,0 +1,104 @@
+"""When a port that is not there is tried again.
+
+Knows how often; the waiting itself is handed in, so that an event loop, a thread and a test each wait in their way.
+
+1. The first pause is short: an adapter that is replugged is back within a second. Each further one doubles, up to a
+   most; a port that is gone for hours costs one attempt per ``most`` seconds.
+2. Only what may be different later is tried again: `LinkDown` is, `ConfigError` is not.
+"""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from ...errors import ConfigError, LinkDown
+
+Port = TypeVar("Port")
+
+
+@dataclass(frozen=True, slots=True)
+class ReopenPolicy:
+    """Pauses between the attempts to open a port.
+
+    Attributes:
+        first: seconds after the first failure, 0.01…60.
+        most: seconds that no pause exceeds, ``first``…3600.
+        attempts: how many failures in a row end it; None waits for ever.
+    """
+
+    first: float = 0.1
+    most: float = 2.0
+    attempts: int | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.first <= 60:
+            raise ConfigError(f"must be 0.01…60 seconds, not {self.first:g}", key="first")
+        if not self.first <= self.most <= 3600:
+            raise ConfigError(f"must be {self.first:g}…3600 seconds, not {self.most:g}", key="most")
+        if self.attempts is not None and self.attempts < 1:
+            raise ConfigError(f"must be at least 1, not {self.attempts}", key="attempts")
+
+    def pause(self, failures: int) -> float | None:
+        """Seconds to wait after so many failures in a row (from 1); None when it is enough."""
+        if self.attempts is not None and failures >= self.attempts:
+            return None
+        return min(self.first * 2.0 ** min(failures - 1, 32), self.most)
+
+
+def _ignore(_error: LinkDown, _pause: float) -> None:
+    """Nobody wants to know."""
+
+
+async def open_when_there(
+    opener: Callable[[], Awaitable[Port]],
+    policy: ReopenPolicy,
+    *,
+    waiting: Callable[[LinkDown, float], None] = _ignore,
+    sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
+) -> Port:
+    """Open a port, waiting for it as long as the policy says. Cancel it to stop waiting.
+
+    Args:
+        opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.
+        policy: the pauses.
+        waiting: told about each failure and the pause after it, in seconds.
+        sleep: waits.
+
+    Raises:
+        LinkDown: the last failure, when the policy's attempts are used up.
+        ConfigError: what waiting does not change.
+    """
+    failures = 0
+    while True:
+        try:
+            return await opener()
+        except LinkDown as error:
+            failures += 1
+            pause = policy.pause(failures)
+            if pause is None:
+                raise
+            waiting(error, pause)
+        await sleep(pause)
+
+
+def open_when_there_blocking(
+    opener: Callable[[], Port],
+    policy: ReopenPolicy,
+    *,
+    waiting: Callable[[LinkDown, float], None] = _ignore,
+    sleep: Callable[[float], object] = time.sleep,
+) -> Port:
+    """As `open_when_there`, in the calling thread. ``sleep`` or ``waiting`` may raise to stop waiting."""
+    failures = 0
+    while True:
+        try:
+            return opener()
+        except LinkDown as error:
+            failures += 1
+            pause = policy.pause(failures)
+            if pause is None:
+                raise
+            waiting(error, pause)
+        sleep(pause)

@@ -1,0 +1,88 @@
+"""Switching the direction of an RS-485 driver: by the port's driver, or by the RTS wire.
+
+Knows the kernel's structure (``struct serial_rs485`` of ``linux/serial.h``) and the modem lines; knows no timing: who
+switches RTS keeps the delays.
+"""
+
+import math
+import struct
+from enum import Enum
+
+from ...errors import ConfigError
+from .ioctl import Ioctl, asked, asked_integer, system_ioctl
+from .settings import Echo, Rs485, SerialSettings
+
+TIOCGRS485 = 0x542E
+TIOCSRS485 = 0x542F
+TIOCMBIS = 0x5416
+TIOCMBIC = 0x5417
+TIOCM_RTS = 0x004
+
+ENABLED = 1 << 0
+RTS_ON_SEND = 1 << 1
+RTS_AFTER_SEND = 1 << 2
+RECEIVE_WHILE_SENDING = 1 << 4
+
+_LAYOUT = struct.Struct("III20x")
+"""Flags, milliseconds before and after sending, and what the kernel keeps for itself."""
+
+
+class Direction(Enum):
+    """Who switches, once the port is open."""
+
+    NOBODY = "nobody"
+    KERNEL = "kernel"
+    RTS = "rts"
+
+
+def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> Direction:
+    """Set up the direction control that the settings ask for, and tell which it became.
+
+    Raises:
+        ConfigError: the kernel's mode is asked for and this port does not have it.
+    """
+    if settings.rs485 is Rs485.OFF:
+        return Direction.NOBODY
+    if settings.rs485 is not Rs485.RTS and _kernel_mode(descriptor, settings, ioctl):
+        return Direction.KERNEL
+    if settings.rs485 is Rs485.KERNEL:
+        raise ConfigError("the driver of this port has no RS-485 mode; rs485=rts switches by the RTS wire", key="rs485")
+    set_rts(descriptor, settings.rts_after_send, ioctl)
+    return Direction.RTS
+
+
+def _kernel_mode(descriptor: int, settings: SerialSettings, ioctl: Ioctl) -> bool:
+    flags = ENABLED
+    if settings.rts_on_send:
+        flags |= RTS_ON_SEND
+    if settings.rts_after_send:
+        flags |= RTS_AFTER_SEND
+    if settings.echo is Echo.ON:
+        flags |= RECEIVE_WHILE_SENDING
+    # Whole milliseconds are all it takes; a shorter delay than asked for could cut off a character.
+    before = math.ceil(settings.delay_before_send * 1000)
+    after = math.ceil(settings.delay_after_send * 1000)
+    if not asked(ioctl, descriptor, TIOCSRS485, bytearray(_LAYOUT.pack(flags, before, after))):
+        return False
+    # Drivers change what they can not do and report success; only what they give back counts.
+    taken = bytearray(_LAYOUT.size)
+    if not asked(ioctl, descriptor, TIOCGRS485, taken):
+        return True
+    flags_taken, before_taken, after_taken = _LAYOUT.unpack(taken)
+    if not flags_taken & ENABLED:
+        return False
+    for name, wanted, got in (
+        ("delay_before_send", before, before_taken),
+        ("delay_after_send", after, after_taken),
+    ):
+        if got < wanted:
+            raise ConfigError(f"the driver of this port takes {got / 1000:g} seconds at most", key=name)
+    levels = RTS_ON_SEND | RTS_AFTER_SEND
+    if (flags_taken ^ flags) & levels:
+        raise ConfigError("the driver of this port does not offer these levels of RTS", key="rts_on_send")
+    return True
+
+
+def set_rts(descriptor: int, level: bool, ioctl: Ioctl = system_ioctl) -> bool:
+    """Raise or lower RTS; False where the port has no such wire (a pseudo-terminal)."""
+    return asked_integer(ioctl, descriptor, TIOCMBIS if level else TIOCMBIC, TIOCM_RTS) is not None
