@@ -1,13 +1,13 @@
 """The asynchronous interface: links and units for asyncio programs.
 
-Knows names, arguments and results; what happens on the wire is the business of `busway.client.link`. The blocking
-interface (``blocking``) has the same names, arguments and docstrings; a test holds them together.
+Knows names, arguments and results; what happens on the wire is the business of `busway.client.link`. Names, arguments
+and docstrings are those of the blocking interface (``blocking``); a test holds them together.
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Self, Unpack
+from typing import Any, Self, TypeVar, Unpack
 
 from ..config.endpoints import Endpoint
 from ..errors import ModbusError
@@ -33,6 +33,8 @@ from ..pdu.write_items import (
 )
 from ..session.client import ClientCounters
 from ..values import Address, ValueType
+from .blocking import Link as BlockingLink
+from .blocking import Unit
 from .calls import LinkSettings, closed_error, default_unit, demand_for, link_settings
 from .link import Link
 from .operations import (
@@ -47,21 +49,21 @@ from .operations import (
 )
 from .pool import LinkPool, pool_of_running_loop
 
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def documented_by(other: object) -> Callable[[Method], Method]:
+    """Give a method or property the docstring of its blocking twin, so that there is one text for both."""
+
+    def take(method: Method) -> Method:
+        method.__doc__ = other.__doc__
+        return method
+
+    return take
+
 
 class AsyncUnit:
-    """One unit behind a link, as `AsyncLink.unit` gives it.
-
-    Every method sends one request (`read`, `write` and `read_device_identification` perhaps several) and gives plain
-    Python values. Every method raises:
-
-    * `InvalidRequest`: an argument is out of range; nothing was sent.
-    * `ExceptionReply`: the device refused.
-    * `NoReply`: no answer in time, after all attempts.
-    * `BadReply`: the answer breaks the protocol.
-    * `LinkDown`: no connection, or it ended.
-    * `Overloaded`: too many calls wait already; nothing was sent.
-    * `WriteOutcomeUnknown`: methods that write only; it was sent, and no valid answer came.
-    """
+    __doc__ = Unit.__doc__
 
     __slots__ = ("_link", "_number")
 
@@ -70,33 +72,22 @@ class AsyncUnit:
         self._number = number
 
     @property
+    @documented_by(Unit.number)
     def number(self) -> int:
-        """The unit identifier, 0…255."""
         return self._number
 
+    @documented_by(Unit.execute)
     async def execute(self, request: Request, **call: Unpack[CallOptions]) -> Message:
-        """Send any request and give its reply, for functions that have no method of their own.
-
-        Args:
-            request: a request, also of a function of yours.
-            call: `CallOptions`.
-        """
         (outcome,) = await self._link.run(self._number, (request,), call)
         if isinstance(outcome, ModbusError):
             raise outcome
         assert isinstance(outcome, Message)
         return outcome
 
+    @documented_by(Unit.execute_many)
     async def execute_many(
         self, requests: Sequence[Request], *, return_errors: bool = False, **call: Unpack[CallOptions]
     ) -> list[Any]:
-        """Send many requests, as many at once as the link allows, and give their replies in the same order.
-
-        Args:
-            requests: any number of requests.
-            return_errors: give errors in the place of replies, instead of raising the first one after all have ended.
-            call: `CallOptions`; the deadline is for all of them together.
-        """
         if not requests:
             return []
         outcomes = await self._link.run(self._number, requests, call)
@@ -106,6 +97,7 @@ class AsyncUnit:
                     raise outcome
         return outcomes
 
+    @documented_by(Unit.read)
     async def read(
         self,
         address: int | str | Address,
@@ -116,18 +108,9 @@ class AsyncUnit:
         split: bool = False,
         **call: Unpack[CallOptions],
     ) -> Any:
-        """One value, or ``count`` values, from an address in any notation.
-
-        Args:
-            address: ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 … (`parse_address`).
-            type: type of the values in registers (``uint16`` by default, ``float32``, ``string:8`` …).
-            order: order of bytes and registers, ``ABCD`` (big-endian) by default.
-            count: number of values; a list is given then.
-            split: allow several requests where one does not hold that many.
-            call: `CallOptions`.
-        """
         return await self._perform(read_values(address, type, order, count, split), call)
 
+    @documented_by(Unit.write)
     async def write(
         self,
         address: int | str | Address,
@@ -138,246 +121,118 @@ class AsyncUnit:
         function: WriteFunction = "auto",
         **call: Unpack[CallOptions],
     ) -> None:
-        """Write a value or a list of values to an address in any notation. A value out of range is never truncated.
-
-        Args:
-            address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
-            value: one value, or a list of values for consecutive places.
-            type: type of the values in registers (``uint16`` by default).
-            order: order of bytes and registers.
-            function: ``single`` (05, 06) or ``multiple`` (15, 16) for devices that have only one of them.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self._perform(write_values(address, value, type, order, function), call)
 
+    @documented_by(Unit.read_device_identification)
     async def read_device_identification(
         self, level: str = "basic", *, object_id: int | None = None, **call: Unpack[CallOptions]
     ) -> dict[int, bytes]:
-        """Identification objects by number, function 43/14 (§6.21); as many requests as they need.
-
-        Args:
-            level: ``basic`` (objects 0–2), ``regular`` (to 0x7F) or ``extended`` (to 0xFF).
-            object_id: the one object to read instead, 0…255.
-            call: `CallOptions`.
-        """
         found: dict[int, bytes] = await self._perform(read_identification(level, object_id), call)
         return found
 
+    @documented_by(Unit.read_coils)
     async def read_coils(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
-        """Coils as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.1).
-
-        Args:
-            address: first coil, 0…65535.
-            count: number of coils, 1…2000.
-            call: `CallOptions`.
-        """
         reply = await self.execute(ReadCoils(address, count), **call)
         assert isinstance(reply, ReadCoils.Reply)
         return reply.bits(count)
 
+    @documented_by(Unit.read_discrete_inputs)
     async def read_discrete_inputs(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
-        """Discrete inputs as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.2).
-
-        Args:
-            address: first input, 0…65535.
-            count: number of inputs, 1…2000.
-            call: `CallOptions`.
-        """
         reply = await self.execute(ReadDiscreteInputs(address, count), **call)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
         return reply.bits(count)
 
+    @documented_by(Unit.read_holding_registers)
     async def read_holding_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        """Holding registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.3).
-
-        Args:
-            address: first register, 0…65535.
-            count: number of registers, 1…125.
-            call: `CallOptions`.
-        """
         reply = await self.execute(ReadHoldingRegisters(address, count), **call)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
+    @documented_by(Unit.read_input_registers)
     async def read_input_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        """Input registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.4).
-
-        Args:
-            address: first register, 0…65535.
-            count: number of registers, 1…125.
-            call: `CallOptions`.
-        """
         reply = await self.execute(ReadInputRegisters(address, count), **call)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
+    @documented_by(Unit.write_single_coil)
     async def write_single_coil(self, address: int, value: bool, **call: Unpack[CallOptions]) -> None:
-        """Write one coil, function 05 (MODBUS Application Protocol V1.1b3 §6.5).
-
-        Args:
-            address: the coil, 0…65535.
-            value: True for on.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self.execute(WriteSingleCoil(address, COIL_ON if value else COIL_OFF), **call)
 
+    @documented_by(Unit.write_single_register)
     async def write_single_register(self, address: int, value: int, **call: Unpack[CallOptions]) -> None:
-        """Write one holding register, function 06 (MODBUS Application Protocol V1.1b3 §6.6).
-
-        Args:
-            address: the register, 0…65535.
-            value: 0…65535.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self.execute(WriteSingleRegister(address, value), **call)
 
+    @documented_by(Unit.write_multiple_coils)
     async def write_multiple_coils(self, address: int, values: Sequence[bool], **call: Unpack[CallOptions]) -> None:
-        """Write coils, function 15 (MODBUS Application Protocol V1.1b3 §6.11).
-
-        Args:
-            address: first coil, 0…65535.
-            values: 1…1968 bools.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self.execute(WriteMultipleCoils.of(address, values), **call)
 
+    @documented_by(Unit.write_multiple_registers)
     async def write_multiple_registers(self, address: int, values: Sequence[int], **call: Unpack[CallOptions]) -> None:
-        """Write holding registers, function 16 (MODBUS Application Protocol V1.1b3 §6.12).
-
-        Args:
-            address: first register, 0…65535.
-            values: 1…123 numbers 0…65535.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self.execute(WriteMultipleRegisters.of(address, values), **call)
 
+    @documented_by(Unit.mask_write_register)
     async def mask_write_register(
         self, address: int, *, and_mask: int, or_mask: int, **call: Unpack[CallOptions]
     ) -> None:
-        """Set a register to (current AND and_mask) OR (or_mask AND NOT and_mask), function 22 (§6.16).
-
-        Args:
-            address: the register, 0…65535.
-            and_mask: bits to keep, 0…65535.
-            or_mask: values of the other bits, 0…65535.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self.execute(MaskWriteRegister(address, and_mask, or_mask), **call)
 
+    @documented_by(Unit.read_write_multiple_registers)
     async def read_write_multiple_registers(
         self, read_address: int, *, count: int, write_address: int, values: Sequence[int], **call: Unpack[CallOptions]
     ) -> list[int]:
-        """Write holding registers, then read some, in one request, function 23 (§6.17).
-
-        Args:
-            read_address: first register to read, 0…65535.
-            count: number of registers to read, 1…125.
-            write_address: first register to write, 0…65535.
-            values: 1…121 numbers 0…65535.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         reply = await self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
         return reply.registers
 
+    @documented_by(Unit.read_fifo_queue)
     async def read_fifo_queue(self, address: int, **call: Unpack[CallOptions]) -> list[int]:
-        """Up to 31 registers of a queue, the oldest first; they stay in it, function 24 (§6.18).
-
-        Args:
-            address: the queue's pointer, 0…65535.
-            call: `CallOptions`.
-        """
         reply = await self.execute(ReadFifoQueue(address), **call)
         assert isinstance(reply, ReadFifoQueue.Reply)
         return reply.registers
 
+    @documented_by(Unit.read_file_record)
     async def read_file_record(self, file: int, record: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        """Registers of a file, function 20 with one group (§6.14).
-
-        Args:
-            file: 1…65535.
-            record: first record, 0…9999.
-            count: number of registers, 1…124.
-            call: `CallOptions`.
-        """
         reply = await self.execute(ReadFileRecord.of((FileReference(file, record, count),)), **call)
         assert isinstance(reply, ReadFileRecord.Reply)
         return reply.contents[0].registers
 
+    @documented_by(Unit.write_file_record)
     async def write_file_record(
         self, file: int, record: int, values: Sequence[int], **call: Unpack[CallOptions]
     ) -> None:
-        """Write registers of a file, function 21 with one group (§6.15).
-
-        Args:
-            file: 1…65535.
-            record: first record, 0…9999.
-            values: 1…122 numbers 0…65535.
-            call: `CallOptions`.
-
-        Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
-        """
         await self.execute(WriteFileRecord.of(file, record, values), **call)
 
+    @documented_by(Unit.read_exception_status)
     async def read_exception_status(self, **call: Unpack[CallOptions]) -> int:
-        """Eight bits that the device defines, 0…255, function 07 (§6.7)."""
         reply = await self.execute(ReadExceptionStatus(), **call)
         assert isinstance(reply, ReadExceptionStatus.Reply)
         return reply.status
 
+    @documented_by(Unit.diagnostics)
     async def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call: Unpack[CallOptions]) -> bytes:
-        """Function 08 with a sub-function; the data of the reply (§6.8).
-
-        Args:
-            sub_function: 0…65535; `DiagnosticCode` names them.
-            data: two bytes; for sub-function 00 any even number of bytes up to 250.
-            call: `CallOptions`.
-        """
         reply = await self.execute(diagnostic_request(sub_function, data), **call)
         return diagnostic_data(reply)
 
+    @documented_by(Unit.get_comm_event_counter)
     async def get_comm_event_counter(self, **call: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
-        """Status word and number of successful messages, function 11 (§6.9)."""
         reply = await self.execute(GetCommEventCounter(), **call)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
 
+    @documented_by(Unit.get_comm_event_log)
     async def get_comm_event_log(self, **call: Unpack[CallOptions]) -> GetCommEventLog.Reply:
-        """Status, counts and up to 64 event bytes, function 12 (§6.10)."""
         reply = await self.execute(GetCommEventLog(), **call)
         assert isinstance(reply, GetCommEventLog.Reply)
         return reply
 
+    @documented_by(Unit.report_server_id)
     async def report_server_id(self, **call: Unpack[CallOptions]) -> bytes:
-        """What the device says of itself, function 17 (§6.13): its layout is the device's own."""
         reply = await self.execute(ReportServerId(), **call)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data
 
+    @documented_by(Unit._perform)
     async def _perform(self, operation: Operation, call: CallOptions) -> Any:
-        """Run an operation: send what it asks for, give it the replies, until it has its result."""
         try:
             requests = next(operation)
             while True:
@@ -400,39 +255,35 @@ class AsyncLink:
         self._closed = False
 
     @property
+    @documented_by(BlockingLink.endpoint)
     def endpoint(self) -> Endpoint:
-        """Where it leads."""
         return self._settings.endpoint
 
     @property
+    @documented_by(BlockingLink.is_connected)
     def is_connected(self) -> bool:
-        """Whether a connection stands now."""
         return self._link.is_connected
 
     @property
+    @documented_by(BlockingLink.state)
     def state(self) -> str:
-        """``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``."""
         return self._link.reconnect.state.value
 
     @property
+    @documented_by(BlockingLink.counters)
     def counters(self) -> ClientCounters:
-        """What happened on the shared link so far."""
         return self._link.session.counters
 
+    @documented_by(BlockingLink.unit)
     def unit(self, number: int | None = None) -> AsyncUnit:
-        """One unit behind this link.
-
-        Args:
-            number: unit identifier 0…255; 255, the device itself, if left out on TCP.
-        """
         return AsyncUnit(self, default_unit(self._settings.endpoint, number))
 
+    @documented_by(BlockingLink.connect)
     async def connect(self) -> None:
-        """Connect now, instead of at the first need. Raises `LinkDown`."""
         await self._link.connect()
 
+    @documented_by(BlockingLink.close)
     async def close(self) -> None:
-        """Give the link up; the last user of a shared one closes the connection. Calls under way end as `LinkDown`."""
         if not self._closed:
             self._closed = True
             await self._pool.release(self._settings, self._link)
@@ -445,8 +296,8 @@ class AsyncLink:
     ) -> None:
         await self.close()
 
+    @documented_by(BlockingLink.run)
     async def run(self, unit: int, requests: Sequence[Request], call: CallOptions) -> list[Any]:
-        """Bring requests to their outcomes: replies or errors, in order. The calls of `AsyncUnit` end here."""
         if self._closed:
             raise closed_error(self._settings)
         link = self._link

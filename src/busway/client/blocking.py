@@ -1,13 +1,13 @@
 """The blocking interface: links and units for plain programs and threads.
 
-Knows names, arguments and results; what happens on the wire is the business of `busway.client.blocking_link`. Names,
-arguments and docstrings are those of the asynchronous interface (``aio``); a test holds them together.
+Knows names, arguments and results; what happens on the wire is the business of `busway.client.blocking_link`. The
+asynchronous interface (``aio``) has the same names, arguments and docstrings; a test holds them together.
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, Self, TypeVar, Unpack
+from typing import Any, Self, Unpack
 
 from ..config.endpoints import Endpoint
 from ..errors import ModbusError
@@ -33,7 +33,6 @@ from ..pdu.write_items import (
 )
 from ..session.client import ClientCounters
 from ..values import Address, ValueType
-from .aio import AsyncLink, AsyncUnit
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
 from .calls import LinkSettings, closed_error, default_unit, demand_for, link_settings
@@ -48,20 +47,22 @@ from .operations import (
     write_values,
 )
 
-Method = TypeVar("Method", bound=Callable[..., Any])
-
-
-def documented_by(other: object) -> Callable[[Method], Method]:
-    """Give a method or property the docstring of its asynchronous twin, so that there is one text for both."""
-
-    def take(method: Method) -> Method:
-        method.__doc__ = other.__doc__
-        return method
-
-    return take
-
 
 class Unit:
+    """One unit behind a link, as `Link.unit` gives it.
+
+    Every method sends one request (`read`, `write` and `read_device_identification` perhaps several) and gives plain
+    Python values. Every method raises:
+
+    * `InvalidRequest`: an argument is out of range; nothing was sent.
+    * `ExceptionReply`: the device refused.
+    * `NoReply`: no answer in time, after all attempts.
+    * `BadReply`: the answer breaks the protocol.
+    * `LinkDown`: no connection, or it ended.
+    * `Overloaded`: too many calls wait already; nothing was sent.
+    * `WriteOutcomeUnknown`: methods that write only; it was sent, and no valid answer came.
+    """
+
     __slots__ = ("_link", "_number")
 
     def __init__(self, link: "Link", number: int) -> None:
@@ -73,18 +74,29 @@ class Unit:
         """The unit identifier, 0…255."""
         return self._number
 
-    @documented_by(AsyncUnit.execute)
     def execute(self, request: Request, **call: Unpack[CallOptions]) -> Message:
+        """Send any request and give its reply, for functions that have no method of their own.
+
+        Args:
+            request: a request, also of a function of yours.
+            call: `CallOptions`.
+        """
         (outcome,) = self._link.run(self._number, (request,), call)
         if isinstance(outcome, ModbusError):
             raise outcome
         assert isinstance(outcome, Message)
         return outcome
 
-    @documented_by(AsyncUnit.execute_many)
     def execute_many(
         self, requests: Sequence[Request], *, return_errors: bool = False, **call: Unpack[CallOptions]
     ) -> list[Any]:
+        """Send many requests, as many at once as the link allows, and give their replies in the same order.
+
+        Args:
+            requests: any number of requests.
+            return_errors: give errors in the place of replies, instead of raising the first one after all have ended.
+            call: `CallOptions`; the deadline is for all of them together.
+        """
         if not requests:
             return []
         outcomes = self._link.run(self._number, requests, call)
@@ -94,7 +106,6 @@ class Unit:
                     raise outcome
         return outcomes
 
-    @documented_by(AsyncUnit.read)
     def read(
         self,
         address: int | str | Address,
@@ -105,9 +116,18 @@ class Unit:
         split: bool = False,
         **call: Unpack[CallOptions],
     ) -> Any:
+        """One value, or ``count`` values, from an address in any notation.
+
+        Args:
+            address: ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 … (`parse_address`).
+            type: type of the values in registers (``uint16`` by default, ``float32``, ``string:8`` …).
+            order: order of bytes and registers, ``ABCD`` (big-endian) by default.
+            count: number of values; a list is given then.
+            split: allow several requests where one does not hold that many.
+            call: `CallOptions`.
+        """
         return self._perform(read_values(address, type, order, count, split), call)
 
-    @documented_by(AsyncUnit.write)
     def write(
         self,
         address: int | str | Address,
@@ -118,108 +138,236 @@ class Unit:
         function: WriteFunction = "auto",
         **call: Unpack[CallOptions],
     ) -> None:
+        """Write a value or a list of values to an address in any notation. A value out of range is never truncated.
+
+        Args:
+            address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
+            value: one value, or a list of values for consecutive places.
+            type: type of the values in registers (``uint16`` by default).
+            order: order of bytes and registers.
+            function: ``single`` (05, 06) or ``multiple`` (15, 16) for devices that have only one of them.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self._perform(write_values(address, value, type, order, function), call)
 
-    @documented_by(AsyncUnit.read_device_identification)
     def read_device_identification(
         self, level: str = "basic", *, object_id: int | None = None, **call: Unpack[CallOptions]
     ) -> dict[int, bytes]:
+        """Identification objects by number, function 43/14 (§6.21); as many requests as they need.
+
+        Args:
+            level: ``basic`` (objects 0–2), ``regular`` (to 0x7F) or ``extended`` (to 0xFF).
+            object_id: the one object to read instead, 0…255.
+            call: `CallOptions`.
+        """
         found: dict[int, bytes] = self._perform(read_identification(level, object_id), call)
         return found
 
-    @documented_by(AsyncUnit.read_coils)
     def read_coils(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
+        """Coils as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.1).
+
+        Args:
+            address: first coil, 0…65535.
+            count: number of coils, 1…2000.
+            call: `CallOptions`.
+        """
         reply = self.execute(ReadCoils(address, count), **call)
         assert isinstance(reply, ReadCoils.Reply)
         return reply.bits(count)
 
-    @documented_by(AsyncUnit.read_discrete_inputs)
     def read_discrete_inputs(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
+        """Discrete inputs as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.2).
+
+        Args:
+            address: first input, 0…65535.
+            count: number of inputs, 1…2000.
+            call: `CallOptions`.
+        """
         reply = self.execute(ReadDiscreteInputs(address, count), **call)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
         return reply.bits(count)
 
-    @documented_by(AsyncUnit.read_holding_registers)
     def read_holding_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
+        """Holding registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.3).
+
+        Args:
+            address: first register, 0…65535.
+            count: number of registers, 1…125.
+            call: `CallOptions`.
+        """
         reply = self.execute(ReadHoldingRegisters(address, count), **call)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
-    @documented_by(AsyncUnit.read_input_registers)
     def read_input_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
+        """Input registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.4).
+
+        Args:
+            address: first register, 0…65535.
+            count: number of registers, 1…125.
+            call: `CallOptions`.
+        """
         reply = self.execute(ReadInputRegisters(address, count), **call)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
-    @documented_by(AsyncUnit.write_single_coil)
     def write_single_coil(self, address: int, value: bool, **call: Unpack[CallOptions]) -> None:
+        """Write one coil, function 05 (MODBUS Application Protocol V1.1b3 §6.5).
+
+        Args:
+            address: the coil, 0…65535.
+            value: True for on.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self.execute(WriteSingleCoil(address, COIL_ON if value else COIL_OFF), **call)
 
-    @documented_by(AsyncUnit.write_single_register)
     def write_single_register(self, address: int, value: int, **call: Unpack[CallOptions]) -> None:
+        """Write one holding register, function 06 (MODBUS Application Protocol V1.1b3 §6.6).
+
+        Args:
+            address: the register, 0…65535.
+            value: 0…65535.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self.execute(WriteSingleRegister(address, value), **call)
 
-    @documented_by(AsyncUnit.write_multiple_coils)
     def write_multiple_coils(self, address: int, values: Sequence[bool], **call: Unpack[CallOptions]) -> None:
+        """Write coils, function 15 (MODBUS Application Protocol V1.1b3 §6.11).
+
+        Args:
+            address: first coil, 0…65535.
+            values: 1…1968 bools.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self.execute(WriteMultipleCoils.of(address, values), **call)
 
-    @documented_by(AsyncUnit.write_multiple_registers)
     def write_multiple_registers(self, address: int, values: Sequence[int], **call: Unpack[CallOptions]) -> None:
+        """Write holding registers, function 16 (MODBUS Application Protocol V1.1b3 §6.12).
+
+        Args:
+            address: first register, 0…65535.
+            values: 1…123 numbers 0…65535.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self.execute(WriteMultipleRegisters.of(address, values), **call)
 
-    @documented_by(AsyncUnit.mask_write_register)
     def mask_write_register(self, address: int, *, and_mask: int, or_mask: int, **call: Unpack[CallOptions]) -> None:
+        """Set a register to (current AND and_mask) OR (or_mask AND NOT and_mask), function 22 (§6.16).
+
+        Args:
+            address: the register, 0…65535.
+            and_mask: bits to keep, 0…65535.
+            or_mask: values of the other bits, 0…65535.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self.execute(MaskWriteRegister(address, and_mask, or_mask), **call)
 
-    @documented_by(AsyncUnit.read_write_multiple_registers)
     def read_write_multiple_registers(
         self, read_address: int, *, count: int, write_address: int, values: Sequence[int], **call: Unpack[CallOptions]
     ) -> list[int]:
+        """Write holding registers, then read some, in one request, function 23 (§6.17).
+
+        Args:
+            read_address: first register to read, 0…65535.
+            count: number of registers to read, 1…125.
+            write_address: first register to write, 0…65535.
+            values: 1…121 numbers 0…65535.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         reply = self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
         return reply.registers
 
-    @documented_by(AsyncUnit.read_fifo_queue)
     def read_fifo_queue(self, address: int, **call: Unpack[CallOptions]) -> list[int]:
+        """Up to 31 registers of a queue, the oldest first; they stay in it, function 24 (§6.18).
+
+        Args:
+            address: the queue's pointer, 0…65535.
+            call: `CallOptions`.
+        """
         reply = self.execute(ReadFifoQueue(address), **call)
         assert isinstance(reply, ReadFifoQueue.Reply)
         return reply.registers
 
-    @documented_by(AsyncUnit.read_file_record)
     def read_file_record(self, file: int, record: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
+        """Registers of a file, function 20 with one group (§6.14).
+
+        Args:
+            file: 1…65535.
+            record: first record, 0…9999.
+            count: number of registers, 1…124.
+            call: `CallOptions`.
+        """
         reply = self.execute(ReadFileRecord.of((FileReference(file, record, count),)), **call)
         assert isinstance(reply, ReadFileRecord.Reply)
         return reply.contents[0].registers
 
-    @documented_by(AsyncUnit.write_file_record)
     def write_file_record(self, file: int, record: int, values: Sequence[int], **call: Unpack[CallOptions]) -> None:
+        """Write registers of a file, function 21 with one group (§6.15).
+
+        Args:
+            file: 1…65535.
+            record: first record, 0…9999.
+            values: 1…122 numbers 0…65535.
+            call: `CallOptions`.
+
+        Raises:
+            WriteOutcomeUnknown: it was sent, and no valid answer came.
+        """
         self.execute(WriteFileRecord.of(file, record, values), **call)
 
-    @documented_by(AsyncUnit.read_exception_status)
     def read_exception_status(self, **call: Unpack[CallOptions]) -> int:
+        """Eight bits that the device defines, 0…255, function 07 (§6.7)."""
         reply = self.execute(ReadExceptionStatus(), **call)
         assert isinstance(reply, ReadExceptionStatus.Reply)
         return reply.status
 
-    @documented_by(AsyncUnit.diagnostics)
     def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call: Unpack[CallOptions]) -> bytes:
+        """Function 08 with a sub-function; the data of the reply (§6.8).
+
+        Args:
+            sub_function: 0…65535; `DiagnosticCode` names them.
+            data: two bytes; for sub-function 00 any even number of bytes up to 250.
+            call: `CallOptions`.
+        """
         reply = self.execute(diagnostic_request(sub_function, data), **call)
         return diagnostic_data(reply)
 
-    @documented_by(AsyncUnit.get_comm_event_counter)
     def get_comm_event_counter(self, **call: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
+        """Status word and number of successful messages, function 11 (§6.9)."""
         reply = self.execute(GetCommEventCounter(), **call)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
 
-    @documented_by(AsyncUnit.get_comm_event_log)
     def get_comm_event_log(self, **call: Unpack[CallOptions]) -> GetCommEventLog.Reply:
+        """Status, counts and up to 64 event bytes, function 12 (§6.10)."""
         reply = self.execute(GetCommEventLog(), **call)
         assert isinstance(reply, GetCommEventLog.Reply)
         return reply
 
-    @documented_by(AsyncUnit.report_server_id)
     def report_server_id(self, **call: Unpack[CallOptions]) -> bytes:
+        """What the device says of itself, function 17 (§6.13): its layout is the device's own."""
         reply = self.execute(ReportServerId(), **call)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data
@@ -247,35 +395,39 @@ class Link:
         self._closed = False
 
     @property
-    @documented_by(AsyncLink.endpoint)
     def endpoint(self) -> Endpoint:
+        """Where it leads."""
         return self._settings.endpoint
 
     @property
-    @documented_by(AsyncLink.is_connected)
     def is_connected(self) -> bool:
+        """Whether a connection stands now."""
         return self._link.is_connected
 
     @property
-    @documented_by(AsyncLink.state)
     def state(self) -> str:
+        """``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``."""
         return self._link.reconnect.state.value
 
     @property
-    @documented_by(AsyncLink.counters)
     def counters(self) -> ClientCounters:
+        """What happened on the shared link so far."""
         return self._link.session.counters
 
-    @documented_by(AsyncLink.unit)
     def unit(self, number: int | None = None) -> Unit:
+        """One unit behind this link.
+
+        Args:
+            number: unit identifier 0…255; 255, the device itself, if left out on TCP.
+        """
         return Unit(self, default_unit(self._settings.endpoint, number))
 
-    @documented_by(AsyncLink.connect)
     def connect(self) -> None:
+        """Connect now, instead of at the first need. Raises `LinkDown`."""
         self._link.connect()
 
-    @documented_by(AsyncLink.close)
     def close(self) -> None:
+        """Give the link up; the last user of a shared one closes the connection. Calls under way end as `LinkDown`."""
         if not self._closed:
             self._closed = True
             BLOCKING_POOL.release(self._settings, self._link)
@@ -288,8 +440,8 @@ class Link:
     ) -> None:
         self.close()
 
-    @documented_by(AsyncLink.run)
     def run(self, unit: int, requests: Sequence[Request], call: CallOptions) -> list[Any]:
+        """Bring requests to their outcomes: replies or errors, in order. The calls of `AsyncUnit` end here."""
         if self._closed:
             raise closed_error(self._settings)
         link = self._link
@@ -303,9 +455,6 @@ class Link:
         )
         link.run(demand)
         return demand.outcomes
-
-
-Unit.__doc__ = AsyncUnit.__doc__
 
 
 def connect(url: str | Endpoint, *, shared: bool = True, **options: Any) -> Link:

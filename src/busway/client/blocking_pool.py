@@ -4,9 +4,8 @@ import threading
 from dataclasses import dataclass
 
 from .blocking_link import BlockingLink
-from .calls import LinkSettings
+from .calls import LinkSettings, check_same
 from .connector import connector_for
-from .pool import check_same
 
 
 @dataclass(slots=True)

@@ -131,3 +131,13 @@ def _checked(
 def closed_error(settings: LinkSettings) -> InvalidRequest:
     """The error of a call on a link that its user has closed."""
     return InvalidRequest("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
+
+
+def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
+    """Raise `ConfigError` where two users of an endpoint want different connections."""
+    different = held.differs(wanted)
+    if different:
+        raise ConfigError(
+            f"{held.endpoint.url} is open already with another {different}; shared=False gives a connection of its own",
+            key=different,
+        )

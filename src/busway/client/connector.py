@@ -3,21 +3,23 @@
 Knows which transport an endpoint needs; knows no conversation.
 """
 
-import asyncio
 import contextlib
 import socket
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..config.endpoints import Endpoint
 from ..errors import ConfigError
 from ..transport.tcp import SocketParameters, link_down
 
+if TYPE_CHECKING:
+    import asyncio
+
 
 class Connector(Protocol):
     """Makes connections to one endpoint."""
 
-    async def connect(self, protocol: Callable[[], asyncio.BaseProtocol]) -> Any:  # an asyncio.Transport, or alike
+    async def connect(self, protocol: Callable[[], "asyncio.BaseProtocol"]) -> Any:  # an asyncio.Transport, or alike
         """A transport with ``protocol`` behind it. Raises `LinkDown`."""
 
     def dial(self) -> socket.socket:
@@ -34,8 +36,10 @@ class TcpConnector:
         # The port of a client is the system's choice (above 1024): a fixed one meets the half-open past of itself.
         self._local = (sockets.local_address, 0) if sockets.local_address else None
 
-    async def connect(self, protocol: Callable[[], asyncio.BaseProtocol]) -> Any:
+    async def connect(self, protocol: Callable[[], "asyncio.BaseProtocol"]) -> Any:
         """A connected transport. Raises `LinkDown`."""
+        import asyncio  # here: blocking programs, and every start of the command line, do without it
+
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(self._sockets.connect_timeout):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from ..errors import ConfigError
-from .calls import LinkSettings
+from .calls import LinkSettings, check_same
 from .connector import connector_for
 from .link import Link
 
@@ -52,16 +52,6 @@ class LinkPool:
                 return
             del self._shared[name]
         await link.close()
-
-
-def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
-    """Raise `ConfigError` where two users of an endpoint want different connections."""
-    different = held.differs(wanted)
-    if different:
-        raise ConfigError(
-            f"{held.endpoint.url} is open already with another {different}; shared=False gives a connection of its own",
-            key=different,
-        )
 
 
 def _make(settings: LinkSettings) -> Link:

@@ -48,11 +48,45 @@ def as_integer(name: str, value: object) -> int:
 
 
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
-    """Give ``cls``, whose fields are declared, its layout, constructor, ``encode`` and ``decode``."""
-    layout = _layout(cls)
-    cls.layout = layout
+    """Give ``cls``, whose fields are declared, its layout now, and its codecs when the first of them is needed.
+
+    Compiling all 40 classes takes 40 ms, which a command that uses two of them should not pay.
+    """
+    cls.layout = _layout(cls)
     if getattr(cls, "writes", None) is not None:
         cls.is_write = True
+    cls.codecs_pending = True
+    cls.__init__ = _first_init
+    cls.encode = _first_encode
+    cls.decodes_itself = "decode" in cls.__dict__
+    if not cls.decodes_itself:
+        cls.decode = classmethod(_first_decode)
+
+
+def _first_init(self: Any, *arguments: Any, **named: Any) -> None:
+    _compile_pending(type(self))
+    self.__init__(*arguments, **named)
+
+
+def _first_encode(self: Any) -> Any:
+    _compile_pending(type(self))
+    return self.encode()
+
+
+def _first_decode(cls: Any, pdu: bytes) -> Any:
+    _compile_pending(cls)
+    return cls.decode(pdu)
+
+
+def _compile_pending(cls: Any) -> None:
+    """Compile the class, among ``cls`` and its bases, that declared what ``cls`` inherits."""
+    owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
+    _compile_codecs(owner)
+
+
+def _compile_codecs(cls: Any) -> None:
+    """Give ``cls`` its constructor, ``encode`` and ``decode``."""
+    layout = cls.layout
     names = attribute_names(cls)
     self_coded = cls.self_coded
     namespace: dict[str, Any] = {
@@ -83,11 +117,32 @@ def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what m
     cls.__init__.__qualname__ = f"{cls.__qualname__}.__init__"
     cls.encode = namespace["encode"]
     cls.encode.__doc__ = "The PDU, function code first."
-    if "decode" not in cls.__dict__:
+    if not cls.decodes_itself:
         namespace[
             "decode"
         ].__doc__ = "The message of a whole PDU. Raises `MalformedPdu` where a limit or length is broken."
         cls.decode = classmethod(namespace["decode"])
+
+
+def compile_taker(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
+    """The short way to a reply that is a byte count and data: 0.2 µs, where ``decode`` takes 1.0.
+
+    It is right only where length and first bytes were compared with what the request expects.
+    """
+    layout: Layout = cls.layout
+    if len(layout.fields) != 1 or not isinstance(layout.fields[0], RestLength) or cls.has_rule:
+        return None
+    if not isinstance(layout.tail, RestField) or cls.sub_code is not None:
+        return None
+    new, start = cls.__new__, layout.head.size
+    put = getattr(cls, layout.tail_name).__set__
+
+    def take(pdu: bytes) -> Any:
+        reply = new(cls)
+        put(reply, pdu[start:])
+        return reply
+
+    return staticmethod(take)
 
 
 def _layout(cls: Any) -> Layout:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, dataclass_transform
 
 from ..codes import Table
-from .compiler import Layout, attribute_names, compile_message
+from .compiler import Layout, attribute_names, compile_message, compile_taker
 from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
@@ -84,6 +84,8 @@ def _complete(cls: Any, reply: Any) -> None:
         reply.code, reply.sub_code, reply.sub_width = cls.code, cls.sub_code, cls.sub_width
         compile_message(reply)
     compile_message(cls)
+    if reply is not None and cls.check_reply is Request.check_reply:
+        cls.take = compile_taker(reply)
 
 
 @dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
@@ -200,6 +202,8 @@ class Request(Message):
     writes: ClassVar[Touch | None] = None
     is_write: ClassVar[bool] = False
     echoes: ClassVar[bool] = False
+    take: ClassVar[Any] = None  # Any: a staticmethod (bytes) -> Message or None; a plain callable would be bound
+    """Makes the reply of a PDU whose length and first bytes fit; compiled where the rest of it is data only."""
     broadcast: ClassVar[bool] = False
 
     @classmethod

@@ -86,13 +86,15 @@ class Demand:
         """Whether a request waits to be sent."""
         return self.next < len(self.requests) or bool(self.again)
 
-    def take(self) -> int:
-        """The position of the next request to send."""
+    def take(self, at_most: int) -> Sequence[int]:
+        """Positions of the next requests to send, ``at_most`` of them: first what is repeated, then what is new."""
         if self.again:
-            return self.again.pop(0)
-        position = self.next
-        self.next = position + 1
-        return position
+            taken = self.again[:at_most]
+            del self.again[:at_most]
+            return taken
+        first = self.next
+        self.next = min(first + at_most, len(self.requests))
+        return range(first, self.next)
 
     @property
     def error(self) -> ModbusError | None:

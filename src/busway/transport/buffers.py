@@ -5,8 +5,11 @@ worked through before the next one receives. 1000 idle connections then hold one
 hand a buffer to the system first and let it be filled later (Windows' proactor), each connection needs its own.
 """
 
-import asyncio
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
+
+if TYPE_CHECKING:
+    import asyncio
 
 RECEIVE_SIZE = 65_536
 """What one receive call takes at most: some 5000 read requests."""
@@ -14,7 +17,7 @@ RECEIVE_SIZE = 65_536
 _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, bytearray]" = WeakKeyDictionary()
 
 
-def receive_buffer(loop: asyncio.AbstractEventLoop) -> bytearray:
+def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
     """The buffer to receive into on ``loop``."""
     if "Proactor" in type(loop).__name__:
         return bytearray(4096)
