@@ -62,7 +62,7 @@ def prepare(quick: bool, rounds: int | None = None, seconds: float | None = None
     return Bench(
         quick=quick,
         rounds=rounds or (3 if quick else 5),
-        seconds=seconds or (0.3 if quick else 1.5),
+        seconds=seconds or (0.2 if quick else 1.5),
         server_core=server_core,
         load_core=load_core,
         programs=build.programs(say),
