@@ -31,7 +31,7 @@ from ..pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from ..session.client import ClientCounters
+from ..session.ledger import ClientCounters
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit

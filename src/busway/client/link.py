@@ -279,7 +279,8 @@ class Link:
     def _wake(self) -> None:
         """Tell the callers whose demands are complete."""
         session = self.session
-        finished, session.finished = session.finished, []
+        finished = session.finished[:]
+        session.finished.clear()
         for demand in finished:
             future = demand.owner
             if future is not None and not future.done():

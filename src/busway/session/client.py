@@ -16,17 +16,15 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
    still working on it.
 """
 
-from dataclasses import dataclass
-
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
-from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply, Overloaded, WriteOutcomeUnknown
+from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
 from ..pdu.general import ExceptionResponse
 from ..pdu.malformed import MalformedPdu
-from ..pdu.message import Message, Request
+from ..pdu.message import Request
 from .demand import Demand
+from .ledger import Ledger
 from .parameters import ClientParameters, MismatchPolicy
-from .queue import RequestQueue
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
@@ -46,27 +44,6 @@ class _Flight:
     expires: float
 
 
-@dataclass(slots=True)
-class ClientCounters:
-    """What happened on a link since it was made."""
-
-    requests: int = 0
-    replies: int = 0
-    exceptions: int = 0
-    timeouts: int = 0
-    retries: int = 0
-    bad_replies: int = 0
-    late_replies: int = 0
-    foreign_replies: int = 0
-    tolerated_replies: int = 0
-    foreign_protocol: int = 0
-    cancelled: int = 0
-    overloaded: int = 0
-    connections: int = 0
-    lost_connections: int = 0
-    recycled: int = 0
-
-
 class TcpClientSession:
     """One link's conversation, across reconnections.
 
@@ -81,17 +58,16 @@ class TcpClientSession:
     __slots__ = (
         "_buffer",
         "_connected",
-        "_deadlines",
         "_expired",
         "_foreign_in_row",
         "_free",
+        "_ledger",
         "_not_before",
         "_pending",
         "_queue",
         "_timeouts_in_row",
         "_transaction",
         "counters",
-        "endpoint",
         "finished",
         "observed_delay",
         "parameters",
@@ -101,13 +77,13 @@ class TcpClientSession:
 
     def __init__(self, parameters: ClientParameters, *, endpoint: str = "", first_transaction: int = 0) -> None:
         self.parameters = parameters
-        self.endpoint = endpoint
-        self.counters = ClientCounters()
-        self.finished: list[Demand] = []
+        self._ledger = Ledger(parameters, endpoint)
+        self.counters = self._ledger.counters
+        self.finished = self._ledger.finished
         self.recycle = ""
         self.observed_delay: float | None = None
         self.valid_reply = False
-        self._queue = RequestQueue(parameters.queue)
+        self._queue = self._ledger.queue
         self._pending: dict[int, _Flight] = {}
         self._free = [_Flight() for _ in range(parameters.max_transactions)]
         self._expired: dict[int, float] = {}
@@ -117,30 +93,19 @@ class TcpClientSession:
         self._not_before = 0.0
         self._timeouts_in_row = 0
         self._foreign_in_row = 0
-        self._deadlines = 0
 
     # What the application asks.
 
     def submit(self, demand: Demand, now: float) -> None:
         """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
-        demand.submitted = now
-        try:
-            self._queue.add(demand)
-        except Overloaded:
-            self.counters.overloaded += 1
-            raise
-        if demand.deadline is not None:
-            self._deadlines += 1
+        self._ledger.submit(demand, now)
 
     def cancel(self, demand: Demand) -> None:
         """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen."""
-        self._queue.remove(demand)
         for flight in self._pending.values():
             if flight.demand is demand:
                 flight.demand = None
-        if demand.open:
-            self.counters.cancelled += 1
-            self._leave(demand)
+        self._ledger.withdraw(demand)
 
     @property
     def has_demands(self) -> bool:
@@ -190,13 +155,7 @@ class TcpClientSession:
 
     def unreachable(self, now: float, error: ModbusError) -> None:
         """No connection could be had: everything that waits fails, at once and with the same reason."""
-        for demand in list(self._queue):
-            self._queue.remove(demand)
-            for position, outcome in enumerate(demand.outcomes):
-                if outcome is None:
-                    copy = LinkDown(error.message)
-                    copy.__cause__ = error.__cause__
-                    self._conclude(demand, position, self._placed(copy, demand, position, now))
+        self._ledger.unreachable(now, error)
 
     # What goes out and comes in.
 
@@ -263,6 +222,7 @@ class TcpClientSession:
             buffer = bytes(memoryview(buffer)[:size])
         pending = self._pending
         free = self._free
+        ledger = self._ledger
         at = good = 0
         # The hot path of a client, 1.2 µs per reply: one that answers its request is told by its length and its
         # first bytes alone, and `Request.take` only cuts out the payload. All else goes through _odd_frame.
@@ -287,7 +247,7 @@ class TcpClientSession:
                     demand.outcomes[flight.position] = take(buffer[at + 7 : end])
                     demand.open -= 1
                     if not demand.open:
-                        self._finish(demand)
+                        ledger.finish(demand)
                     at = end
                     continue
             self._odd_frame(transaction, protocol, unit, bytes(buffer[at:end]), now)
@@ -307,8 +267,10 @@ class TcpClientSession:
     def deadline(self) -> float | None:
         """When `tick` has something to do; None for never."""
         times = [flight.expires for flight in self._pending.values()]
-        if self._deadlines:
-            times += [demand.deadline for demand in self._queue if demand.deadline is not None]
+        if self._ledger.deadlines:
+            queued = self._ledger.next_deadline()
+            if queued is not None:
+                times.append(queued)
             times += [
                 flight.demand.deadline
                 for flight in self._pending.values()
@@ -327,22 +289,9 @@ class TcpClientSession:
                 del self._pending[transaction]
                 self._release(flight)
                 self._timed_out(transaction, flight, now, over=over)
-        if self._deadlines:
-            for demand in list(self._queue):
-                if demand.deadline is not None and now >= demand.deadline:
-                    self._queue.remove(demand)
-                    for position, outcome in enumerate(demand.outcomes):
-                        if outcome is None and not self._is_in_flight(demand, position):
-                            self._end_unsent(demand, position, now)
-
-    def _is_in_flight(self, demand: Demand, position: int) -> bool:
-        return any(flight.demand is demand and flight.position == position for flight in self._pending.values())
-
-    def _end_unsent(self, demand: Demand, position: int, now: float) -> None:
-        tried = demand.attempts.get(position)
-        sentence = "no answer before the deadline of the call" if tried else "the deadline passed in the queue"
-        error = NoReply(sentence if tried else f"{sentence}; nothing was sent")
-        self._conclude(demand, position, self._placed(error, demand, position, now))
+        if self._ledger.deadlines:
+            in_flight = {(id(one.demand), one.position) for one in self._pending.values()}
+            self._ledger.expire_queue(now, in_flight)
 
     def _timed_out(self, transaction: int, flight: _Flight, now: float, *, over: bool) -> None:
         """The reply did not come in time: remember the identifier, and repeat or fail."""
@@ -428,11 +377,11 @@ class TcpClientSession:
             if code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and flight.request.is_write:
                 self._failed(flight, demand, error, now, again=False)
             else:
-                self._conclude(demand, flight.position, self._placed(error, demand, flight.position, now))
+                self._ledger.conclude(demand, flight.position, self._ledger.placed(error, demand, flight.position, now))
             return
         reply = flight.request.accept(pdu)
         self._answered(1, now)
-        self._conclude(demand, flight.position, reply)
+        self._ledger.conclude(demand, flight.position, reply)
 
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> _Flight | None:
         """The one request in flight, if a reply with a foreign transaction may be taken for its answer."""
@@ -498,55 +447,7 @@ class TcpClientSession:
             self._not_before = now + self.parameters.request_gap
 
     def _failed(self, flight: _Flight, demand: Demand, error: ModbusError, now: float, *, again: bool) -> None:
-        """A request that was sent got no valid answer: repeat it, or end it with the error that is true."""
-        position = flight.position
-        attempt = demand.attempts.get(position, 1)
-        guarded = flight.request.is_write and not demand.idempotent
-        retries = self.parameters.write_retries if guarded else demand.retries
-        if again and attempt <= retries and not demand.ended:
-            demand.attempts[position] = attempt + 1
-            demand.again.append(position)
-            self.counters.retries += 1
-            self._queue.add_again(demand)
-            return
-        self._placed(error, demand, position, now)
-        error.attempt = attempt
-        if flight.request.is_write:
-            unknown = WriteOutcomeUnknown("the write was sent and may have been executed; no valid answer came")
-            unknown.__cause__ = error
-            unknown.raw = error.raw
-            unknown.attempt = attempt
-            error = self._placed(unknown, demand, position, now)
-        self._conclude(demand, position, error)
-
-    def _placed(self, error: ModbusError, demand: Demand, position: int, now: float) -> ModbusError:
-        """Say where and when of an error."""
-        request = demand.requests[position]
-        spans = request.spans()
-        code = request.wire[0] if hasattr(request, "wire") else request.prepare()[0]
-        return error.at(
-            endpoint=self.endpoint or None,
-            unit=demand.unit,
-            function=code,
-            address=spans[0].address if spans else None,
-            attempt=demand.attempts.get(position),
-            elapsed=now - demand.submitted,
-        )
-
-    def _conclude(self, demand: Demand, position: int, outcome: Message | ModbusError) -> None:
-        demand.outcomes[position] = outcome
-        demand.open -= 1
-        if not demand.open:
-            self._finish(demand)
-
-    def _finish(self, demand: Demand) -> None:
-        self.finished.append(demand)
-        self._leave(demand)
-
-    def _leave(self, demand: Demand) -> None:
-        if demand.deadline is not None:
-            self._deadlines -= 1
-        demand.ended = True
+        self._ledger.failed(demand, flight.position, error, now, again=again)
 
     def _release(self, flight: _Flight) -> None:
         self._free.append(flight)

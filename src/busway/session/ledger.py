@@ -1,0 +1,173 @@
+"""Demands from the moment they are asked until they have ended: what every client conversation has in common.
+
+Knows the queue, retries and the errors a request ends with; knows no framing, and no reply.
+
+1. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
+   ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
+2. Every request gets exactly one outcome. A demand whose requests all have one is in ``finished``.
+3. A demand may have a deadline; time in the queue counts.
+"""
+
+from dataclasses import dataclass
+
+from ..errors import LinkDown, ModbusError, NoReply, Overloaded, WriteOutcomeUnknown
+from ..pdu.message import Message, Request
+from .demand import Demand
+from .parameters import ClientParameters
+from .queue import RequestQueue
+
+
+@dataclass(slots=True)
+class ClientCounters:
+    """What happened on a link since it was made."""
+
+    requests: int = 0
+    replies: int = 0
+    exceptions: int = 0
+    timeouts: int = 0
+    retries: int = 0
+    bad_replies: int = 0
+    late_replies: int = 0
+    foreign_replies: int = 0
+    tolerated_replies: int = 0
+    foreign_protocol: int = 0
+    damaged_frames: int = 0
+    suspended: int = 0
+    cancelled: int = 0
+    overloaded: int = 0
+    connections: int = 0
+    lost_connections: int = 0
+    recycled: int = 0
+
+
+class Ledger:
+    """The demands of one link.
+
+    Attributes:
+        endpoint: URL of the link, for errors.
+        parameters: retries and the bound of the queue.
+        queue: what has something left to send.
+        counters: what happened.
+        finished: demands that have all their outcomes; the driver empties the list.
+        deadlines: how many living demands have a deadline.
+    """
+
+    __slots__ = ("counters", "deadlines", "endpoint", "finished", "parameters", "queue")
+
+    def __init__(self, parameters: ClientParameters, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self.parameters = parameters
+        self.queue = RequestQueue(parameters.queue)
+        self.counters = ClientCounters()
+        self.finished: list[Demand] = []
+        self.deadlines = 0
+
+    def submit(self, demand: Demand, now: float) -> None:
+        """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
+        demand.submitted = now
+        try:
+            self.queue.add(demand)
+        except Overloaded as error:
+            self.counters.overloaded += 1
+            error.at(endpoint=self.endpoint or None, unit=demand.unit)
+            raise
+        if demand.deadline is not None:
+            self.deadlines += 1
+
+    def withdraw(self, demand: Demand) -> None:
+        """The caller has gone: nothing more of the demand is sent."""
+        self.queue.remove(demand)
+        if demand.open and not demand.ended:
+            self.counters.cancelled += 1
+            self._leave(demand)
+
+    def unreachable(self, now: float, error: ModbusError) -> None:
+        """No connection could be had: everything that waits fails, at once and with the same reason."""
+        for demand in list(self.queue):
+            self.queue.remove(demand)
+            for position, outcome in enumerate(demand.outcomes):
+                if outcome is None:
+                    copy = LinkDown(error.message)
+                    copy.__cause__ = error.__cause__
+                    self.conclude(demand, position, self.placed(copy, demand, position, now))
+
+    def next_deadline(self) -> float | None:
+        """The nearest deadline of what waits in the queue."""
+        if not self.deadlines:
+            return None
+        return min((one.deadline for one in self.queue if one.deadline is not None), default=None)
+
+    def expire_queue(self, now: float, in_flight: set[tuple[int, int]]) -> None:
+        """End what waited beyond its deadline; ``in_flight`` holds (identity of demand, position) of what is sent."""
+        if not self.deadlines:
+            return
+        for demand in list(self.queue):
+            if demand.deadline is None or now < demand.deadline:
+                continue
+            self.queue.remove(demand)
+            for position, outcome in enumerate(demand.outcomes):
+                if outcome is None and (id(demand), position) not in in_flight:
+                    tried = demand.attempts.get(position)
+                    error = NoReply(
+                        "no answer before the deadline of the call"
+                        if tried
+                        else "the deadline passed in the queue; nothing was sent"
+                    )
+                    self.conclude(demand, position, self.placed(error, demand, position, now))
+
+    def failed(self, demand: Demand, position: int, error: ModbusError, now: float, *, again: bool) -> None:
+        """A request that was sent got no valid answer: repeat it, or end it with the error that is true."""
+        request = demand.requests[position]
+        attempt = demand.attempts.get(position, 1)
+        guarded = request.is_write and not demand.idempotent
+        retries = self.parameters.write_retries if guarded else demand.retries
+        if again and attempt <= retries and not demand.ended:
+            demand.attempts[position] = attempt + 1
+            demand.again.append(position)
+            self.counters.retries += 1
+            self.queue.add_again(demand)
+            return
+        error.attempt = attempt
+        self.placed(error, demand, position, now)
+        if request.is_write:
+            unknown = WriteOutcomeUnknown(
+                "the write was sent and may have been executed; no valid answer came", attempt=attempt, raw=error.raw
+            )
+            unknown.__cause__ = error
+            error = self.placed(unknown, demand, position, now)
+        self.conclude(demand, position, error)
+
+    def placed(self, error: ModbusError, demand: Demand, position: int, now: float) -> ModbusError:
+        """Say where and when of an error."""
+        request = demand.requests[position]
+        spans = request.spans()
+        return error.at(
+            endpoint=self.endpoint or None,
+            unit=demand.unit,
+            function=function_of(request),
+            address=spans[0].address if spans else None,
+            attempt=demand.attempts.get(position),
+            elapsed=now - demand.submitted,
+        )
+
+    def conclude(self, demand: Demand, position: int, outcome: Message | ModbusError) -> None:
+        """Give one request its outcome."""
+        demand.outcomes[position] = outcome
+        demand.open -= 1
+        if not demand.open:
+            self.finish(demand)
+
+    def finish(self, demand: Demand) -> None:
+        """All requests of a demand have their outcome."""
+        self.finished.append(demand)
+        self._leave(demand)
+
+    def _leave(self, demand: Demand) -> None:
+        if demand.deadline is not None:
+            self.deadlines -= 1
+        demand.ended = True
+
+
+def function_of(request: Request) -> int:
+    """The function code of a request, also of one that was never encoded."""
+    return request.wire[0] if hasattr(request, "wire") else request.prepare()[0]
