@@ -120,5 +120,6 @@ def _bars(groups: dict[str, dict[str, Series]]) -> list[Bar]:
         Bar(f"execute_many, {one}", rate(MANY, f"busway, {one}"), ">=", 150_000, "/s"),
         Bar(f"execute_many, {sixteen}", rate(MANY, f"busway, {sixteen}"), ">=", 350_000, "/s"),
         Bar("await per request, 16 in flight on 1 connection", rate(AWAIT, f"busway, {awaited}"), ">=", 80_000, "/s"),
+        Bar("the same, requests of one turn joined", rate(AWAIT, f"busway, joined, {awaited}"), ">=", 80_000, "/s"),
         Bar("blocking: busway / pyModbusTCP, rate", against(BLOCKING, "busway", "pyModbusTCP"), ">=", 0.9),
     ]
