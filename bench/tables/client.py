@@ -2,7 +2,8 @@
 
 The floor server has one core, the client the other. FC03 for 10 registers. `await` means one await per request, in as
 many tasks as requests are in flight; `execute_many` hands over a batch and gets all replies together; `blocking` is
-lock-step. The latency of `execute_many` is that of a whole batch.
+lock-step. The latency of `execute_many` is that of a whole batch. The load generator is no upper limit on one
+connection: it answers so soon that few replies come together, and pays a wake-up for each few; a slower client pays less.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,6 @@ REGISTERS = 10
 IN_FLIGHT = 16
 
 MANY, AWAIT, BLOCKING = "execute_many", "await", "blocking"
-GENERATOR_ONE = "load generator (C), 1 connection"
 
 
 def run(bench: Bench) -> Table:
@@ -32,9 +32,6 @@ def run(bench: Bench) -> Table:
         for series in group.values():
             add_rates(table, kind, series)
     table.bars = _bars(groups)
-    limit = groups[MANY][GENERATOR_ONE].median("rate")
-    if limit is not None:
-        table.notes.append(f"1 connection, {IN_FLIGHT} in flight: wake-ups limit any client here ({limit:,.0f}/s in C)")
     return table
 
 
@@ -49,7 +46,7 @@ def _many(bench: Bench) -> dict[str, Contender]:
         )
 
     contenders: dict[str, Contender] = {
-        GENERATOR_ONE: _generator(bench, 1, IN_FLIGHT),
+        "load generator (C), 1 connection": _generator(bench, 1, IN_FLIGHT),
         "load generator (C), 16 connections": _generator(bench, 16, IN_FLIGHT),
         "busway, 1 connection": ours(1),
         "busway, 16 connections": ours(16),
