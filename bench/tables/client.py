@@ -2,8 +2,8 @@
 
 The floor server has one core, the client the other. FC03 for 10 registers. `await` means one await per request, in as
 many tasks as requests are in flight; `execute_many` hands over a batch and gets all replies together; `blocking` is
-lock-step. The latency of `execute_many` is that of a whole batch. The load generator is no upper limit on one
-connection: it answers so soon that few replies come together, and pays a wake-up for each few; a slower client pays less.
+lock-step. The latency of `execute_many` is that of a whole batch. The load generator stands beside
+them for comparison; whether it is an upper limit on one connection has not been shown.
 """
 
 from collections.abc import Callable
