@@ -1,0 +1,65 @@
+"""What stands in for a port: a driver that answers ioctls from a table, and a pseudo-terminal."""
+
+import errno
+import os
+import tty
+from collections.abc import Callable
+
+Answer = Callable[[bytearray], None]
+
+
+class FakeDriver:
+    """Stands where the system's ioctl stands. What it does not know, it refuses as a driver does."""
+
+    def __init__(self, refusal: int = errno.ENOTTY) -> None:
+        self.answers: dict[int, Answer] = {}
+        self.asked: list[tuple[int, bytes]] = []
+        self.refusal = refusal
+
+    def __call__(self, descriptor: int, request: int, buffer: bytearray) -> None:
+        self.asked.append((request, bytes(buffer)))
+        if request not in self.answers:
+            raise OSError(self.refusal, "not offered")
+        self.answers[request](buffer)
+
+    def requests(self) -> list[int]:
+        """The numbers of what it was asked, in order."""
+        return [request for request, _ in self.asked]
+
+
+def taken(_buffer: bytearray) -> None:
+    """The answer of a driver that does as it is told."""
+
+
+def giving(data: bytes) -> Answer:
+    """The answer of a driver that fills the buffer."""
+
+    def answer(buffer: bytearray) -> None:
+        buffer[: len(data)] = data
+
+    return answer
+
+
+class Pty:
+    """A pseudo-terminal whose near end the test holds."""
+
+    def __init__(self) -> None:
+        self.near, far = os.openpty()
+        tty.setraw(far)
+        self.path = os.ttyname(far)
+        self._far: int | None = far
+
+    def vanish(self) -> None:
+        """Take it away from whoever has the far end open."""
+        os.close(self.near)
+        self._close_far()
+        self.near = -1
+
+    def close(self) -> None:
+        if self.near >= 0:
+            self.vanish()
+
+    def _close_far(self) -> None:
+        if self._far is not None:
+            os.close(self._far)
+            self._far = None

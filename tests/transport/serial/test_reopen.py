@@ -1,0 +1,83 @@
+"""How a port that is not there is waited for."""
+
+import pytest
+
+from busway.errors import ConfigError, LinkDown
+from busway.transport.serial.reopen import ReopenPolicy, open_when_there, open_when_there_blocking
+
+POLICY = ReopenPolicy(first=0.1, most=1.0)
+
+
+class Opener:
+    """Fails so many times, then gives a port."""
+
+    def __init__(self, failures: int, error: Exception | None = None) -> None:
+        self.left = failures
+        self.error = error or LinkDown("it is not there")
+
+    def __call__(self) -> str:
+        if self.left:
+            self.left -= 1
+            raise self.error
+        return "port"
+
+    async def open(self) -> str:
+        return self()
+
+
+def test_pauses_double_up_to_the_most() -> None:
+    assert [POLICY.pause(failures) for failures in (1, 2, 3, 4, 5, 10_000)] == [0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
+
+
+def test_a_policy_may_give_up() -> None:
+    policy = ReopenPolicy(attempts=3)
+    assert policy.pause(2) is not None
+    assert policy.pause(3) is None
+
+
+@pytest.mark.parametrize("values", [{"first": 0.0}, {"first": 2.0, "most": 1.0}, {"most": 1e9}, {"attempts": 0}])
+def test_an_impossible_policy_is_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        ReopenPolicy(**values)  # type: ignore[arg-type]
+
+
+async def test_a_port_is_waited_for_and_each_failure_told() -> None:
+    slept: list[float] = []
+    told: list[tuple[str, float]] = []
+
+    async def sleep(seconds: float) -> None:
+        slept.append(seconds)
+
+    port = await open_when_there(
+        Opener(3).open, POLICY, waiting=lambda error, pause: told.append((error.message, pause)), sleep=sleep
+    )
+    assert port == "port"
+    assert slept == [0.1, 0.2, 0.4]
+    assert told == [("it is not there", 0.1), ("it is not there", 0.2), ("it is not there", 0.4)]
+
+
+def test_a_thread_waits_in_the_same_way() -> None:
+    slept: list[float] = []
+    assert open_when_there_blocking(Opener(2), POLICY, sleep=slept.append) == "port"
+    assert slept == [0.1, 0.2]
+
+
+async def test_what_waiting_does_not_change_is_raised_at_once() -> None:
+    refusal = ConfigError("it is no serial port")
+    with pytest.raises(ConfigError):
+        await open_when_there(Opener(1, refusal).open, POLICY)
+    with pytest.raises(ConfigError):
+        open_when_there_blocking(Opener(1, refusal), POLICY)
+
+
+async def test_the_last_failure_is_raised_when_it_is_enough() -> None:
+    slept: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        slept.append(seconds)
+
+    with pytest.raises(LinkDown):
+        await open_when_there(Opener(9).open, ReopenPolicy(attempts=3), sleep=sleep)
+    with pytest.raises(LinkDown):
+        open_when_there_blocking(Opener(9), ReopenPolicy(attempts=3), sleep=slept.append)
+    assert len(slept) == 4
