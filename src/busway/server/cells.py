@@ -140,12 +140,19 @@ def _piece(address: int, values: int | Sequence[int], key: str, bits: bool) -> P
     if isinstance(values, str | bytes | bytearray):
         raise ConfigError(f"address {first}: {shown(values)} is no list of values", key=key)
     listed = list(values) if isinstance(values, Iterable) else [values]
-    highest = 1 if bits else 0xFFFF
-    for position, value in enumerate(listed):
-        if not isinstance(value, int) or not 0 <= value <= highest:
-            expected = "a bit is True or False" if bits else "a register holds 0…65535"
-            raise ConfigError(f"address {first + position}: {expected}, not {shown(value)}", key=key)
-    return Piece(first, listed)
+    return Piece(first, [_value(first + position, value, key, bits) for position, value in enumerate(listed)])
+
+
+def _value(address: int, value: object, key: str, bits: bool) -> int:
+    """The value as an ``int``, of whatever integer type it is."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = -1
+    if not 0 <= number <= (1 if bits else 0xFFFF):
+        expected = "a bit is True or False" if bits else "a register holds 0…65535"
+        raise ConfigError(f"address {address}: {expected}, not {shown(value)}", key=key)
+    return number
 
 
 def _merged(pieces: list[Piece], key: str) -> list[Piece]:

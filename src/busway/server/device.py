@@ -21,6 +21,7 @@ from ..codes import TABLE_SIZE, ExceptionCode, Table
 from ..errors import ConfigError
 from ..pdu.direct import Block
 from ..pdu.model import Context, Refusal
+from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType
 from ..values.refusal import shown
 from .blocks import BitRun, RegisterRun
@@ -431,7 +432,7 @@ class Device:
         queue = self.fifos.get(address)
         if queue is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"there is no queue at {address}")
-        return b"".join(value.to_bytes(2, "big") for value in queue)
+        return pack_registers(list(queue))
 
     def exception_status(self) -> int:
         """As `DataModel.exception_status`."""

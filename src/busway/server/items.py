@@ -22,6 +22,7 @@ def packed(values: Sequence[int], *, bits: bool) -> bytes:
     if not bits:
         return pack_registers(values)
     for position, value in enumerate(values):
+        # A text such as "off" would count as true.
         if not isinstance(value, int) or value not in (0, 1):
             raise InvalidRequest(f"value {position + 1} must be True or False, not {shown(value)}")
     return pack_bits([bool(value) for value in values])

@@ -69,10 +69,10 @@ class TableView:
             if isinstance(value, int | str | bytes) or len(value) != count:
                 raise InvalidRequest(f"{self._name}: {count} values are needed, not {shown(value)}")
             self.write(first, value)
-        elif isinstance(value, int):
-            self.write(key, [value])
-        else:
+        elif isinstance(value, list | tuple):
             raise InvalidRequest(f"{self._name}: one item takes one value, not {shown(value)}")
+        else:
+            self.write(key, [value])  # type: ignore[list-item]  # whatever else it is, packing judges it
 
     def read(self, address: int, count: int) -> list[int]:
         """The ``count`` items from ``address`` on, in one step."""

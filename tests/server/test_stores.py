@@ -1,0 +1,56 @@
+"""Finding a range among the runs of a table."""
+
+import threading
+
+import pytest
+
+from busway.server.cells import Cells, lay_out
+from busway.server.stores import Store, bit_store, register_store
+
+
+def sparse() -> Store:
+    """Registers 10…12 and 20…21, of which 11 and 20…21 are read-only."""
+    cells = Cells(values={10: [1, 2, 3], 20: [4, 5]}, read_only=[(11, 1), (20, 2)])
+    return register_store(lay_out(cells, key="holding_registers"), threading.RLock())
+
+
+@pytest.mark.parametrize(
+    ("address", "count", "found"),
+    [
+        (10, 1, (10, 0)),
+        (10, 3, (10, 0)),
+        (12, 1, (10, 2)),
+        (20, 2, (20, 0)),
+        (21, 1, (20, 1)),
+        (9, 1, None),
+        (9, 2, None),
+        (12, 2, None),
+        (10, 11, None),
+        (13, 1, None),
+        (19, 2, None),
+        (21, 2, None),
+        (22, 1, None),
+        (65535, 1, None),
+        (10, 0, None),
+    ],
+)
+def test_a_range_is_found_where_all_of_it_exists(address: int, count: int, found: tuple[int, int] | None) -> None:
+    place = sparse().find(address, count)
+    assert (None if place is None else (place.run.first, place.position)) == found
+
+
+def test_nothing_is_found_in_an_absent_table() -> None:
+    assert Store().find(0, 1) is None
+
+
+@pytest.mark.parametrize(
+    ("address", "count", "read_only"), [(10, 1, False), (10, 2, True), (11, 1, True), (12, 1, False), (21, 1, True)]
+)
+def test_one_read_only_item_makes_a_range_read_only(address: int, count: int, read_only: bool) -> None:
+    assert sparse().is_read_only(address, count) is read_only
+
+
+def test_bits_are_packed_as_declared() -> None:
+    store = bit_store(lay_out([1, 0, 0, 0, 0, 0, 0, 0, 1], key="coils", bits=True), threading.RLock())
+    assert store.runs[0].memory.data == bytes.fromhex("01 01")
+    assert store.count == 9
