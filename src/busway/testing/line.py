@@ -19,7 +19,6 @@ Knows ptys, a thread and the clock; what passes on the line, and when, is `Virtu
 
 import ctypes
 import os
-import select
 import sys
 import tempfile
 import threading
@@ -34,6 +33,7 @@ from statistics import median
 from typing import Self
 
 from ..transport.serial.settings import Parity, SerialSettings
+from ..transport.serial.waiting import wait_ready
 from .virtual_line import NOISE, LineByte, Transmission, VirtualLine, VirtualPort, gathered
 
 __all__ = ["NOISE", "LineByte", "PacedLine", "Transmission", "VirtualLine", "VirtualPort"]
@@ -300,7 +300,7 @@ class PacedLine:
             if pty is not None and port.backlog < LARGEST_BACKLOG:
                 watched.append(pty.near)
         timeout = None if wake_at is None else max(wake_at - SPIN - time.monotonic(), 0.0)
-        ready = select.select(watched, [], [], timeout)[0]
+        ready = wait_ready(watched, [], timeout)
         if not ready and wake_at is not None:
             while time.monotonic() < wake_at:
                 pass
@@ -379,7 +379,7 @@ def _transit_time() -> float:
     def sleeper() -> None:
         for _ in range(TRANSIT_SAMPLES):
             asleep.release()
-            select.select([pty.far], [], [], 1.0)
+            wait_ready([pty.far], [], 1.0)
             woken_at.put(time.monotonic())
             os.read(pty.far, 1)
 

@@ -7,7 +7,6 @@ Knows `serialx` and the descriptor under it; knows no Modbus and starts no threa
 """
 
 import os
-import select
 import time
 from typing import TYPE_CHECKING, Self
 
@@ -19,15 +18,13 @@ from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
 from .rs485 import Direction
 from .settings import SerialSettings
+from .waiting import wait_ready
 
 if TYPE_CHECKING:
     from serialx import BaseSerial
 
 READ_SIZE = 4096
 """What one read takes at most: as much as the system's own buffer holds."""
-
-SELECT_LIMIT = 1024
-"""Descriptors that ``select`` takes are below this. It waits for microseconds, ``poll`` only for milliseconds."""
 
 STUCK_AFTER = 5.0
 """Seconds after which a port that takes no more bytes is given up: its buffer empties within one at the lowest baud."""
@@ -115,7 +112,7 @@ class BlockingSerialPort:
                 count = opened.readinto(buffer, timeout=timeout)
                 data = bytes(buffer[:count])
             else:
-                if not _ready(self._descriptor, timeout):
+                if not wait_ready([self._descriptor], [], timeout):
                     return b"", 0
                 data = os.read(self._descriptor, READ_SIZE)
                 if not data:
@@ -219,22 +216,13 @@ class BlockingSerialPort:
             try:
                 left = left[os.write(descriptor, left) :]
             except BlockingIOError:
-                if not _ready(descriptor, STUCK_AFTER, writing=True):
+                if not wait_ready([], [descriptor], STUCK_AFTER):
                     raise LinkDown(f"{self.path} has taken no bytes for {STUCK_AFTER:g} s", sent=True) from None
 
     def _opened(self) -> "BaseSerial":
         if self._serial is None:
             raise LinkDown(f"{self.path} is closed")
         return self._serial
-
-
-def _ready(descriptor: int, timeout: float | None, *, writing: bool = False) -> bool:
-    if descriptor < SELECT_LIMIT:
-        reading = [] if writing else [descriptor]
-        return any(select.select(reading, [descriptor] if writing else [], [], timeout))
-    poll = select.poll()
-    poll.register(descriptor, select.POLLOUT if writing else select.POLLIN)
-    return bool(poll.poll(None if timeout is None else timeout * 1000))
 
 
 def _sleep_until(when: float) -> None:
