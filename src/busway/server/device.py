@@ -371,27 +371,28 @@ class Device:
             )
 
     def _read_by_modbus(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        place = self._stores[table].find(address, count)
-        if place is None:
+        run = self._stores[table].find(address, count)
+        if run is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
         hooks = self._read_hooks[table].wanted(address, count)
         if not hooks:
-            return place.run.get(place.position, count)
+            return run.get(address - run.first, count)
         who = (context.peer, context.unit, table, address, count)
         how = (function_of(context), role_of(context))
         with self.lock:
             call(hooks, When.BEFORE, Access(*who, [], *how))
-            data = place.run.get(place.position, count)
+            data = run.get(address - run.first, count)
             call(hooks, When.AFTER, Access(*who, unpacked(data, count, bits=table.holds_bits), *how))
         return data
 
     def _write_by_modbus(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
         self.check(table, address, count, True)
-        place = self._stores[table].find(address, count)
-        assert place is not None  # `check` has seen it
+        run = self._stores[table].find(address, count)
+        assert run is not None  # `check` has seen it
+        position = address - run.first
         hooks = self._write_hooks[table].wanted(address, count)
         if not hooks:
-            place.run.put(place.position, count, data)
+            run.put(position, count, data)
             return
         with self.lock:
             change = Change(
@@ -400,26 +401,26 @@ class Device:
                 table,
                 address,
                 count,
-                unpacked(place.run.get(place.position, count), count, bits=table.holds_bits),
+                unpacked(run.get(position, count), count, bits=table.holds_bits),
                 unpacked(data, count, bits=table.holds_bits),
                 function_of(context),
                 role_of(context),
             )
             call(hooks, When.BEFORE, change)
-            place.run.put(place.position, count, data)
+            run.put(position, count, data)
             call(hooks, When.AFTER, change)
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
         """As `DataModel.read_file`."""
-        place = self._file(file).accessed(record, count, writes=False)
-        return place.run.get(place.position, count)
+        run = self._file(file).accessed(record, count, writes=False)
+        return run.get(record - run.first, count)
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
         """As `DataModel.write_file`."""
         count = len(data) // 2
-        place = self._file(file).accessed(record, count, writes=True)
+        run = self._file(file).accessed(record, count, writes=True)
         if not dry:
-            place.run.put(place.position, count, data)
+            run.put(record - run.first, count, data)
 
     def _file(self, number: int) -> RecordFile:
         file = self.files.get(number)

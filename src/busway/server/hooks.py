@@ -112,6 +112,8 @@ class Hooks:
 
     def wanted(self, address: int, count: int) -> tuple[Hook, ...]:
         """Those that an access to a range calls, in the order in which they were added."""
+        if not self._all:
+            return ()
         return tuple(hook for hook in self._all if hook.first < address + count and address < hook.end)
 
 

@@ -12,9 +12,10 @@ from ..errors import ConfigError, InvalidRequest
 from ..pdu.model import Refusal
 from ..pdu.write_items import pack_registers
 from ..values.refusal import shown
+from .blocks import Run
 from .cells import TableLike, lay_out
 from .groups import Groups
-from .stores import Place, Store, register_store
+from .stores import Store, register_store
 from .views import TableView
 
 
@@ -32,16 +33,16 @@ class RecordFile(TableView):
         super().__init__(f"file {number}", store, groups, bits=False)
         self.is_consistent = True
 
-    def accessed(self, record: int, count: int, *, writes: bool) -> Place:
-        """Where some records lie; `Refusal` if Modbus can not have them: 02, 03 for none at all, 08."""
+    def accessed(self, record: int, count: int, *, writes: bool) -> Run:
+        """The run that holds some records; `Refusal` if Modbus can not have them: 02, 03 for none at all, 08."""
         if count == 0:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")
-        place = self._store.find(record, count)
-        if place is None or (writes and self._store.is_read_only(record, count)):
+        run = self._store.find(record, count)
+        if run is None or (writes and self._store.is_read_only(record, count)):
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{self._name}, records {record}…{record + count - 1}")
         if not self.is_consistent:
             raise Refusal(ExceptionCode.MEMORY_PARITY_ERROR, f"{self._name} is not consistent")
-        return place
+        return run
 
 
 class RegisterQueue:

@@ -8,20 +8,11 @@ Knows runs and addresses; knows no hook, no group of changes and no request.
 
 import threading
 from bisect import bisect_right
-from dataclasses import dataclass
 
 from ..pdu.bits import pack_bits
 from ..pdu.write_items import pack_registers
 from .blocks import BitRun, RegisterRun, Run
 from .cells import Layout
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a range lies."""
-
-    run: Run
-    position: int
 
 
 class Store:
@@ -40,14 +31,13 @@ class Store:
         self.count = sum(run.count for run in runs)
         self._firsts = [run.first for run in runs]
 
-    def find(self, address: int, count: int) -> Place | None:
-        """Where the ``count`` (1 or more) items from ``address`` on lie; None unless all of them exist."""
+    def find(self, address: int, count: int) -> Run | None:
+        """The run that holds the ``count`` (1 or more) items from ``address`` on; None unless all of them exist."""
         index = bisect_right(self._firsts, address) - 1
         if index < 0:
             return None
         run = self.runs[index]
-        position = address - run.first
-        return Place(run, position) if count > 0 and position + count <= run.count else None
+        return run if 0 < count <= run.first + run.count - address else None
 
     def is_read_only(self, address: int, count: int) -> bool:
         """Whether Modbus may not write one of the items."""

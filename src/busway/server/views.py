@@ -8,9 +8,10 @@ from typing import overload
 
 from ..errors import InvalidRequest
 from ..values.refusal import shown
+from .blocks import Run
 from .groups import Groups
 from .items import packed, unpacked
-from .stores import Place, Store
+from .stores import Store
 
 
 class TableView:
@@ -86,23 +87,23 @@ class TableView:
         """The items in wire order: registers big-endian, bits packed from the lowest bit."""
         if not count:
             return b""
-        place = self._place(address, count)
-        return self._groups.get(place.run, place.position, count)
+        run = self._run(address, count)
+        return self._groups.get(run, address - run.first, count)
 
     def write_wire(self, address: int, count: int, data: bytes) -> None:
         """Replace items by such bytes."""
         if count:
-            place = self._place(address, count)
-            self._groups.put(place.run, place.position, count, data)
+            run = self._run(address, count)
+            self._groups.put(run, address - run.first, count, data)
 
-    def _place(self, address: int, count: int) -> Place:
-        place = self._store.find(address, count)
-        if place is None:
+    def _run(self, address: int, count: int) -> Run:
+        run = self._store.find(address, count)
+        if run is None:
             asked = f"{address}" if count == 1 else f"{address}…{address + count - 1}"
-            there = ", ".join(f"{run.first}…{run.first + run.count - 1}" for run in self._store.runs[:8])
+            there = ", ".join(f"{each.first}…{each.first + each.count - 1}" for each in self._store.runs[:8])
             more = ", …" if len(self._store.runs) > 8 else ""
             raise IndexError(f"{self._name}: there is no {asked}; there is {there or 'nothing'}{more}")
-        return place
+        return run
 
     def _range(self, key: slice) -> tuple[int, int]:
         """First address and count of a slice."""
