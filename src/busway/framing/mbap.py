@@ -95,8 +95,8 @@ class MbapReceiver:
         """Bytes of an unfinished frame."""
         return len(self._buffer.kept)
 
-    def receive(self, data: bytes | bytearray) -> list[MbapFrame]:
-        """All frames that ``data`` completes, in order."""
+    def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
+        """All frames that ``data`` completes, in order. ``now`` makes no difference: the length alone decides."""
         frames: list[MbapFrame] = []
         if self.broken:
             return frames
@@ -118,3 +118,11 @@ class MbapReceiver:
             at = end
         self._buffer.keep(stream, at, size)
         return frames
+
+    def tick(self, now: float) -> list[MbapFrame]:
+        """Nothing: silence decides nothing on a stream."""
+        return []
+
+    def deadline(self) -> float | None:
+        """None: only bytes can change anything."""
+        return None

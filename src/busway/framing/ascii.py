@@ -1,0 +1,281 @@
+"""ASCII: frames between a colon and the end delimiter, two characters for each byte (Serial Line V1.02 §2.5.2).
+
+Knows characters and the times at which they were read; knows no port and no function's length.
+
+1. ``:`` begins a frame, wherever it stands, also behind CR; a frame in progress is discarded then. CR and the
+   delimiter end it. The delimiter is LF until function 08/03 changes it.
+2. Between two characters at most ``character_timeout`` may pass, 1 s by default.
+3. At most 513 characters. What stands between frames is no frame and no error: it is skipped.
+4. Sent in upper case. Lower case is received too unless ``upper_case_only`` says otherwise: devices send it, and the
+   LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports that can not do 7 data bits give it.
+"""
+
+from collections.abc import Container
+from enum import Enum
+from typing import Final
+
+from ..codes import ASCII_ADU_LIMIT
+from ..pdu.functions import STANDARD, FunctionTable
+from ..pdu.message import UNKNOWN_LENGTH
+from .conversation import REPLY_WINDOW, Conversation, Due, Role
+from .echo import Echo, EchoFilter
+from .lengths import AROUND_PDU, lengths_of
+from .lrc import lrc
+from .received import Damage, Damaged, Direction, Received, SerialFrame
+from .timing import SerialTiming
+
+COLON: Final = 0x3A
+CR: Final = 0x0D
+LF: Final = 0x0A
+DEFAULT_CHARACTER_TIMEOUT: Final = 1.0
+SHORTEST_CONTENT: Final = 3
+"""Unit, function code, LRC."""
+_PIECE: Final = 1024
+"""Characters that are searched at a time, so that a search never runs far beyond the frame."""
+_MOST_DIGITS: Final = ASCII_ADU_LIMIT - 3
+_UPPER_CASE: Final = b"0123456789ABCDEF"
+_ANY_CASE: Final = _UPPER_CASE + b"abcdef"
+_SEVEN_BITS: Final = bytes(value & 0x7F for value in range(256))
+_NEVER: Final = float("-inf")
+
+
+def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
+    """The frame of a PDU of 1…253 bytes for ``unit`` 0…255, ended by CR and ``delimiter`` 0…127 (§2.5.2.1)."""
+    body = bytes((unit,)) + pdu
+    return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
+
+
+class AsciiState(Enum):
+    """Where the receiver is (figure 18)."""
+
+    IDLE = "idle"
+    RECEPTION = "reception"
+    WAITING_FOR_DELIMITER = "waiting for the end delimiter"
+
+
+class AsciiReceiver:
+    """Characters and times in, frames and damaged chunks out.
+
+    Attributes:
+        state: where the receiver is.
+        delimiter: the character that ends a frame behind CR; may be changed at any time (function 08/03).
+        conversation: role, own units, and the reply that is due: what gives the direction.
+        echo: what is known about the echo of the line.
+        timing: the times of the line; ASCII needs no silence, so it only dates the frames.
+        character_timeout: seconds that may pass between two characters.
+    """
+
+    __slots__ = (
+        "_allowed",
+        "_began",
+        "_last",
+        "_lengths",
+        "_sent_until",
+        "_strip_parity",
+        "_text",
+        "character_timeout",
+        "conversation",
+        "delimiter",
+        "echo",
+        "state",
+        "timing",
+    )
+
+    def __init__(
+        self,
+        role: Role,
+        timing: SerialTiming,
+        *,
+        functions: FunctionTable = STANDARD,
+        units: Container[int] = (),
+        delimiter: int = LF,
+        character_timeout: float = DEFAULT_CHARACTER_TIMEOUT,
+        upper_case_only: bool = False,
+        strip_parity: bool = False,
+        reply_window: float = REPLY_WINDOW,
+        echo: Echo = Echo.OFF,
+    ) -> None:
+        """A receiver that has seen nothing yet; see the class and the module for the arguments.
+
+        Raises:
+            ValueError: a delimiter outside 0…127 or a timeout that is not above 0.
+        """
+        if not 0 <= delimiter <= 0x7F:
+            raise ValueError(f"the end delimiter is an ASCII character, 0…127, not {delimiter}")
+        if character_timeout <= 0:
+            raise ValueError(f"the time between characters is above 0 s, not {character_timeout}")
+        self.conversation = Conversation(role, units, reply_window)
+        self.echo = EchoFilter(echo)
+        self.timing = timing
+        self.delimiter = delimiter
+        self.character_timeout = character_timeout
+        self.state = AsciiState.IDLE
+        self._lengths = lengths_of(functions)
+        self._allowed = _UPPER_CASE if upper_case_only else _ANY_CASE
+        self._strip_parity = strip_parity
+        self._text = bytearray()
+        self._began = self._last = self._sent_until = _NEVER
+
+    # What the driver calls.
+
+    def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
+        """The frames and damaged chunks that ``data``, read at ``now`` (seconds), completes, in order."""
+        if not data:
+            return []
+        began = max(self._last, now - len(data) * self.timing.character)
+        found = self.tick(began)
+        self._accept(self.echo.receive(bytes(data), began), began, found)
+        self._last = now
+        return found
+
+    def tick(self, now: float) -> list[Received]:
+        """The frame in progress, if the time between two characters has run out."""
+        found: list[Received] = []
+        released = self.echo.tick(now)
+        if released:
+            self._accept(released, self._last, found)
+        if self.state is not AsciiState.IDLE and now > self._last + self.character_timeout:
+            self._discard(Damage.GAP, self._last, found)
+        return found
+
+    def deadline(self) -> float | None:
+        """When the time between two characters runs out; None between frames."""
+        echo = self.echo.deadline()
+        if self.state is AsciiState.IDLE:
+            return echo
+        # The limit itself is still allowed, so the decision falls just behind it.
+        own = self._last + self.character_timeout * (1 + 1e-6) + 1e-6
+        return own if echo is None else min(own, echo)
+
+    def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
+        """A master's request went to ``unit``; the reply to ``function`` is due."""
+        self.conversation.due = Due(unit, function, size)
+
+    def expect_nothing(self) -> None:
+        """No reply is due any more."""
+        self.conversation.due = None
+
+    def sent(self, raw: bytes, ends: float) -> None:
+        """These characters of ours are on the line until ``ends``: to be taken out if they echo."""
+        self._sent_until = ends
+        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is Role.MASTER)
+
+    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+        """The port marks a parity or framing error, or lost characters: the frame in progress is discarded (S14).
+
+        A mark between frames is reported too, as a damaged chunk of no characters.
+        """
+        found = self.tick(now)
+        self._discard(Damage.OVERRUN if overrun else Damage.CHARACTER, now, found, overrun=overrun)
+        self._last = max(self._last, now)
+        return found
+
+    def flush(self, now: float) -> list[Received]:
+        """Decide about everything now: at a response timeout, or at the end."""
+        found: list[Received] = []
+        released = self.echo.release()
+        if released:
+            self._accept(released, self._last, found)
+        if self.state is not AsciiState.IDLE:
+            self._discard(Damage.INCOMPLETE, now, found)
+        return found
+
+    def clear_at(self) -> float:
+        """The earliest time at which a frame may be sent: when the last character of anybody has ended."""
+        return max(self._last, self._sent_until)
+
+    # From characters to frames.
+
+    def _accept(self, data: bytes, began: float, found: list[Received]) -> None:
+        if self._strip_parity:
+            data = data.translate(_SEVEN_BITS)
+        for start in range(0, len(data), _PIECE):
+            self._piece(data[start : start + _PIECE], began + start * self.timing.character, found)
+
+    def _piece(self, data: bytes, began: float, found: list[Received]) -> None:
+        at, size = 0, len(data)
+        while at < size:
+            time = began + at * self.timing.character
+            if self.state is AsciiState.IDLE:
+                at = data.find(COLON, at)
+                if at < 0:
+                    return
+                at += 1
+                self._begin(began + (at - 1) * self.timing.character)
+            elif self.state is AsciiState.WAITING_FOR_DELIMITER:
+                at = self._end(data[at], at, time, found)
+            else:
+                at = self._content(data, at, began, found)
+
+    def _begin(self, time: float) -> None:
+        self.state = AsciiState.RECEPTION
+        self._text.clear()
+        self._began = time
+
+    def _content(self, data: bytes, at: int, began: float, found: list[Received]) -> int:
+        """Take characters up to the next colon or CR; gives the place behind what was used."""
+        colon, end = data.find(COLON, at), data.find(CR, at)
+        stop = min((place for place in (colon, end) if place >= 0), default=len(data))
+        self._text += data[at : min(stop, at + ASCII_ADU_LIMIT)]
+        time = began + stop * self.timing.character
+        if len(self._text) > _MOST_DIGITS:
+            self._discard(Damage.TOO_LONG, time, found)
+        elif stop == len(data):
+            return stop
+        elif stop == end:
+            self.state = AsciiState.WAITING_FOR_DELIMITER
+            return stop + 1
+        elif self._text:
+            self._discard(Damage.RESTARTED, time, found)
+        else:
+            self._begin(time)
+            return stop + 1
+        return stop
+
+    def _end(self, character: int, at: int, time: float, found: list[Received]) -> int:
+        """The character behind CR."""
+        if character == self.delimiter:
+            self._complete(time + self.timing.character, found)
+            return at + 1
+        restarts = character == COLON
+        self._discard(Damage.RESTARTED if restarts else Damage.NO_DELIMITER, time, found)
+        return at if restarts else at + 1
+
+    def _complete(self, ended: float, found: list[Received]) -> None:
+        text = bytes(self._text)
+        if text.translate(None, self._allowed):
+            self._discard(Damage.NOT_HEXADECIMAL, ended, found)
+        elif len(text) < 2 * SHORTEST_CONTENT:
+            self._discard(Damage.TOO_SHORT, ended, found)
+        elif len(text) % 2:
+            self._discard(Damage.INCOMPLETE, ended, found)
+        else:
+            content = bytes.fromhex(text.decode("ascii"))
+            if lrc(content):
+                self._discard(Damage.CHECKSUM, ended, found)
+                return
+            unit, pdu = content[0], content[1:-1]
+            direction = self._direction(content, self._began)
+            raw = b":%b\r%c" % (text, self.delimiter)
+            found.append(SerialFrame(unit, pdu, raw, direction, self._began, ended))
+            self.conversation.follow(unit, pdu[0], direction, ended)
+            self.state = AsciiState.IDLE
+            self._text.clear()
+
+    def _direction(self, content: bytes, now: float) -> Direction:
+        """The likeliest direction whose length fits; what RTU calls its length counts one byte more."""
+        frame = bytearray(content) + b"\0"
+        length_of_frame = len(content) - 2 + AROUND_PDU
+        for direction in self.conversation.order(content[0], content[1], now):
+            if self._lengths.length(direction, frame, 0, len(frame)) == length_of_frame:
+                return direction
+        return self.conversation.guess(content[0], content[1], now)
+
+    def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
+        """The frame in progress is none; what follows is skipped until the next colon."""
+        in_frame = self.state is not AsciiState.IDLE
+        raw = b":%b" % bytes(self._text) if in_frame else b""
+        began = self._began if in_frame else ended
+        found.append(Damaged(raw[:ASCII_ADU_LIMIT], reason, len(raw), began, ended, overrun))
+        self.state = AsciiState.IDLE
+        self._text.clear()

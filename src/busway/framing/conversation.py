@@ -1,0 +1,104 @@
+"""Who is speaking: which direction the next frame on a shared line has.
+
+Knows units, functions and the request that was seen last; knows no bytes of a frame beyond its first two.
+
+1. A master hears replies; what looks like a request is its own echo or another master.
+2. A server hears requests for its own units. On a shared bus it also hears foreign requests and foreign replies:
+   after a foreign request the reply to it is expected first; anything else is taken as a request first.
+3. An observer hears both, and follows the pairs in the same way.
+4. A reply is expected for `REPLY_WINDOW` seconds, then a frame of the same unit and function is another request:
+   requests and replies of functions that echo (05, 06, 08, 22) look alike, and a dead unit that is asked again and
+   again must not seem to answer itself.
+"""
+
+from collections.abc import Container
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from ..codes import BROADCAST_UNIT
+from ..pdu.message import UNKNOWN_LENGTH
+from .received import Direction
+
+REPLY_WINDOW: Final = 1.0
+
+_REQUEST_ONLY = (Direction.REQUEST,)
+_REPLY_ONLY = (Direction.REPLY,)
+_REQUEST_FIRST = (Direction.REQUEST, Direction.REPLY)
+_REPLY_FIRST = (Direction.REPLY, Direction.REQUEST)
+
+
+class Role(Enum):
+    """Whose receiver it is."""
+
+    MASTER = "master"
+    SERVER = "server"
+    OBSERVER = "observer"
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """A reply that is expected: unit, function code without the exception bit, bytes of its PDU if known, and until
+    when."""
+
+    unit: int
+    function: int
+    size: int = UNKNOWN_LENGTH
+    until: float = float("inf")
+
+    def answers(self, unit: int, code: int, now: float) -> bool:
+        """Whether a frame that begins so at ``now`` may be this reply."""
+        return unit == self.unit and code & 0x7F == self.function and now <= self.until
+
+
+class Conversation:
+    """Follows the frames of one line.
+
+    Attributes:
+        role: whose receiver it is.
+        units: the own units of a server; a live view is welcome.
+        due: the reply that is expected, or None.
+        reply_window: seconds for which a server or observer expects the reply to a foreign request.
+    """
+
+    __slots__ = ("due", "reply_window", "role", "units")
+
+    def __init__(self, role: Role, units: Container[int] = (), reply_window: float = REPLY_WINDOW) -> None:
+        self.role = role
+        self.units = units
+        self.due: Due | None = None
+        self.reply_window = reply_window
+
+    def order(self, unit: int, code: int, now: float) -> tuple[Direction, ...]:
+        """The directions that a frame beginning with these two bytes may have, the likeliest first."""
+        if code & 0x80:
+            return _REPLY_ONLY
+        if self.role is Role.MASTER:
+            due = self.due
+            # Nobody answers for unit 0; a zero ahead of a reply must not pass for an address.
+            return _REPLY_FIRST if unit != BROADCAST_UNIT or (due and due.unit == unit) else _REQUEST_ONLY
+        if unit == BROADCAST_UNIT or self.is_own(unit):
+            return _REQUEST_ONLY
+        due = self.due
+        return _REPLY_FIRST if due is not None and due.answers(unit, code, now) else _REQUEST_FIRST
+
+    def guess(self, unit: int, code: int, now: float) -> Direction:
+        """The direction of a whole frame whose length fits no rule."""
+        if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
+            return Direction.REPLY
+        if self.role is Role.SERVER and (unit == BROADCAST_UNIT or self.is_own(unit)):
+            return Direction.REQUEST
+        return Direction.UNKNOWN
+
+    def is_own(self, unit: int) -> bool:
+        """Whether a server answers for this unit itself."""
+        return self.role is Role.SERVER and unit in self.units
+
+    def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
+        """Take note of a frame that ended at ``now``."""
+        if self.role is Role.MASTER:
+            return
+        if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):
+            self.due = None
+        else:
+            self.due = Due(unit, code & 0x7F, until=now + self.reply_window)

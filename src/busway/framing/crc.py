@@ -1,0 +1,114 @@
+"""CRC-16 of RTU frames (Serial Line V1.02 §2.5.1.2, §6.2.2).
+
+Knows bytes; knows no frame and no time.
+
+1. Polynomial A001 (reflected), preset FFFF; on the wire the low byte comes first. So the CRC of a whole frame, its own
+   two bytes included, is 0: that is the test everywhere.
+2. Two bytes are taken in one step: the register has 16 bits, and one table of 65 536 entries moves it by 16.
+3. A receiver that has to look for a frame must not compute the CRC of every span anew. The CRC is linear: with the
+   running states of the whole stream, one look into a table compares any span (`SpanCheck`).
+"""
+
+import struct
+from array import array
+from collections.abc import Iterable
+from functools import cache
+from typing import Final
+
+PRESET: Final = 0xFFFF
+_POLYNOMIAL: Final = 0xA001
+
+
+def _moved_by_one_byte(state: int) -> int:
+    for _ in range(8):
+        state = state >> 1 ^ (_POLYNOMIAL if state & 1 else 0)
+    return state
+
+
+BYTE_TABLE: Final = [_moved_by_one_byte(byte) for byte in range(256)]
+"""The register after one byte: ``state >> 8 ^ BYTE_TABLE[(state ^ byte) & 0xFF]``."""
+
+
+def _zero_byte(state: int) -> int:
+    return state >> 8 ^ BYTE_TABLE[state & 0xFF]
+
+
+_LOW = [_zero_byte(_zero_byte(low)) for low in range(256)]
+_HIGH = [_zero_byte(_zero_byte(high << 8)) for high in range(256)]
+_WORD_TABLE: Final = array("H", (high ^ low for high in _HIGH for low in _LOW))
+
+
+def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
+    """The CRC of ``data``, 0…65535; with ``state`` (what an earlier call gave) it goes on from there.
+
+    0 for a whole frame with its CRC behind it (Serial Line V1.02 §6.2.2).
+    """
+    count = len(data) >> 1
+    for word in struct.unpack_from(f"<{count}H", data):
+        state = _WORD_TABLE[state ^ word]
+    if len(data) & 1:
+        state = state >> 8 ^ BYTE_TABLE[(state ^ data[-1]) & 0xFF]
+    return state
+
+
+def crc_bytes(data: bytes | bytearray) -> bytes:
+    """The two bytes that follow ``data`` on the wire, low byte first."""
+    return crc16(data).to_bytes(2, "little")
+
+
+def running_states(data: Iterable[int], state: int = 0) -> list[int]:
+    """The register after each byte of ``data``, beginning at ``state``: as many as there are bytes."""
+    table = BYTE_TABLE
+    return [state := state >> 8 ^ table[(state ^ byte) & 0xFF] for byte in data]
+
+
+class SpanCheck:
+    """For one length: whether the span between two running states is a frame whose CRC fits, in one comparison.
+
+    ``check.low[before & 0xFF] ^ check.high[before >> 8] == after``, where ``before`` is the running state ahead of the
+    span and ``after`` the one behind it. (The preset is folded into the tables.)
+    """
+
+    __slots__ = ("high", "low")
+
+    def __init__(self, images: list[int]) -> None:
+        # Read backwards, a table answers for the byte with all bits turned: that is the preset of ones.
+        self.low = _combinations(images[:8])[::-1]
+        self.high = _combinations(images[8:])[::-1]
+
+    def fits(self, before: int, after: int) -> bool:
+        """Whether the CRC fits."""
+        return self.low[before & 0xFF] ^ self.high[before >> 8] == after
+
+
+@cache
+def span_check(length: int) -> SpanCheck:
+    """The check for spans of ``length`` bytes; made at the first use of that length."""
+    return SpanCheck(_images(length))
+
+
+@cache
+def _images(length: int) -> list[int]:
+    """Where each single bit of the register stands after ``length`` zero bytes."""
+    if length == 0:
+        return [1 << bit for bit in range(16)]
+    if length > 1:
+        half, rest = _images(length >> 1), _images(length - (length >> 1))
+        return [_apply(rest, image) for image in half]
+    return [_zero_byte(1 << bit) for bit in range(16)]
+
+
+def _apply(images: list[int], state: int) -> int:
+    result = 0
+    for bit in range(16):
+        if state >> bit & 1:
+            result ^= images[bit]
+    return result
+
+
+def _combinations(images: list[int]) -> list[int]:
+    """The image of each value 0…255, from those of its bits."""
+    values = [0]
+    for image in images:
+        values += [value ^ image for value in values]
+    return values

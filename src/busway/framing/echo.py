@@ -1,0 +1,109 @@
+"""The echo of a two-wire line: our own bytes come back first, and exactly one copy of them is taken out.
+
+Knows bytes and times; knows no frame.
+
+1. ``ON``: the bytes behind a frame of ours are its copy. Where they differ (a collision, or a converter that was
+   switched over) nothing is taken out, and all of them go on.
+2. ``AUTOMATIC``: the first frames of ours decide. A copy proves the echo; other bytes first, or none within the window
+   after the frame has ended, prove that there is none. What was learnt is unlearnt when a frame behaves otherwise.
+3. A reply may be a true copy of the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
+   copy is held back: bytes after it prove that it was the echo, `release` (the response timeout) that it was the
+   reply. Once it is known, no copy is held.
+"""
+
+from enum import Enum
+from typing import Final
+
+ECHO_WINDOW: Final = 0.050
+"""Seconds after the end of a frame within which its echo begins, adapters and system included."""
+
+
+class Echo(Enum):
+    """Whether the port gives back what is sent."""
+
+    OFF = "off"
+    ON = "on"
+    AUTOMATIC = "automatic"
+
+
+class EchoFilter:
+    """Takes the copy of each sent frame out of the stream.
+
+    Attributes:
+        mode: what was configured.
+        present: whether the line echoes: True, False, or None while that is not known.
+        window: seconds after the end of a frame within which its copy begins.
+    """
+
+    __slots__ = ("_awaited", "_held", "_may_be_reply", "_until", "mode", "present", "window")
+
+    def __init__(self, mode: Echo, window: float = ECHO_WINDOW) -> None:
+        self.mode = mode
+        self.present: bool | None = None if mode is Echo.AUTOMATIC else mode is Echo.ON
+        self.window = window
+        self._awaited = b""
+        self._held = b""
+        self._until = 0.0
+        self._may_be_reply = False
+
+    @property
+    def pending(self) -> bool:
+        """Whether bytes are held back."""
+        return bool(self._held)
+
+    def deadline(self) -> float | None:
+        """When `tick` lets a part of a copy go; None if none is held."""
+        return self._until if self._held and len(self._held) < len(self._awaited) else None
+
+    def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
+        """A frame of ours is on the line until ``ends``; ``may_be_reply``: the answer may look the same."""
+        if self.mode is Echo.OFF:
+            return
+        self._awaited, self._held, self._until = raw, b"", ends + self.window
+        self._may_be_reply = may_be_reply
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        """``data`` without the copy, preceded by what was held and is no copy after all."""
+        awaited = self._awaited
+        if not awaited:
+            return data
+        if len(self._held) == len(awaited):  # rule 3: something follows the copy
+            return self._taken_out(data)
+        if not self._held and now > self._until:
+            return self._no_copy(data)
+        whole = self._held + data
+        if not awaited.startswith(whole[: len(awaited)]):
+            return self._no_copy(whole)
+        self._held = whole[: len(awaited)]
+        if len(whole) < len(awaited):
+            return b""
+        if self.present is True or not self._may_be_reply or len(whole) > len(awaited):
+            return self._taken_out(whole[len(awaited) :])
+        if self.present is False:
+            return self._no_copy(whole)
+        return b""
+
+    def tick(self, now: float) -> bytes:
+        """A part of a copy that stayed a part; empty if there is none or it is still early."""
+        deadline = self.deadline()
+        return b"" if deadline is None or now < deadline else self._no_copy(self._held)
+
+    def release(self) -> bytes:
+        """All that is held: no more bytes come, so it was not the echo."""
+        if not self._held:
+            self._awaited = b""
+            return b""
+        return self._no_copy(self._held)
+
+    def _taken_out(self, rest: bytes) -> bytes:
+        self._learn(present=True)
+        return rest
+
+    def _no_copy(self, data: bytes) -> bytes:
+        self._learn(present=False)
+        return data
+
+    def _learn(self, *, present: bool) -> None:
+        self._awaited = self._held = b""
+        if self.mode is Echo.AUTOMATIC:
+            self.present = present

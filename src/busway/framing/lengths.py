@@ -1,0 +1,143 @@
+"""Length rules of a function table, flattened: one look gives the length of an RTU frame.
+
+Knows the table; knows no stream. The functions say themselves how long their messages are (`busway.pdu`); what they
+say is turned here into one number per function code, because a receiver asks for every byte of a noisy line.
+
+1. All lengths here are of whole frames: unit, PDU, CRC.
+2. A number above 0 is the length; below 0, the byte count stands that many bytes behind the unit and counts what
+   follows it; 0, the function is unknown; `ASK`, only the table itself can tell (sub-functions, counts of two bytes).
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Final
+
+from ..codes import RTU_ADU_LIMIT
+from ..pdu.functions import FunctionTable
+from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
+from .received import Direction
+
+ASK: Final = -1000
+AROUND_PDU: Final = 3
+"""One byte of unit before the PDU, two of CRC behind it."""
+SHORTEST: Final = 4
+"""Unit, function code, CRC."""
+
+_SAMPLES: Final = range(0, 256, 5)
+"""Byte counts that a rule is tried with, 0 and 255 among them."""
+
+_DECIDING: Final = 3
+"""Function code and two bytes: a sub-function, or a byte count of two bytes."""
+_ANSWERS_KEPT: Final = 4096
+"""Answers of the table that are kept for each direction: noise must not fill the memory."""
+
+LengthRule = Callable[[bytes, int, int], int]
+
+
+@cache
+def lengths_of(functions: FunctionTable) -> "FrameLengths":
+    """The rules of a table, flattened once for all receivers that work with it."""
+    return FrameLengths(functions)
+
+
+class FrameLengths:
+    """How long the frames of a `FunctionTable` are, by direction.
+
+    Attributes:
+        requests, replies: the flattened rule of each byte 0…255 in the place of the function code.
+        shapes: both rules of each byte that one look can apply, as (place of the byte count or 0, bytes besides what
+            it counts); the reply first.
+        answers: what the table said lately where it had to be asked, by direction and the first three bytes of the PDU.
+    """
+
+    __slots__ = ("_ask", "answers", "replies", "requests", "shapes")
+
+    def __init__(self, functions: FunctionTable) -> None:
+        self.requests = [_flatten(functions, code, functions.request_length) for code in range(256)]
+        self.replies = [_flatten(functions, code, functions.reply_length) for code in range(256)]
+        self.shapes = [
+            tuple(dict.fromkeys(shape for shape in map(shape_of, rules) if shape is not None and shape[1]))
+            for rules in zip(self.replies, self.requests, strict=True)
+        ]
+        self.answers: dict[Direction, dict[int, int]] = {Direction.REQUEST: {}, Direction.REPLY: {}}
+        self._ask: dict[Direction, LengthRule] = {
+            Direction.REQUEST: functions.request_length,
+            Direction.REPLY: functions.reply_length,
+        }
+
+    def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
+        """Length of the frame that starts at ``at``, from what ``data[at:end]`` shows.
+
+        `NEED_MORE` while it can not be told, `UNKNOWN_LENGTH` where the content never tells it, and a number above
+        256 where the byte count can not be.
+        """
+        if end - at < 2:
+            return NEED_MORE
+        rule = (self.requests if direction is Direction.REQUEST else self.replies)[data[at + 1]]
+        if rule > 0:
+            return rule
+        if rule == 0:
+            return UNKNOWN_LENGTH
+        if rule != ASK:
+            return data[at - rule] + 1 - rule + 2 if at - rule < end else NEED_MORE
+        return self._asked(direction, bytes(data[at + 1 : min(end, at + RTU_ADU_LIMIT)]))
+
+    def _asked(self, direction: Direction, shown: bytes) -> int:
+        """The answer of the table; kept where three bytes decide, which is so for all but function 43."""
+        beginning = int.from_bytes(shown[:_DECIDING], "big") if len(shown) >= _DECIDING else -1
+        answers = self.answers[direction]
+        answer = answers.get(beginning)
+        if answer is None:
+            ask = self._ask[direction]
+            answer = _around(ask(shown[:_DECIDING], 0, min(_DECIDING, len(shown))))
+            if answer == NEED_MORE:
+                answer = _around(ask(shown, 0, len(shown)))
+            elif beginning >= 0 and len(answers) < _ANSWERS_KEPT:
+                answers[beginning] = answer
+        return answer
+
+
+def _around(length: int) -> int:
+    return length if length in (NEED_MORE, UNKNOWN_LENGTH) else length + AROUND_PDU
+
+
+def shape_of(rule: int) -> tuple[int, int] | None:
+    """A rule as (place of the byte count or 0, bytes besides what it counts).
+
+    (0, 0) where the table has to be asked; None where the function is unknown.
+    """
+    if rule == 0:
+        return None
+    if rule == ASK:
+        return 0, 0
+    return (0, rule) if rule > 0 else (-rule, 3 - rule)
+
+
+def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
+    """The rule of one code, found by asking the table about messages of which more and more is shown."""
+    if code & 0x7F == 0:
+        return 0
+    known = code in functions
+    if code & 0x80 and length == functions.reply_length:
+        known = True
+    if not known:
+        return 0
+    shown = 1
+    while length(bytes((code,)) + bytes(shown - 1), 0, shown) == NEED_MORE:
+        shown += 1
+        if shown > RTU_ADU_LIMIT:
+            return ASK
+    if shown == 1:
+        alone = length(bytes((code,)), 0, 1)
+        return 0 if alone == UNKNOWN_LENGTH else alone + AROUND_PDU
+    return _counted(code, shown, length)
+
+
+def _counted(code: int, shown: int, length: LengthRule) -> int:
+    """The place of the byte count, if the byte that decided counts exactly what follows it; else `ASK`."""
+    for count in _SAMPLES:
+        for filler in (0x00, 0x5A, 0xFF):
+            message = bytes((code,)) + bytes((filler,)) * (shown - 2) + bytes((count,))
+            if length(message, 0, shown) != shown + count:
+                return ASK
+    return -shown

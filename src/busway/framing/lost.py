@@ -1,0 +1,60 @@
+"""A disturbance while it lasts: what it held, when, and why it is no frame.
+
+Knows bytes and times; knows no framing. However long it lasts, it keeps no more bytes than a frame has, and it is
+reported once.
+"""
+
+from typing import Final
+
+from ..codes import RTU_ADU_LIMIT
+from .lengths import SHORTEST
+from .received import Damage, Damaged
+
+_NEVER: Final = float("-inf")
+
+
+class LostBytes:
+    """One disturbance, while it lasts.
+
+    Attributes:
+        reason: why the bytes are no frame, as soon as somebody knows better than that no CRC fits.
+        size: how many bytes there were.
+    """
+
+    __slots__ = ("_began", "_ended", "_overrun", "_raw", "is_marked", "reason", "size")
+
+    def __init__(self) -> None:
+        self._raw = bytearray()
+        self._began = self._ended = _NEVER
+        self._overrun = False
+        self.is_marked = False
+        self.reason: Damage | None = None
+        self.size = 0
+
+    def add(self, data: bytes | bytearray, began: float, ended: float) -> None:
+        """These bytes belong to it too."""
+        if self._began == _NEVER:
+            self._began = began
+        self._ended = ended
+        self.size += len(data)
+        room = RTU_ADU_LIMIT - len(self._raw)
+        if room > 0:
+            self._raw += data[:room]
+
+    def mark(self, reason: Damage, now: float) -> None:
+        """The port marked an error in it."""
+        if self._began == _NEVER:
+            self._began = now
+        self._ended = now
+        self.reason = reason
+        self._overrun = self._overrun or reason is Damage.OVERRUN
+        self.is_marked = True
+
+    def report(self) -> Damaged:
+        """What it was."""
+        reason = self.reason
+        if reason is None:
+            reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM
+            if self.size < SHORTEST:
+                reason = Damage.TOO_SHORT
+        return Damaged(bytes(self._raw), reason, self.size, self._began, self._ended, self._overrun)

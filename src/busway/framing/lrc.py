@@ -1,0 +1,9 @@
+"""LRC of ASCII frames (Serial Line V1.02 §2.5.2.2, §6.2.1).
+
+Knows bytes; knows no characters. The two's complement of the sum of all bytes, so that with it the sum is 0.
+"""
+
+
+def lrc(data: bytes | bytearray) -> int:
+    """The LRC of the binary content, 0…255; 0 for a content with its LRC behind it."""
+    return -sum(data) & 0xFF

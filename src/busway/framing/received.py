@@ -1,0 +1,118 @@
+"""What the receivers of a serial line give, and what all receivers have in common.
+
+Knows values; knows no framing.
+
+1. A receiver gives good frames and damaged chunks. "Need more" is the empty list, and nothing is fatal: a serial line
+   has no end, the next frame may be good.
+2. A damaged chunk is one disturbance, however long: it is one count of the communication errors (appendix A).
+3. Where a frame's direction can not be told from its bytes, its ``direction`` says so.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol, TypeVar
+
+
+class Direction(Enum):
+    """Which way a frame travels."""
+
+    REQUEST = "request"
+    REPLY = "reply"
+    UNKNOWN = "unknown"
+
+
+class Damage(Enum):
+    """Why a chunk is no frame."""
+
+    TOO_SHORT = "too few bytes for a frame"
+    TOO_LONG = "more bytes than a frame has"
+    INCOMPLETE = "it ends before its length says"
+    CHECKSUM = "no frame whose check fits"
+    GAP = "a gap inside the frame"
+    CHARACTER = "a parity or framing error"
+    OVERRUN = "characters were lost"
+    RESTARTED = "a new frame began inside it"
+    NOT_HEXADECIMAL = "a character that is no hexadecimal digit"
+    NO_DELIMITER = "CR without the end delimiter"
+
+
+@dataclass(frozen=True, slots=True)
+class SerialFrame:
+    """A frame whose check fits.
+
+    Attributes:
+        unit: address byte, 0…255.
+        pdu: function code and data, 1…253 bytes and, where a peer breaks the limit of 253, never more than 254.
+        raw: the bytes as they came: address to CRC, or ``:`` to the delimiter (without parity bits).
+        direction: what the conversation makes of it; a hint, not a fact.
+        began, ended: when its first byte began and its last one ended, as far as the reads tell.
+        recovered: whether it was found inside a damaged chunk. Servers never get such a frame.
+    """
+
+    unit: int
+    pdu: bytes
+    raw: bytes
+    direction: Direction
+    began: float
+    ended: float
+    recovered: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Damaged:
+    """Bytes that were no frame.
+
+    Attributes:
+        raw: the bytes, at most the first 256 (RTU) or 513 (ASCII) of them.
+        reason: what is wrong with them.
+        size: how many there were.
+        overrun: whether the port lost characters: this counts as 8 and 2 (Serial Line V1.02, appendix A).
+        began, ended: when the first of them began and the last one ended.
+    """
+
+    raw: bytes
+    reason: Damage
+    size: int
+    began: float
+    ended: float
+    overrun: bool = False
+
+
+Received = SerialFrame | Damaged
+
+Found = TypeVar("Found")
+
+
+class Receiver(Protocol[Found]):
+    """What a driver feeds, whatever the framing: MBAP, RTU or ASCII."""
+
+    def receive(self, data: bytes | bytearray, now: float) -> list[Found]:
+        """What ``data``, read at ``now``, completes, in order."""
+
+    def tick(self, now: float) -> list[Found]:
+        """What the silence until ``now`` decides."""
+
+    def deadline(self) -> float | None:
+        """When `tick` will have something to decide; None while only bytes can change anything."""
+
+
+class SerialReceiver(Receiver[Received], Protocol):
+    """What masters, servers and observers of a serial line need besides: RTU, strict RTU and ASCII alike."""
+
+    def expect(self, unit: int, function: int, size: int) -> None:
+        """A master's request went to ``unit``; a reply of ``size`` bytes of PDU (or `UNKNOWN_LENGTH`) is due."""
+
+    def expect_nothing(self) -> None:
+        """No reply is due any more."""
+
+    def sent(self, raw: bytes, ends: float) -> None:
+        """These bytes of ours are on the line until ``ends``."""
+
+    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+        """The port marks an error at this place of the stream (S14)."""
+
+    def flush(self, now: float) -> list[Received]:
+        """Decide about everything now, as a long silence would."""
+
+    def clear_at(self) -> float:
+        """The earliest time at which a frame may be sent."""

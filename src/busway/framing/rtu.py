@@ -1,0 +1,574 @@
+"""RTU: frames without marks, found by their length and CRC (Serial Line V1.02 §2.5.1).
+
+Knows bytes and the times at which they were read; knows no port, no request table and no device.
+
+1. Length and CRC together make a frame of a known function, at once: nobody waits for a silence that only confirms.
+2. Silence alone makes no frame. Where the function is unknown, or the byte count contradicts the frame, the chunk
+   between two silences of t3.5 is the frame if its CRC fits. Several frames without a visible silence between them are
+   told apart if they fill the chunk without remainder.
+3. Bytes of one frame may come in bursts: adapters and systems add gaps far above t1.5. An unfinished frame waits for
+   the rest up to ``gap_limit``. `StrictRtuReceiver` (``rtu_strict``) keeps to the letter.
+4. What may still become a frame has precedence over what was found inside it. A decision against that precedence
+   waits for t3.5 of silence if the outer frame can not be one, otherwise for ``gap_limit``. It costs nothing: before
+   t3.5 has passed, nobody may send.
+5. A master and an observer look for the next frame inside a damaged chunk; a master only for the reply that is due.
+   A server never does: it takes up again at a silence of t3.5, and until it is in step it believes a frame only if
+   it stands between two such silences.
+6. Each byte is looked at a bounded number of times, whatever it is: running CRC states, one comparison per candidate,
+   at most 256 bytes of an undecided chunk, rejected places are not tried again.
+
+A silence before a burst is measured to the moment at which its first byte began, taken that its bytes came without
+gaps; a read that comes late makes it look longer than it was, never shorter than zero.
+"""
+
+from collections.abc import Container
+from typing import Final
+
+from ..codes import RTU_ADU_LIMIT
+from ..pdu.functions import STANDARD, FunctionTable
+from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
+from .conversation import REPLY_WINDOW, Conversation, Due, Role
+from .crc import crc_bytes, running_states, span_check
+from .echo import Echo, EchoFilter
+from .lengths import AROUND_PDU, SHORTEST, lengths_of, shape_of
+from .lost import LostBytes
+from .received import Damage, Direction, Received, SerialFrame
+from .timing import SerialTiming
+
+DEFAULT_GAP_LIMIT: Final = 0.050
+"""Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems skip a beat."""
+
+_NEVER: Final = float("-inf")
+_PIECE: Final = RTU_ADU_LIMIT
+_SILENCES_KEPT: Final = 4
+"""How many silences inside an undecided chunk a server remembers as places where a frame may have begun."""
+
+# What a look at one place gives, besides the position behind a frame.
+_DEAD: Final = 0
+_WAITS: Final = -1
+
+
+def encode_rtu(unit: int, pdu: bytes) -> bytes:
+    """The frame of a PDU of 1…253 bytes for ``unit`` 0…255: address, PDU, CRC (Serial Line V1.02 §2.5.1)."""
+    body = bytes((unit,)) + pdu
+    return body + crc_bytes(body)
+
+
+class RtuReceiver:
+    """Bytes and times in, frames and damaged chunks out. Lenient about gaps inside a frame (rule 3).
+
+    Attributes:
+        conversation: role, own units, and the reply that is due.
+        echo: what is known about the echo of the line.
+        timing: character time, t1.5 and t3.5.
+        gap_limit: seconds that an unfinished frame waits for its rest, at least t3.5.
+    """
+
+    __slots__ = (
+        "_at",
+        "_buffer",
+        "_burst_at",
+        "_burst_began",
+        "_chunk_began",
+        "_in_step",
+        "_last",
+        "_lengths",
+        "_lost",
+        "_prefix_end",
+        "_quiet",
+        "_scan",
+        "_sent_until",
+        "_silences",
+        "_skipping",
+        "_states",
+        "conversation",
+        "echo",
+        "gap_limit",
+        "timing",
+    )
+
+    def __init__(
+        self,
+        role: Role,
+        timing: SerialTiming,
+        *,
+        functions: FunctionTable = STANDARD,
+        units: Container[int] = (),
+        gap_limit: float | None = None,
+        reply_window: float = REPLY_WINDOW,
+        echo: Echo = Echo.OFF,
+        started: float | None = None,
+    ) -> None:
+        """A receiver that has seen nothing yet.
+
+        Args:
+            role: master, server or observer.
+            timing: the times of the line, as `SerialTiming.of_line` or `SerialTiming.of_network` gives them.
+            functions: the functions whose lengths are known.
+            units: the own units of a server; a live view is welcome.
+            gap_limit: seconds that an unfinished frame waits for its rest; 50 ms or t3.5, whichever is longer.
+            reply_window: seconds for which the reply to a foreign request is expected.
+            echo: whether the port gives back what is sent.
+            started: when the port was opened, so that nothing is sent before t3.5 has passed (state "initial" of
+                §2.5.1.1); None where the line is known to be idle.
+
+        Raises:
+            ValueError: a ``gap_limit`` below t3.5.
+        """
+        limit = max(timing.t3_5, DEFAULT_GAP_LIMIT) if gap_limit is None else gap_limit
+        if limit < timing.t3_5:
+            raise ValueError(f"the gap limit must be t3.5 ({timing.t3_5} s) or more, not {limit} s")
+        self.conversation = Conversation(role, units, reply_window)
+        self.echo = EchoFilter(echo)
+        self.timing = timing
+        self.gap_limit = limit
+        self._lengths = lengths_of(functions)
+        self._buffer = bytearray()
+        self._states = [0]  # the running CRC ahead of each byte of the buffer, and behind the last one
+        self._at = 0  # where the undecided chunk begins
+        self._scan = 1  # places of the chunk before this one are rejected as beginnings of a frame inside it
+        self._prefix_end = SHORTEST  # lengths of the chunk below this one are no frame of an unknown function
+        self._silences: list[int] = []
+        self._chunk_began = _NEVER
+        self._burst_at = 0
+        self._burst_began = _NEVER
+        self._last = _NEVER if started is None else started
+        self._sent_until = _NEVER
+        self._quiet = True  # whether the t3.5 after the last byte has been dealt with
+        self._in_step = started is None  # a server opened amid traffic believes what stands between two silences
+        self._skipping = False
+        self._lost = LostBytes()
+
+    # What the driver calls.
+
+    def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
+        """The frames and damaged chunks that ``data``, read at ``now`` (seconds), completes, in order."""
+        found: list[Received] = []
+        if not data:
+            return found
+        began = max(self._last, now - len(data) * self.timing.character)
+        self._pass_time(began, found)
+        if self.echo.mode is not Echo.OFF:
+            data = self.echo.receive(bytes(data), began)
+        self._accept(data, began, now, found)
+        return found
+
+    def tick(self, now: float) -> list[Received]:
+        """What the silence until ``now`` decides."""
+        found: list[Received] = []
+        released = self.echo.tick(now)
+        if released:
+            self._accept(released, self._last, self._last, found)
+        self._pass_time(now, found)
+        return found
+
+    def deadline(self) -> float | None:
+        """When `tick` will have something to decide; None while only bytes can change anything."""
+        echo = self.echo.deadline()
+        if not self._undecided:
+            return echo
+        own = self._last + (self.gap_limit if self._quiet else self.timing.t3_5)
+        return own if echo is None else min(own, echo)
+
+    def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
+        """A master's request went to ``unit`` 0…255; the reply to ``function`` 1…127 is due.
+
+        ``size`` is the length of its PDU in bytes where the request tells it (`Request.reply_shape`), which is also
+        what makes replies of functions with unknown length end at once; otherwise `UNKNOWN_LENGTH`.
+        """
+        self.conversation.due = Due(unit, function, size)
+        self._scan = self._at + 1  # what was rejected was rejected for another reply
+
+    def expect_nothing(self) -> None:
+        """No reply is due any more."""
+        self.conversation.due = None
+
+    def sent(self, raw: bytes, ends: float) -> None:
+        """These bytes of ours are on the line until ``ends``: to be taken out if they echo; t3.5 counts from there."""
+        self._sent_until = ends
+        code = raw[1] if len(raw) > 1 else 0
+        may_be_reply = self.conversation.role is Role.MASTER and self._answers_itself(code)
+        self.echo.sent(raw, ends, may_be_reply=may_be_reply)
+
+    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+        """The port marks a parity or framing error, or lost characters, at this place of the stream (S14).
+
+        The frame in progress is discarded; it is reported with the rest of the disturbance. Gives what the silence
+        before the mark decided.
+        """
+        found: list[Received] = []
+        self._pass_time(now, found)
+        if not self._undecided:
+            self._chunk_began = now
+        self._lose(len(self._buffer))
+        self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
+        self._fall_out_of_step()
+        self._last = max(self._last, now)
+        self._quiet = False
+        return found
+
+    def flush(self, now: float) -> list[Received]:
+        """Decide about everything now, as a silence of ``gap_limit`` would: at a response timeout, or at the end."""
+        found: list[Received] = []
+        released = self.echo.release()
+        if released:
+            self._accept(released, self._last, self._last, found)
+        if self._undecided:
+            self._after_silence(found)
+            self._after_limit(found)
+            self._quiet = True
+        return found
+
+    def clear_at(self) -> float:
+        """The earliest time at which a frame may be sent: t3.5 after the last byte of anybody (S8, S10)."""
+        return max(self._last, self._sent_until) + self.timing.t3_5
+
+    # Time and bytes.
+
+    @property
+    def _undecided(self) -> bool:
+        return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
+
+    def _pass_time(self, until: float, found: list[Received]) -> None:
+        """Let the silences that end before ``until`` take effect."""
+        if self._undecided:
+            if not self._quiet and until >= self._last + self.timing.t3_5:
+                self._quiet = True
+                self._after_silence(found)
+            if self._undecided and until >= self._last + self.gap_limit:
+                self._after_limit(found)
+        if until >= self._last + self.gap_limit and not self._undecided:
+            self._in_step = True
+
+    def _accept(self, data: bytes | bytearray, began: float, now: float, found: list[Received]) -> None:
+        if data and self._at < len(self._buffer) and self._quiet:
+            self._silences = [*self._silences[1 - _SILENCES_KEPT :], len(self._buffer)]
+        self._burst_began = began
+        for start in range(0, len(data), _PIECE):
+            self._append(data[start : start + _PIECE])
+            self._follow(found)
+            self._burst_began += _PIECE * self.timing.character
+        self._last = max(self._last, now)
+        self._quiet = False
+
+    def _append(self, piece: bytes | bytearray) -> None:
+        gone = self._at
+        if gone:
+            del self._buffer[:gone]
+            del self._states[:gone]
+            self._scan -= gone
+            self._silences = [place - gone for place in self._silences]
+            self._at = 0
+        if self._skipping:
+            self._lost.add(piece, self._burst_began, self._burst_began + len(piece) * self.timing.character)
+            return
+        if not self._buffer:
+            self._chunk_began = self._burst_began
+        self._burst_at = len(self._buffer)
+        self._buffer += piece
+        self._states += running_states(piece, self._states[-1])
+
+    # Decisions that need no silence (rule 1).
+
+    def _follow(self, found: list[Received]) -> None:
+        """Take every frame that can be taken at once, and give up a chunk that has become too long."""
+        server = self.conversation.role is Role.SERVER
+        while self._at < len(self._buffer):
+            end, direction = self._look(self._at)
+            if end > 0 and (self._in_step or not server):
+                self._give(end, direction, found, recovered=not self._in_step)
+            elif len(self._buffer) - self._at <= RTU_ADU_LIMIT:
+                return
+            else:
+                self._give_up_beginning(found)
+
+    def _look(self, at: int) -> tuple[int, Direction]:
+        """The end of the frame at ``at``, or `_WAITS` while it may become one, or `_DEAD`; and its direction."""
+        buffer = self._buffer
+        size = len(buffer)
+        if size - at < 2:
+            return _WAITS, Direction.UNKNOWN
+        unit, code = buffer[at], buffer[at + 1]
+        for direction in self.conversation.order(unit, code, self._burst_began):
+            length = self._length(direction, at, size)
+            if length == NEED_MORE:
+                return _WAITS, direction
+            if not SHORTEST <= length <= RTU_ADU_LIMIT:
+                continue
+            if at + length > size:
+                return _WAITS, direction
+            if self._fits(at, at + length):
+                return at + length, direction
+        return _DEAD, Direction.UNKNOWN
+
+    def _length(self, direction: Direction, at: int, end: int) -> int:
+        """The length of a frame of this direction; where only the request tells the length of its reply, that one."""
+        length = self._lengths.length(direction, self._buffer, at, end)
+        if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
+            due = self.conversation.due
+            if due is not None and due.size > 0 and due.answers(self._buffer[at], self._buffer[at + 1], self._last):
+                return due.size + AROUND_PDU
+        return length
+
+    def _fits(self, at: int, end: int) -> bool:
+        low, high = _CHECKS[end - at] or _check(end - at)
+        state = self._states[at]
+        return low[state & 0xFF] ^ high[state >> 8] == self._states[end]
+
+    def _give_up_beginning(self, found: list[Received]) -> None:
+        """The chunk is longer than a frame: no frame begins where it begins."""
+        if self.conversation.role is Role.SERVER:
+            later = next((place for place in self._silences if place > self._at), None)
+            self._lose(len(self._buffer) if later is None else later)
+            self._in_step = False
+            self._skipping = later is None
+            return
+        end, direction = self._search(at_limit=False)
+        self._lose(self._scan)
+        self._in_step = False
+        if end > 0:
+            self._give(end, direction, found, recovered=True)
+
+    # Decisions at a silence (rules 2, 4 and 5).
+
+    def _after_silence(self, found: list[Received]) -> None:
+        """t3.5 has passed since the last byte."""
+        self._skipping = False
+        while self._at < len(self._buffer):
+            self._follow(found)
+            if self._take_divided(self._at, found):
+                break
+            if self._look(self._at)[0] == _WAITS or not self._take_inner(found, at_limit=False):
+                return
+        self._report_lost(found)
+
+    def _after_limit(self, found: list[Received]) -> None:
+        """Nothing that is unfinished will be finished."""
+        while self._at < len(self._buffer):
+            self._follow(found)
+            if not self._take_divided(self._at, found) and not self._take_inner(found, at_limit=True):
+                self._lost.reason = self._lost.reason or self._reason()
+                self._lose(len(self._buffer))
+                self._in_step = False
+        self._report_lost(found)
+
+    def _take_divided(self, at: int, found: list[Received]) -> bool:
+        """Take the chunk from ``at`` on as one frame, or as several that fill it; otherwise leave all as it is."""
+        pieces = self._divide(at)
+        if not pieces:
+            return False
+        recovered = at > self._at and self.conversation.role is not Role.SERVER
+        self._lose(at)
+        for end, direction in pieces:
+            self._give(end, direction, found, recovered=recovered)
+        return True
+
+    def _divide(self, at: int) -> list[tuple[int, Direction]]:
+        """Ends and directions of the frames that fill the buffer from ``at`` on; empty where they do not."""
+        size = len(self._buffer)
+        # Zeros behind a frame leave its CRC at 0: where a rule fits, it decides, and not the whole.
+        if SHORTEST <= size - at <= RTU_ADU_LIMIT and self._fits(at, size) and not self._end_of_known(at, size):
+            return [(size, self._direction(at, size))]
+        pieces: list[tuple[int, Direction]] = []
+        due = self.conversation.due
+        while at < size:
+            end = self._end_of_known(at, size) or self._end_of_unknown(at, size)
+            if not end:
+                break
+            direction = self._direction(at, end)
+            pieces.append((end, direction))
+            self.conversation.follow(self._buffer[at], self._buffer[at + 1], direction, self._last)
+            at = end
+        self.conversation.due = due  # what is taken is followed when it is taken
+        return pieces if at == size else []
+
+    def _end_of_known(self, at: int, size: int) -> int:
+        """The end of the frame at ``at`` by the length rule of either direction; or 0."""
+        if size - at < SHORTEST:
+            return 0
+        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._burst_began):
+            length = self._length(direction, at, size)
+            if SHORTEST <= length <= min(size - at, RTU_ADU_LIMIT) and self._fits(at, at + length):
+                return at + length
+        return 0
+
+    def _end_of_unknown(self, at: int, size: int) -> int:
+        """The first place where the CRC fits, for a function without a length rule; or 0."""
+        if size - at < SHORTEST or self._look(at)[0] == _WAITS:
+            return 0
+        first = self._prefix_end if at == self._at else SHORTEST
+        last = min(size - at, RTU_ADU_LIMIT)
+        for length in range(first, last + 1):
+            if self._fits(at, at + length):
+                return at + length
+        if at == self._at:
+            self._prefix_end = max(first, last + 1)
+        return 0
+
+    def _direction(self, at: int, end: int) -> Direction:
+        """The likeliest direction whose length fits the frame, or a guess."""
+        unit, code = self._buffer[at], self._buffer[at + 1]
+        for direction in self.conversation.order(unit, code, self._burst_began):
+            if self._length(direction, at, end) == end - at:
+                return direction
+        return self.conversation.guess(unit, code, self._burst_began)
+
+    def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
+        """Take a frame that begins inside the chunk: after a silence for a server, anywhere for the others."""
+        if self.conversation.role is Role.SERVER:
+            return any(self._take_divided(place, found) for place in self._silences if place > self._at)
+        end, direction = self._search(at_limit=at_limit)
+        if end <= 0:
+            return False
+        self._lose(self._scan)
+        self._give(end, direction, found, recovered=True)
+        return True
+
+    def _reason(self) -> Damage:
+        if len(self._buffer) - self._at < SHORTEST:
+            return Damage.TOO_SHORT
+        return Damage.INCOMPLETE if self._look(self._at)[0] == _WAITS else Damage.CHECKSUM
+
+    # Looking for a frame inside a damaged chunk (rules 5 and 6).
+
+    def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
+        """Move ``_scan`` to the first place behind the chunk's beginning where a frame begins, or may begin.
+
+        Gives the frame's end and direction; `_WAITS` where it may become one; `_DEAD` with ``_scan`` at the end of the
+        buffer. ``at_limit``: what is unfinished is rejected too.
+        """
+        self._scan = max(self._scan, self._at + 1)
+        if self.conversation.role is Role.MASTER:
+            return self._search_reply(at_limit=at_limit)
+        return self._search_any(at_limit=at_limit)
+
+    def _search_reply(self, *, at_limit: bool) -> tuple[int, Direction]:
+        """As `_search`, for the reply that is due, its exception included."""
+        due, buffer, states, size = self.conversation.due, self._buffer, self._states, len(self._buffer)
+        shapes = {} if due is None else self._shapes_of_due(due)
+        answers = self._lengths.answers[Direction.REPLY]
+        at = size if due is None else self._scan
+        while due is not None and at < size:
+            at = buffer.find(due.unit, at)
+            if at < 0:
+                break
+            if size - at < SHORTEST:
+                end = size + 1
+            else:
+                shape = shapes.get(buffer[at + 1])
+                if shape is None:
+                    at += 1
+                    continue
+                count_at, around = shape
+                if not around:
+                    length = answers.get(buffer[at + 1] << 16 | buffer[at + 2] << 8 | buffer[at + 3], NEED_MORE)
+                    if length == NEED_MORE:
+                        length = self._length(Direction.REPLY, at, size)
+                    end = size + 1 if length == NEED_MORE else at + length
+                elif not count_at:
+                    end = at + around
+                else:
+                    end = at + around + buffer[at + count_at] if at + count_at < size else size + 1
+            length = end - at
+            if SHORTEST <= length <= RTU_ADU_LIMIT:
+                if end <= size:
+                    low, high = _CHECKS[length] or _check(length)
+                    state = states[at]
+                    if low[state & 0xFF] ^ high[state >> 8] == states[end]:
+                        self._scan = at
+                        return end, Direction.REPLY
+                elif not at_limit:
+                    self._scan = at
+                    return _WAITS, Direction.REPLY
+            at += 1
+        self._scan = size
+        return _DEAD, Direction.UNKNOWN
+
+    def _shapes_of_due(self, due: Due) -> dict[int, tuple[int, int]]:
+        """The shape of the reply and of its exception, by function code; (0, 0) where the table has to be asked."""
+        function, exception = due.function, due.function | 0x80
+        shapes = {code: shape_of(self._lengths.replies[code]) for code in (function, exception)}
+        if due.size > 0:
+            shapes[function] = 0, due.size + AROUND_PDU
+        return {code: shape for code, shape in shapes.items() if shape is not None}
+
+    def _search_any(self, *, at_limit: bool) -> tuple[int, Direction]:
+        """As `_search`, for functions whose length one look tells: the others are found by silence alone."""
+        buffer, states, size, shapes = self._buffer, self._states, len(self._buffer), self._lengths.shapes
+        for at in range(self._scan, size - SHORTEST + 1):
+            for count_at, around in shapes[buffer[at + 1]]:
+                if not count_at:
+                    end = at + around
+                elif at + count_at < size:
+                    end = at + around + buffer[at + count_at]
+                else:
+                    end = size + 1
+                if end <= size:
+                    length = end - at
+                    if length <= RTU_ADU_LIMIT:
+                        low, high = _CHECKS[length] or _check(length)
+                        state = states[at]
+                        if low[state & 0xFF] ^ high[state >> 8] == states[end]:
+                            self._scan = at
+                            return end, self._direction(at, end)
+                elif not at_limit and end - at <= RTU_ADU_LIMIT:
+                    self._scan = at
+                    return _WAITS, Direction.UNKNOWN
+        self._scan = max(self._scan, size if at_limit else size - SHORTEST + 1)
+        return (_DEAD if self._scan == size else _WAITS), Direction.UNKNOWN
+
+    # Giving and losing.
+
+    def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
+        """Report what was lost before the frame, then the frame; the chunk begins behind it."""
+        self._report_lost(found)
+        raw = bytes(self._buffer[self._at : end])
+        ended = self._time_of(end)
+        found.append(SerialFrame(raw[0], raw[1:-2], raw, direction, self._time_of(self._at), ended, recovered))
+        self.conversation.follow(raw[0], raw[1], direction, ended)
+        self._move_to(end)
+        self._in_step = True
+
+    def _lose(self, end: int) -> None:
+        """The bytes up to ``end`` are no frame."""
+        if end > self._at:
+            self._lost.add(self._buffer[self._at : end], self._time_of(self._at), self._time_of(end))
+            self._move_to(end)
+
+    def _move_to(self, at: int) -> None:
+        self._chunk_began = self._time_of(at)
+        self._at = at
+        self._scan = max(self._scan, at + 1)
+        self._prefix_end = SHORTEST
+        if self._silences:
+            self._silences = [place for place in self._silences if place > at]
+
+    def _time_of(self, place: int) -> float:
+        """When the byte at ``place`` began, as far as the reads tell."""
+        if place < self._burst_at or place == self._at:
+            return self._chunk_began
+        return self._burst_began + (place - self._burst_at) * self.timing.character
+
+    def _fall_out_of_step(self) -> None:
+        self._in_step = False
+        self._skipping = self.conversation.role is Role.SERVER
+
+    def _report_lost(self, found: list[Received]) -> None:
+        if self._lost.size or self._lost.is_marked:
+            found.append(self._lost.report())
+            self._lost = LostBytes()
+
+    def _answers_itself(self, code: int) -> bool:
+        """Whether a reply may be a copy of its request: their lengths are alike, or not known."""
+        request = self._lengths.requests[code]
+        return request == 0 or request == self._lengths.replies[code]
+
+
+# The tables of the checks in use, by length: a search asks for them at every byte of a noisy line.
+_CHECKS: Final[list[tuple[list[int], list[int]] | None]] = [None] * (RTU_ADU_LIMIT + 1)
+
+
+def _check(length: int) -> tuple[list[int], list[int]]:
+    check = span_check(length)
+    tables = _CHECKS[length] = check.low, check.high
+    return tables

@@ -1,0 +1,203 @@
+"""RTU to the letter: the state diagram of the document (Serial Line V1.02 §2.5.1.1).
+
+Knows bytes and the times at which they came; knows no length rule beyond a hint at the direction.
+
+1. Initial –t3.5→ idle –character→ reception –t1.5→ control and waiting –t3.5→ idle; there the frame is processed, or
+   deleted whole. A character in "control and waiting" marks the frame as not OK.
+2. A frame ends by silence and is good if its CRC fits; nothing is merged, nothing is looked for inside it.
+3. It is of use only where the times of single characters are known: the driver reads at once and says when.
+   Adapters that deliver in bursts need `RtuReceiver`.
+"""
+
+from collections.abc import Container
+from enum import Enum
+from typing import Final
+
+from ..codes import RTU_ADU_LIMIT
+from ..pdu.functions import STANDARD, FunctionTable
+from ..pdu.message import UNKNOWN_LENGTH
+from .conversation import REPLY_WINDOW, Conversation, Due, Role
+from .crc import crc16
+from .echo import Echo, EchoFilter
+from .lengths import SHORTEST, lengths_of
+from .lost import LostBytes
+from .received import Damage, Direction, Received, SerialFrame
+from .timing import SerialTiming
+
+
+class LineState(Enum):
+    """The states of figure 14."""
+
+    INITIAL = "initial"
+    IDLE = "idle"
+    RECEPTION = "reception"
+    CONTROL_AND_WAITING = "control and waiting"
+    EMISSION = "emission"
+
+
+class LineEvent(Enum):
+    """What moves the line from state to state."""
+
+    CHARACTER = "character"
+    T1_5 = "t1.5 expired"
+    T3_5 = "t3.5 expired"
+    DEMAND = "demand of emission"
+
+
+_NEXT: Final = {
+    (LineState.INITIAL, LineEvent.CHARACTER): LineState.INITIAL,
+    (LineState.INITIAL, LineEvent.T3_5): LineState.IDLE,
+    (LineState.IDLE, LineEvent.CHARACTER): LineState.RECEPTION,
+    (LineState.IDLE, LineEvent.DEMAND): LineState.EMISSION,
+    (LineState.RECEPTION, LineEvent.CHARACTER): LineState.RECEPTION,
+    (LineState.RECEPTION, LineEvent.T1_5): LineState.CONTROL_AND_WAITING,
+    (LineState.CONTROL_AND_WAITING, LineEvent.CHARACTER): LineState.CONTROL_AND_WAITING,
+    (LineState.CONTROL_AND_WAITING, LineEvent.T3_5): LineState.IDLE,
+    (LineState.EMISSION, LineEvent.CHARACTER): LineState.EMISSION,
+    (LineState.EMISSION, LineEvent.T3_5): LineState.IDLE,
+}
+
+
+class StrictRtuReceiver:
+    """Bytes and times in, frames and damaged chunks out, by the state diagram.
+
+    Attributes:
+        state: where the line is.
+        conversation: role, own units, and the reply that is due: what gives the direction.
+        echo: what is known about the echo of the line.
+        timing: character time, t1.5 and t3.5.
+    """
+
+    __slots__ = ("_began", "_frame", "_last", "_lengths", "_lost", "conversation", "echo", "state", "timing")
+
+    def __init__(
+        self,
+        role: Role,
+        timing: SerialTiming,
+        *,
+        functions: FunctionTable = STANDARD,
+        units: Container[int] = (),
+        reply_window: float = REPLY_WINDOW,
+        echo: Echo = Echo.OFF,
+        started: float | None = None,
+    ) -> None:
+        """As `RtuReceiver`; ``started`` None leaves the state "initial" at once, where the line is known to be idle."""
+        self.conversation = Conversation(role, units, reply_window)
+        self.echo = EchoFilter(echo)
+        self.timing = timing
+        self.state = LineState.IDLE if started is None else LineState.INITIAL
+        self._lengths = lengths_of(functions)
+        self._frame = bytearray()
+        self._lost = LostBytes()
+        self._began = self._last = float("-inf") if started is None else started
+
+    def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
+        """What the silence before ``data`` decided; ``data`` is taken as characters without gaps, read at ``now``."""
+        if not data:
+            return []
+        began = max(self._last, now - len(data) * self.timing.character)
+        found = self.tick(began)
+        data = self.echo.receive(bytes(data), began)
+        if data:
+            self._characters(data, began, now)
+        self._last = now
+        return found
+
+    def tick(self, now: float) -> list[Received]:
+        """The frame, or damaged chunk, that the silence until ``now`` ends."""
+        released = self.echo.tick(now)
+        if released:
+            self._characters(released, self._last, self._last)
+        # At t1.5 itself the frame is still whole: only a longer gap makes it incomplete.
+        if self.state is LineState.RECEPTION and now > self._last + self.timing.t1_5:
+            self._move(LineEvent.T1_5)
+        if now < self._last + self.timing.t3_5:
+            return []
+        received = self.state is LineState.CONTROL_AND_WAITING
+        if self.state in (LineState.INITIAL, LineState.CONTROL_AND_WAITING, LineState.EMISSION):
+            self._move(LineEvent.T3_5)
+        return self._processed_or_deleted() if received else []
+
+    def deadline(self) -> float | None:
+        """When t3.5 expires; None in idle."""
+        echo = self.echo.deadline()
+        if self.state is LineState.IDLE:
+            return echo
+        own = self._last + self.timing.t3_5
+        return own if echo is None else min(own, echo)
+
+    def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
+        """A master's request went to ``unit``; the reply to ``function`` is due."""
+        self.conversation.due = Due(unit, function, size)
+
+    def expect_nothing(self) -> None:
+        """No reply is due any more."""
+        self.conversation.due = None
+
+    def sent(self, raw: bytes, ends: float) -> None:
+        """These bytes of ours are on the line until ``ends``; the line is idle again t3.5 after that.
+
+        Raises:
+            ValueError: the line is not idle: emission begins only there.
+        """
+        if self.state not in (LineState.IDLE, LineState.EMISSION):
+            raise ValueError(f"emission begins only from the state idle, and the line is in {self.state.value}")
+        if self.state is LineState.IDLE:
+            self._move(LineEvent.DEMAND)
+        self._last = ends
+        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is Role.MASTER)
+
+    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+        """The port marks a parity or framing error, or lost characters: the frame is not OK."""
+        found = self.tick(now)
+        self._characters(b"", now, now)
+        self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
+        self._last = max(self._last, now)
+        return found
+
+    def flush(self, now: float) -> list[Received]:
+        """Decide about everything as t3.5 of silence would."""
+        released = self.echo.release()
+        if released:
+            self._characters(released, self._last, self._last)
+        return self.tick(max(now, self._last + self.timing.t3_5))
+
+    def clear_at(self) -> float:
+        """The earliest time at which a frame may be sent."""
+        return self._last + self.timing.t3_5
+
+    def _move(self, event: LineEvent) -> None:
+        self.state = _NEXT[self.state, event]
+
+    def _characters(self, data: bytes, began: float, ended: float) -> None:
+        if self.state is LineState.EMISSION and began >= self._last:
+            self._move(LineEvent.T3_5)  # a peer that answers before t3.5 has passed is heard nevertheless
+        if self.state is LineState.IDLE:
+            self._began = began
+        if self.state is LineState.CONTROL_AND_WAITING:
+            self._lost.mark(Damage.GAP, ended)
+        self._move(LineEvent.CHARACTER)
+        if self.state in (LineState.RECEPTION, LineState.CONTROL_AND_WAITING):
+            self._frame += data
+            if len(self._frame) > RTU_ADU_LIMIT:
+                self._lost.add(self._frame, self._began, ended)
+                self._lost.mark(Damage.TOO_LONG, ended)
+                self._frame.clear()
+
+    def _processed_or_deleted(self) -> list[Received]:
+        raw, lost = bytes(self._frame), self._lost
+        self._frame.clear()
+        self._lost = LostBytes()
+        if not lost.is_marked and len(raw) >= SHORTEST and crc16(raw) == 0:
+            unit, code = raw[0], raw[1]
+            direction = self._direction(raw)
+            self.conversation.follow(unit, code, direction, self._last)
+            return [SerialFrame(unit, raw[1:-2], raw, direction, self._began, self._last)]
+        lost.add(raw, self._began, self._last)
+        return [lost.report()]
+
+    def _direction(self, raw: bytes) -> Direction:
+        for direction in self.conversation.order(raw[0], raw[1], self._began):
+            if self._lengths.length(direction, bytearray(raw), 0, len(raw)) == len(raw):
+                return direction
+        return self.conversation.guess(raw[0], raw[1], self._began)

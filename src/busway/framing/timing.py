@@ -1,0 +1,100 @@
+"""Times on a serial line: characters, t1.5, t3.5 and whole frames (Serial Line V1.02 §2.5.1.1).
+
+Knows bits and seconds; knows no port.
+
+1. A character has a start bit, its data bits, a parity bit or none, and its stop bits. Without parity a second stop
+   bit takes the place of the parity bit, so that RTU characters have 11 bits and ASCII characters 10 (§2.5.1, §2.5.2).
+2. Up to 19 200 bit/s, t1.5 and t3.5 are that many character times; above, they stand at 750 µs and 1.75 ms. (The
+   document prints t1.5 twice; the second is t3.5.)
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+FIXED_ABOVE_BAUD: Final = 19_200
+FIXED_T1_5: Final = 0.000_750
+FIXED_T3_5: Final = 0.001_750
+NETWORK_SILENCE: Final = 0.020
+"""Stands for t3.5 where RTU travels over a network: longer than what one segment is late behind the other on a LAN."""
+
+
+class Parity(Enum):
+    """The parity bit of a character."""
+
+    EVEN = "even"
+    ODD = "odd"
+    NONE = "none"
+
+
+def stop_bits_for(parity: Parity) -> int:
+    """Stop bits by rule: 2 without parity, 1 with it (§2.5.1)."""
+    return 2 if parity is Parity.NONE else 1
+
+
+def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: float | None = None) -> float:
+    """Bits of a character on the line.
+
+    Args:
+        data_bits: 7 (ASCII) or 8 (RTU).
+        parity: even by default.
+        stop_bits: 1, 1.5 or 2; by rule where it is None.
+
+    Raises:
+        ValueError: data or stop bits that can not be.
+    """
+    if data_bits not in (7, 8):
+        raise ValueError(f"a character has 7 or 8 data bits, not {data_bits}")
+    stop = stop_bits_for(parity) if stop_bits is None else stop_bits
+    if stop not in (1, 1.5, 2):
+        raise ValueError(f"a character has 1, 1.5 or 2 stop bits, not {stop}")
+    return 1 + data_bits + (parity is not Parity.NONE) + stop
+
+
+@dataclass(frozen=True, slots=True)
+class SerialTiming:
+    """The times of one line, in seconds.
+
+    Attributes:
+        character: one character, start and stop bits included; 0 where characters have no duration (networks).
+        t1_5: the longest gap inside a frame, to the letter.
+        t3_5: the shortest silence between two frames.
+    """
+
+    character: float
+    t1_5: float
+    t3_5: float
+
+    def __post_init__(self) -> None:
+        if self.character < 0 or not 0 <= self.t1_5 <= self.t3_5:
+            raise ValueError(f"times of a line must be 0 ≤ t1.5 ≤ t3.5, not {self.t1_5} and {self.t3_5}")
+
+    @classmethod
+    def of_line(
+        cls,
+        baud: int = 19_200,
+        *,
+        data_bits: int = 8,
+        parity: Parity = Parity.EVEN,
+        stop_bits: float | None = None,
+    ) -> "SerialTiming":
+        """The times of a line of ``baud`` bit/s (1 and above); the rest as in `character_bits`.
+
+        Raises:
+            ValueError: a rate, data or stop bits that can not be.
+        """
+        if baud < 1:
+            raise ValueError(f"the rate of a line is 1 bit/s or more, not {baud}")
+        character = character_bits(data_bits, parity, stop_bits) / baud
+        if baud > FIXED_ABOVE_BAUD:
+            return cls(character, FIXED_T1_5, FIXED_T3_5)
+        return cls(character, 1.5 * character, 3.5 * character)
+
+    @classmethod
+    def of_network(cls, silence: float = NETWORK_SILENCE) -> "SerialTiming":
+        """The times where a serial framing travels over a network: ``silence`` seconds end a frame."""
+        return cls(0.0, silence, silence)
+
+    def duration(self, characters: int) -> float:
+        """Seconds that ``characters`` take on the line without a gap."""
+        return characters * self.character
