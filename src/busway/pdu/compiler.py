@@ -47,6 +47,21 @@ def as_integer(name: str, value: object) -> int:
         raise InvalidRequest(f"{name} must be an integer, not {value!r}") from None
 
 
+def as_bytes(name: str, value: object) -> bytes:
+    """Bytes of any kind; `InvalidRequest` names the field otherwise. A number is none: ``bytes(2)`` would be 00 00."""
+    if isinstance(value, bytes | bytearray | memoryview):
+        return bytes(value)
+    raise InvalidRequest(f"{name.replace('_', ' ')} must be bytes, not {value!r}")
+
+
+def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_check_tail` looks at next
+    """A tuple of any iterable; `InvalidRequest` names the field otherwise."""
+    try:
+        return tuple(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise InvalidRequest(f"{name.replace('_', ' ')} must be a sequence, not {value!r}") from None
+
+
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
     """Give ``cls``, whose fields are declared, its layout now, and its codecs when the first of them is needed.
 
@@ -93,6 +108,8 @@ def _compile_codecs(cls: Any) -> None:
         "InvalidRequest": InvalidRequest,
         "MalformedPdu": MalformedPdu,
         "as_integer": as_integer,
+        "as_bytes": as_bytes,
+        "as_tuple": as_tuple,
         "pack": layout.head.pack,
         "unpack_from": layout.head.unpack_from,
         "new": cls.__new__,
@@ -180,7 +197,7 @@ def _init_source(cls: Any, names: tuple[str, ...]) -> str:
             body.append(f" if {_range_test(name, field)}: raise InvalidRequest(out_of_range({name!r}, {name}, layout))")
         else:
             kind = "bytes" if isinstance(field, RestField) else "tuple"
-            body.append(f" if {name}.__class__ is not {kind}: {name} = {kind}({name})")
+            body.append(f" if {name}.__class__ is not {kind}: {name} = as_{kind}({name!r}, {name})")
             body.append(f" problem = check_tail(layout, {name})")
             body.append(" if problem: raise InvalidRequest(problem)")
         body.append(f" set_{name}(self, {name})")
@@ -249,6 +266,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
             f"f'sub-function {{sub_code_}} where {cls.sub_code} is expected')"
         )
     if cls.exception_bit:
+        lines.append(" if function < 0x80: raise MalformedPdu(f'function {function} is no exception reply')")
         lines.append(" function &= 0x7F")
     for name, field in zip(layout.names, layout.fields, strict=True):
         if isinstance(field, RestLength):
@@ -332,6 +350,9 @@ def _decode_tail(layout: Layout, data: bytes) -> Any:
         while at < len(data):
             try:
                 item, at = tail.item.decode_from(data, at)
+            except MalformedPdu as error:
+                # The item knows which exception code it earns.
+                raise MalformedPdu(f"{layout.tail_name}, item {len(items) + 1}: {error}", error.code) from error
             except ValueError as error:
                 raise MalformedPdu(f"{layout.tail_name}, item {len(items) + 1}: {error}") from error
             items.append(item)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from ..codes import PDU_LIMIT, ExceptionCode, FunctionCode, MeiType
+from ..errors import InvalidRequest
+from .compiler import as_integer
 from .fields import repeated, rest, u8
 from .message import NEED_MORE, UNKNOWN_LENGTH, Message, ReplyMessage, Request
 from .model import Context, DataModel, Refusal
@@ -14,6 +16,9 @@ from .model import Context, DataModel, Refusal
 BASIC, REGULAR, EXTENDED, INDIVIDUAL = 1, 2, 3, 4
 _LAST_OBJECT_OF_LEVEL = {BASIC: 0x02, REGULAR: 0x7F, EXTENDED: 0xFF}
 _INDIVIDUAL_TOO = 0x80
+
+MAX_OBJECT_SIZE = PDU_LIMIT - 7 - 2
+"""Bytes of an object: what is left of a reply that holds it alone."""
 
 OBJECT_NAMES = {
     0x00: "VendorName",
@@ -32,6 +37,12 @@ class IdentificationObject:
 
     number: int
     value: bytes
+
+    def __post_init__(self) -> None:
+        if not 0 <= as_integer("number", self.number) <= 0xFF:
+            raise InvalidRequest(f"number must be 0…255, not {self.number}")
+        if not isinstance(self.value, bytes) or len(self.value) > MAX_OBJECT_SIZE:
+            raise InvalidRequest(f"value must be at most {MAX_OBJECT_SIZE} bytes, not {self.value!r}")
 
     def encode(self) -> bytes:
         """Number, length, value."""

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from ..codes import MAX_FILE_RECORD_NUMBER, PDU_LIMIT, ExceptionCode, FunctionCode
 from ..errors import InvalidRequest
+from .compiler import as_integer
 from .fields import repeated, rest_length
 from .malformed import MalformedPdu
 from .message import Message, ReplyMessage, Request
@@ -19,6 +20,16 @@ from .write_items import pack_registers
 
 REFERENCE_TYPE = 6
 _REFERENCE = struct.Struct(">BHHH")
+
+
+def _check_word(name: str, value: int) -> None:
+    if not 0 <= as_integer(name, value) <= 0xFFFF:
+        raise InvalidRequest(f"{name} must be 0…65535, not {value}")
+
+
+def _check_registers(data: bytes) -> None:
+    if not isinstance(data, bytes) or len(data) % 2:
+        raise InvalidRequest(f"data must be bytes, two for each register, not {data!r}")
 
 
 def _check_reference(file: int, record: int) -> str | None:
@@ -36,6 +47,11 @@ class FileReference:
     file: int
     record: int
     count: int
+
+    def __post_init__(self) -> None:
+        _check_word("file", self.file)
+        _check_word("record", self.record)
+        _check_word("count", self.count)
 
     def encode(self) -> bytes:
         """Reference type 6, file, record and length: 7 bytes."""
@@ -59,6 +75,11 @@ class FileData:
     file: int
     record: int
     data: bytes
+
+    def __post_init__(self) -> None:
+        _check_word("file", self.file)
+        _check_word("record", self.record)
+        _check_registers(self.data)
 
     @property
     def count(self) -> int:
@@ -86,9 +107,14 @@ class FileData:
 
 @dataclass(frozen=True, slots=True)
 class FileContent:
-    """Registers that were read from a file, big-endian."""
+    """Registers that were read from a file, big-endian; at most 127."""
 
     data: bytes
+
+    def __post_init__(self) -> None:
+        _check_registers(self.data)
+        if len(self.data) > 254:
+            raise InvalidRequest(f"data must have at most 254 bytes, not {len(self.data)}")
 
     @property
     def registers(self) -> list[int]:
@@ -114,7 +140,7 @@ class ReadFileRecord(Request):
     """20 Read File Record: several groups, their data together within one PDU (Application Protocol V1.1b3 §6.14)."""
 
     code = FunctionCode.READ_FILE_RECORD
-    byte_count = rest_length(1, 0x07, 0xF5)
+    byte_count = rest_length(1, 0x07, 0xF5, 7)
     groups: tuple[FileReference, ...] = repeated(FileReference, 1, 35)
 
     class Reply(ReplyMessage):

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from ..codes import ExceptionCode, FunctionCode, MeiType
 from . import diagnostics, encapsulated, file_records, read_items, write_items
-from .general import ExceptionResponse, MalformedRequest, OpaqueReply, OpaqueRequest
+from .general import MalformedRequest, OpaqueReply, OpaqueRequest, decode_exception
 from .malformed import MalformedPdu
 from .message import NEED_MORE, UNKNOWN_LENGTH, Message, Request
 
@@ -89,13 +89,17 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """The reply in a PDU: of its class, `ExceptionResponse`, or `OpaqueReply`. Raises `MalformedPdu`."""
+        """The reply in a PDU: of its class, an `ExceptionResponse`, or an `OpaqueReply`. Raises `MalformedPdu`."""
         if not pdu:
             raise MalformedPdu("an empty PDU")
         if pdu[0] & 0x80:
-            return ExceptionResponse.decode(pdu)
+            return decode_exception(pdu)
         kind = self.find(pdu, 0, len(pdu))
-        return OpaqueReply(pdu[0], bytes(pdu[1:])) if kind is None else kind.Reply.decode(pdu)
+        if kind is not None:
+            return kind.Reply.decode(pdu)
+        if len(pdu) <= self._sub_width.get(pdu[0], 0):
+            raise MalformedPdu("the sub-function is missing")
+        return OpaqueReply(pdu[0], bytes(pdu[1:]))
 
     def request_length(self, data: bytes, at: int, end: int) -> int:
         """Length in bytes of the request PDU at ``at``; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU framing, S8)."""

@@ -5,7 +5,7 @@ Knows their bytes; knows no function.
 
 from dataclasses import dataclass
 
-from ..codes import exception_meaning
+from ..codes import FunctionCode, MeiType, exception_meaning
 from .fields import rest, u8
 from .malformed import MalformedPdu
 from .message import UNKNOWN_LENGTH, Message, Request, SelfCoded
@@ -22,6 +22,17 @@ class ExceptionResponse(SelfCoded):
     def meaning(self) -> str:
         """The exception code in words."""
         return exception_meaning(self.exception)
+
+
+def decode_exception(pdu: bytes) -> ExceptionResponse:
+    """The exception in a PDU. Raises `MalformedPdu`.
+
+    43 may be refused with ``AB 0E cc``, the form that the figure of its section prints (Application Protocol
+    V1.1b3 §6.21): the MEI type in the middle says nothing more and is left out.
+    """
+    if len(pdu) == 3 and pdu[0] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80 and pdu[1] in tuple(MeiType):
+        pdu = pdu[:1] + pdu[2:]
+    return ExceptionResponse.decode(pdu)
 
 
 class OpaqueReply(SelfCoded):

@@ -171,7 +171,7 @@ class Message(metaclass=_MessageType):
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild, (type(self), tuple(self.values().values()))
+        return _rebuild, (type(self), self.encode())
 
 
 class SelfCoded(Message):
@@ -276,8 +276,9 @@ class Request(Message):
         return None
 
 
-def _rebuild(cls: type[Message], values: tuple[Any, ...]) -> Message:
-    return cls(*values)
+def _rebuild(cls: type[Message], pdu: bytes) -> Message:
+    # Not by the constructor: it refuses a range that ends beyond the table, which a received message may have.
+    return cls.decode(pdu)
 
 
 # Frozen messages are filled through their slots; bound once, because `prepare` is on the way of every new request.

@@ -61,8 +61,11 @@ class Context(Protocol):
 class Tables(Protocol):
     """The four tables (Application Protocol V1.1b3 §4.3)."""
 
-    def check(self, table: Table, address: int, count: int, writes: bool) -> None:
-        """`Refusal` 02 unless all the items exist, and may be written if ``writes``."""
+    def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
+        """`Refusal` 02 unless all the items exist, and may be written if ``writes``.
+
+        With a ``context``, whoever may veto a read is asked too: function 23 has to know before it writes.
+        """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
         """The items in wire order."""

@@ -212,7 +212,7 @@ class ReadWriteMultipleRegisters(Request):
 
     def apply(self, model: DataModel, context: Context) -> Message:
         model.check(Table.HOLDING_REGISTERS, self.write_address, self.write_count, True)
-        model.check(Table.HOLDING_REGISTERS, self.read_address, self.read_count, False)
+        model.check(Table.HOLDING_REGISTERS, self.read_address, self.read_count, False, context)
         model.write(Table.HOLDING_REGISTERS, self.write_address, self.write_count, self.data, context)
         return self.Reply(model.read(Table.HOLDING_REGISTERS, self.read_address, self.read_count, context))
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from types import MappingProxyType
 from typing import Any, Final, TypeVar, overload
+from weakref import WeakMethod
 
 from ..codes import TABLE_SIZE, ExceptionCode, Table
 from ..errors import ConfigError
@@ -121,6 +122,7 @@ class Device:
         self._read_hooks = {table: Hooks() for table in Table}
         self._write_hooks = {table: Hooks() for table in Table}
         self._generation = 0
+        self._watchers: list[WeakMethod[Callable[[], object]]] = []
 
     # ---- the application: values
 
@@ -226,8 +228,8 @@ class Device:
         """Call a function at every read by Modbus: ``@device.on_read("input_registers")``, or with the function second.
 
         ``before`` the read, it may set the items that will be read, or raise `Refusal`; ``after``, it learns what was
-        read. Any other exception is answered with 04. The read inside function 22 calls it too, and so does that of
-        23, which comes after its write: a refusal there does not undo the write.
+        read. Any other exception is answered with 04. The read inside function 22 calls it too. Function 23 calls
+        it twice: ahead of its write, so that a refusal leaves everything as it was, and at the read itself.
 
         Args:
             table: the table by which the read comes, ``holding_registers`` or `Table.HOLDING_REGISTERS`.
@@ -301,7 +303,7 @@ class Device:
             found = [hooks.remove(function) for hooks in every]
             if not any(found):
                 raise ConfigError(f"{shown(function)} is no hook of this device")
-            self._generation += 1
+            self._offers_changed()
 
     @property
     def functions(self) -> frozenset[int] | None:
@@ -312,7 +314,7 @@ class Device:
     def functions(self, functions: Collection[int] | None) -> None:
         with self.lock:
             self._functions = _checked_functions(functions)
-            self._generation += 1
+            self._offers_changed()
 
     def enabled(self, code: int) -> bool:
         """Whether the device offers a function."""
@@ -338,7 +340,7 @@ class Device:
         def hook(function: Any) -> Any:
             with self.lock:
                 hooks.add(Hook(function, moment, first, end))
-                self._generation += 1
+                self._offers_changed()
             return function
 
         return hook
@@ -350,6 +352,19 @@ class Device:
         """Changes when a block that was offered by ``plain_block``, or an enabled function, is no longer right."""
         return self._generation
 
+    def watch(self, changed: Callable[[], object]) -> None:
+        """Call a bound method whenever ``generation`` changes, for as long as its object lives."""
+        self._watchers.append(WeakMethod(changed))
+
+    def _offers_changed(self) -> None:
+        self._generation += 1
+        for watcher in list(self._watchers):
+            changed = watcher()
+            if changed is None:
+                self._watchers.remove(watcher)
+            else:
+                changed()
+
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
         """The run of a table whose accesses nobody needs to know of; None where there are several, a hook, a limit."""
         store = self._stores[table]
@@ -360,7 +375,7 @@ class Device:
             return None
         return run
 
-    def check(self, table: Table, address: int, count: int, writes: bool) -> None:
+    def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
         """As `DataModel.check`."""
         store = self._stores[table]
         if store.find(address, count) is None:
@@ -369,6 +384,11 @@ class Device:
             raise Refusal(
                 ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{table.label}s {address}…{address + count - 1} are read-only"
             )
+        if context is not None and not writes:
+            hooks = self._read_hooks[table].wanted(address, count)
+            if hooks:
+                who = (context.peer, context.unit, table, address, count)
+                call(hooks, When.BEFORE, Access(*who, [], function_of(context), role_of(context)))
 
     def _read_by_modbus(self, table: Table, address: int, count: int, context: Context) -> bytes:
         run = self._stores[table].find(address, count)

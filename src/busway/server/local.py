@@ -66,16 +66,16 @@ class LocalHandler:
             raise ConfigError("unit policy any needs exactly one device", key="unit_policy")
         self._any = unit_policy is UnitPolicy.ANY
         self._silent = unlisted is UnlistedUnit.SILENCE
-        self._devices = tuple(distinct.values())
         self.functions = functions
+        # Counted when a device changes, not summed up at every receive call: a handler may have 247 devices.
+        self.generation = 0
+        self._answers: dict[int, Mapping[int, Answer]] = {}
+        for device in distinct.values():
+            device.watch(self._device_changed)
 
-    @property
-    def generation(self) -> int:
-        """Changes when a device no longer offers a short road that it offered before."""
-        total = 0
-        for device in self._devices:
-            total += device.generation
-        return total
+    def _device_changed(self) -> None:
+        self._answers.clear()
+        self.generation += 1
 
     def find(self, unit: int) -> Device | None:
         """The device that answers for ``unit``."""
@@ -85,16 +85,18 @@ class LocalHandler:
         return device
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """The compiled answers of the unit's device, by function code."""
-        device = self.find(context.unit)
-        answers: dict[int, Answer] = {}
-        if device is not None:
-            for function in self.functions:
-                if device.enabled(function.code):
-                    answer = function.direct(device)
-                    if answer is not None:
-                        answers[function.code] = answer
+        """The compiled answers of the unit's device, by function code; the same for every connection."""
+        answers = self._answers.get(context.unit)
+        if answers is None:
+            answers = self._answers[context.unit] = self._compiled(self.find(context.unit))
         return answers
+
+    def _compiled(self, device: Device | None) -> dict[int, Answer]:
+        if device is None:
+            return {}
+        offered = [function for function in self.functions if device.enabled(function.code)]
+        found = {function.code: function.direct(device) for function in offered if function.sub_code is None}
+        return {code: answer for code, answer in found.items() if answer is not None}
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Execute a request on the unit's device."""

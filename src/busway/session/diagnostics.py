@@ -4,7 +4,8 @@ Knows when something is counted; knows no bytes and no port (Application Protoco
 V1.02 appendix A).
 
 1. Counters are 16 bit on the wire and wrap there; here they go on, so that a status can show the true number.
-2. 01 answers before it restarts, except in listen-only mode, where it restarts without an answer.
+2. 01 answers before it restarts, except in listen-only mode, where it restarts without an answer. So it is done when
+   the outcome of its request is reported, by `answered` or `kept_silent`. In listen-only mode nothing else is done.
 3. On a network listener the sub-functions that change something (01, 03, 04, 0A, 14) are refused with 01 unless
    ``changes_allowed``: one packet could mute a server for everybody.
 """
@@ -101,9 +102,8 @@ class CommunicationState:
     """Counters, event log and mode of one line or listener; what `busway.pdu.model.Diagnostics` asks for.
 
     Attributes:
-        counters: the eight counters.
-        event_count: successful messages since the last restart or clear (function 11).
-        message_count: messages seen since the last restart or clear (function 12).
+        exchanged: requests that came in and were answered, all well, and are not in counters and log yet. Whoever
+            answers many at once adds here, 30 ns instead of 600; every reading of the counters takes it in.
         listen_only: whether nothing is answered until a restart.
         program_command_running: whether the status word of 11 and 12 is FFFF.
         diagnostic_register: what sub-function 02 returns; the application sets it.
@@ -112,51 +112,86 @@ class CommunicationState:
     """
 
     __slots__ = (
+        "_counters",
+        "_event_count",
         "_log",
+        "_message_count",
+        "_restart_clears_log",
         "ascii_delimiter",
         "changes_allowed",
-        "counters",
         "diagnostic_register",
-        "event_count",
+        "exchanged",
         "listen_only",
-        "message_count",
         "program_command_running",
     )
 
     def __init__(self, *, changes_allowed: bool = False) -> None:
-        self.counters = Counters()
-        self.event_count = 0
-        self.message_count = 0
+        self._counters = Counters()
+        self._event_count = 0
+        self._message_count = 0
+        self.exchanged = 0
         self.listen_only = False
         self.program_command_running = False
         self.diagnostic_register = 0
         self.ascii_delimiter = 0x0A
         self.changes_allowed = changes_allowed
         self._log: deque[int] = deque(maxlen=EVENT_LOG_SIZE)
+        self._restart_clears_log: bool | None = None  # None: no restart is asked for
+
+    @property
+    def counters(self) -> Counters:
+        """The eight counters, up to date."""
+        self._fold()
+        return self._counters
+
+    @property
+    def event_count(self) -> int:
+        """Successful messages since the last restart (function 11)."""
+        self._fold()
+        return self._event_count
+
+    @event_count.setter
+    def event_count(self, value: int) -> None:
+        self._fold()
+        self._event_count = value
+
+    @property
+    def message_count(self) -> int:
+        """Messages seen since the last restart (function 12)."""
+        self._fold()
+        return self._message_count
 
     # What functions 08, 11 and 12 ask for.
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Do a sub-function of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
+        if self.exchanged:
+            self._fold()
         if sub_code in _CHANGES and not self.changes_allowed:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "this listener does not take diagnostics that change it")
+        if self.listen_only and sub_code != DiagnosticCode.RESTART_COMMUNICATIONS:
+            raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "in listen-only mode only a restart is processed")
         if sub_code in _COUNTER_OF:
             count: int = getattr(self.counters, _COUNTER_OF[DiagnosticCode(sub_code)])
             return (count & 0xFFFF).to_bytes(2, "big")
         if sub_code == DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER:
             return (self.diagnostic_register & 0xFFFF).to_bytes(2, "big")
         if sub_code == DiagnosticCode.RESTART_COMMUNICATIONS:
-            self.restart(clear_log=data == b"\xff\x00")
+            self._restart_clears_log = data == b"\xff\x00"
         elif sub_code == DiagnosticCode.CHANGE_ASCII_DELIMITER:
             self.ascii_delimiter = data[0]
         elif sub_code == DiagnosticCode.FORCE_LISTEN_ONLY:
             self.listen_only = True
             self._log.appendleft(EVENT_ENTERED_LISTEN_ONLY)
         elif sub_code == DiagnosticCode.CLEAR_COUNTERS:
-            self.counters.clear()
+            # The counts of 11 and 12 are those "since its last restart, clear counters operation, or power-up" (§6.10).
+            self._counters.clear()
+            self._event_count = self._message_count = 0
             self.diagnostic_register = 0
         elif sub_code == DiagnosticCode.CLEAR_OVERRUN:
-            self.counters.bus_character_overrun_count = 0
+            self._counters.bus_character_overrun_count = 0
+        elif sub_code != DiagnosticCode.RETURN_QUERY_DATA:
+            raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, f"there is no sub-function {sub_code}")
         return data
 
     def event_counter(self) -> tuple[int, int]:
@@ -170,9 +205,11 @@ class CommunicationState:
 
     def restart(self, *, clear_log: bool = False) -> None:
         """Restart communications: counters cleared, listen-only mode left, the event log kept unless asked."""
-        self.counters.clear()
-        self.event_count = self.message_count = 0
+        self._fold()
+        self._counters.clear()
+        self._event_count = self._message_count = 0
         self.listen_only = False
+        self._restart_clears_log = None
         if clear_log:
             self._log.clear()
         self._log.appendleft(EVENT_RESTARTED)
@@ -181,9 +218,11 @@ class CommunicationState:
 
     def received(self, *, broadcast: bool = False) -> None:
         """A frame for this server came in, whole."""
-        self.counters.bus_message_count += 1
-        self.counters.server_message_count += 1
-        self.message_count += 1
+        if self.exchanged:
+            self._fold()
+        self._counters.bus_message_count += 1
+        self._counters.server_message_count += 1
+        self._message_count += 1
         event = ReceiveEvent.RECEIVED
         if broadcast:
             event |= ReceiveEvent.BROADCAST
@@ -193,45 +232,62 @@ class CommunicationState:
 
     def received_foreign(self) -> None:
         """A whole frame for another unit passed by."""
-        self.counters.bus_message_count += 1
+        if self.exchanged:
+            self._fold()
+        self._counters.bus_message_count += 1
 
     def received_damaged(self, *, overrun: bool = False) -> None:
         """A damaged frame came in."""
-        self.counters.bus_communication_error_count += 1
+        if self.exchanged:
+            self._fold()
+        self._counters.bus_communication_error_count += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
         if overrun:
-            self.counters.bus_character_overrun_count += 1
+            self._counters.bus_character_overrun_count += 1
             event |= ReceiveEvent.CHARACTER_OVERRUN
         self._log.appendleft(event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
         """An answer goes out; ``counts`` is False for functions that leave the event counter alone (11)."""
+        if self.exchanged:
+            self._fold()
         event = SendEvent.SENT
         if exception is None:
             if counts:
-                self.event_count += 1
+                self._event_count += 1
         else:
             self.failed(exception)
             event |= _SEND_EVENT_OF_EXCEPTION.get(exception, SendEvent(0))
         self._log.appendleft(event)
+        if self._restart_clears_log is not None:
+            self.restart(clear_log=self._restart_clears_log)
 
     def failed(self, exception: int) -> None:
         """A request, perhaps a broadcast, ended with an exception code."""
+        if self.exchanged:
+            self._fold()
         if exception == ExceptionCode.SERVER_DEVICE_BUSY:
-            self.counters.server_busy_count += 1
+            self._counters.server_busy_count += 1
         elif exception == ExceptionCode.NEGATIVE_ACKNOWLEDGE:
-            self.counters.server_nak_count += 1
+            self._counters.server_nak_count += 1
         else:
-            self.counters.bus_exception_error_count += 1
+            self._counters.bus_exception_error_count += 1
 
     def kept_silent(self) -> None:
         """A message for this server gets no answer."""
-        self.counters.server_no_response_count += 1
+        if self.exchanged:
+            self._fold()
+        self._counters.server_no_response_count += 1
+        if self._restart_clears_log is not None:
+            self.restart(clear_log=self._restart_clears_log)
 
-    def exchanged(self, count: int) -> None:
-        """``count`` requests came in and were answered, all in one go: the sum of `received` and `answered`."""
-        self.counters.bus_message_count += count
-        self.counters.server_message_count += count
-        self.message_count += count
-        self.event_count += count
-        self._log.extendleft(_PLAIN_EXCHANGE[::-1] * min(count, EVENT_LOG_SIZE // 2))
+    def _fold(self) -> None:
+        """Take what `exchanged` says into the counters and the log."""
+        count, self.exchanged = self.exchanged, 0
+        if count:
+            counters = self._counters
+            counters.bus_message_count += count
+            counters.server_message_count += count
+            self._message_count += count
+            self._event_count += count
+            self._log.extendleft(_PLAIN_EXCHANGE[::-1] * min(count, EVENT_LOG_SIZE // 2))

@@ -5,14 +5,14 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 1. A frame with a protocol other than 0 is discarded and the stream goes on; a length that can not be ends the
    connection (``broken``), after the requests before it were answered.
 2. Order of checks: protocol → slot (06) → function (01) → what the handler says. A service that is finished within
-   its call holds no slot, and the short road needs none.
+   its call holds no slot, and the short road needs none. In listen-only mode there is no answer of any kind.
 3. A function code above 127 is discarded: it would be a reply. Function 0 is answered 80 01.
 4. Requests start in order. Replies of deferred requests leave when they are there, each with the unit and the
    transaction it was asked with, and only while the connection lasts.
 5. Every request that gets no answer is counted.
 """
 
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -117,7 +117,7 @@ class TcpServerSession:
         self._listener = listener
         self._role = role
         self._buffer = StreamBuffer()
-        self._memo: dict[int, dict[int, Answer]] = {}
+        self._memo: dict[int, Mapping[int, Answer]] = {}
         self._generation = handler.generation
         # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
         self._waiting: set[RequestContext] | None = None
@@ -147,7 +147,7 @@ class TcpServerSession:
         if self._generation != self._handler.generation:
             self._generation = self._handler.generation
             self._memo.clear()
-        memo = self._memo
+        memo = self._memo if not self._diagnostics.listen_only else {}
         out: list[bytes] = []
         at = direct = 0
         # The loop below is the hot path of a server: 1.0 µs per request with the short road, of which the call of
@@ -179,6 +179,8 @@ class TcpServerSession:
                 adu = self._long_road(transaction, unit, bytes(buffer[at + 7 : end]))
                 if adu:
                     out.append(adu)
+                # Function 08 may have muted the listener, or woken it: what is silent has no short road.
+                memo = self._memo if not self._diagnostics.listen_only else {}
             else:
                 self.discarded += 1
             at = end
@@ -200,16 +202,18 @@ class TcpServerSession:
             self._diagnostics.kept_silent()
             context._finish = None
 
-    def _offers(self, unit: int) -> dict[int, Answer]:
+    def _offers(self, unit: int) -> Mapping[int, Answer]:
+        if self._diagnostics.listen_only:
+            return {}
         if len(self._memo) >= _MEMO_LIMIT:
             self._memo.clear()
         context = self._context(unit, 0, 0)
-        offers = self._memo[unit] = dict(self._handler.direct(context))
+        offers = self._memo[unit] = self._handler.direct(context)
         return offers
 
     def _count(self, direct: int) -> None:
         self.requests += direct
-        self._diagnostics.exchanged(direct)
+        self._diagnostics.exchanged += direct
 
     def _context(self, unit: int, function: int, transaction: int) -> RequestContext:
         return RequestContext(
@@ -234,7 +238,7 @@ class TcpServerSession:
         diagnostics.received()
         context = self._context(unit, function, transaction)
         slots = self._slots
-        if slots.used >= slots.limit:
+        if slots.used >= slots.limit and not diagnostics.listen_only:
             self.refused_busy += 1
             return self._encode(context, ExceptionResponse(function, ExceptionCode.SERVER_DEVICE_BUSY))
         outcome: Outcome
@@ -248,6 +252,8 @@ class TcpServerSession:
             if was_listen_only or diagnostics.listen_only:
                 # Function 08 itself is answered neither when it mutes the listener nor when it wakes it.
                 outcome = Deferral.SILENCE
+        if context.replied:
+            return b""  # by ``reply``, before the handler returned; a request has one answer
         if isinstance(outcome, Message):
             context._finish = None
             return self._encode(context, outcome)
@@ -255,8 +261,6 @@ class TcpServerSession:
             context._finish = None
             diagnostics.kept_silent()
             return b""
-        if context.replied:
-            return b""  # the handler called ``reply`` before it returned LATER
         slots.used += 1
         if self._waiting is None:
             self._waiting = set()
