@@ -1,1 +1,90 @@
-"""What tests need: lines, faults, fakes. Public, for the tests of programs that use the library too."""
+"""What tests need: a server that misbehaves, connections in memory, a clock to move by hand, known devices and frames.
+
+Public, for the tests of programs that use the library too. Names are imported when they are used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .clients import CLIENT_PERSONALITIES, SLOW_LORIS, ClientPersonality, misbehaving_client
+    from .clock import Clock, FakeClock, LoopClock
+    from .conversation import FaultyConversation
+    from .device import known_device
+    from .faults import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
+    from .golden import GOLDEN_EXCEPTIONS, GOLDEN_EXCHANGES, GoldenExchange, golden_adu
+    from .memory import MemoryPair, MemoryTransport, Passage
+    from .personalities import PERSONALITIES
+    from .personality import Carrier, Personality, PersonalityTable
+    from .server import FaultyServer, faulty_server
+
+_HOME = {
+    "clients": ("CLIENT_PERSONALITIES", "SLOW_LORIS", "ClientPersonality", "misbehaving_client"),
+    "clock": ("Clock", "FakeClock", "LoopClock"),
+    "conversation": ("FaultyConversation",),
+    "device": ("known_device",),
+    "faults": (
+        "SILENCE",
+        "AppliedFault",
+        "Contact",
+        "Emission",
+        "Exchange",
+        "Fault",
+        "Faults",
+        "Schedule",
+        "Selection",
+    ),
+    "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
+    "memory": ("MemoryPair", "MemoryTransport", "Passage"),
+    "personalities": ("PERSONALITIES",),
+    "personality": ("Carrier", "Personality", "PersonalityTable"),
+    "server": ("FaultyServer", "faulty_server"),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "CLIENT_PERSONALITIES",
+    "GOLDEN_EXCEPTIONS",
+    "GOLDEN_EXCHANGES",
+    "PERSONALITIES",
+    "SILENCE",
+    "SLOW_LORIS",
+    "AppliedFault",
+    "Carrier",
+    "ClientPersonality",
+    "Clock",
+    "Contact",
+    "Emission",
+    "Exchange",
+    "FakeClock",
+    "Fault",
+    "Faults",
+    "FaultyConversation",
+    "FaultyServer",
+    "GoldenExchange",
+    "LoopClock",
+    "MemoryPair",
+    "MemoryTransport",
+    "Passage",
+    "Personality",
+    "PersonalityTable",
+    "Schedule",
+    "Selection",
+    "faulty_server",
+    "golden_adu",
+    "known_device",
+    "misbehaving_client",
+]
+
+
+def __getattr__(name: str) -> Any:  # any public name, of any type
+    module = _MODULE_OF.get(name)
+    if module is None:
+        raise AttributeError(f"module 'busway.testing' has no attribute {name!r}")
+    value = getattr(import_module(f".{module}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,119 @@
+"""Time that a test moves by hand.
+
+Knows times and what is to be done at them; knows no event loop and no Modbus.
+
+1. Nothing happens by itself: `FakeClock.advance` moves time and does what is due, in order, in the thread that calls.
+2. It is safe from any thread.
+"""
+
+import asyncio
+import heapq
+import itertools
+import threading
+from collections.abc import Callable
+from typing import Protocol
+
+
+class Timer(Protocol):
+    """Something that is to be done."""
+
+    def cancel(self) -> None:
+        """Do it no more."""
+
+
+class Clock(Protocol):
+    """What tells the time and does things at it."""
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+
+    def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
+        """Call ``callback`` once, when ``now()`` has reached ``when``."""
+
+
+class LoopClock:
+    """The clock of an event loop.
+
+    Args:
+        loop: the loop in whose thread callbacks run.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+
+    def now(self) -> float:
+        """Seconds of the loop's clock."""
+        return self._loop.time()
+
+    def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
+        """As `Clock.call_at`."""
+        return self._loop.call_at(when, callback)
+
+
+class FakeTimer:
+    """One entry of a `FakeClock`.
+
+    Attributes:
+        when: seconds of the clock.
+        cancelled: whether it is to be left out.
+    """
+
+    __slots__ = ("callback", "cancelled", "when")
+
+    def __init__(self, when: float, callback: Callable[[], object]) -> None:
+        self.when = when
+        self.callback = callback
+        self.cancelled = False
+
+    def cancel(self) -> None:
+        """As `Timer.cancel`."""
+        self.cancelled = True
+
+
+class FakeClock:
+    """A clock that stands still until it is moved.
+
+    Args:
+        now: seconds that it shows at first.
+    """
+
+    def __init__(self, now: float = 0.0) -> None:
+        self._now = now
+        self._lock = threading.Lock()
+        self._order = itertools.count()
+        self._timers: list[tuple[float, int, FakeTimer]] = []
+
+    def now(self) -> float:
+        """Seconds."""
+        return self._now
+
+    def call_at(self, when: float, callback: Callable[[], object]) -> FakeTimer:
+        """As `Clock.call_at`; what is due already is done at the next `advance`."""
+        timer = FakeTimer(when, callback)
+        with self._lock:
+            heapq.heappush(self._timers, (when, next(self._order), timer))
+        return timer
+
+    def advance(self, seconds: float) -> None:
+        """Move time on by ``seconds`` (0 or more), doing what becomes due at the moment it does."""
+        if seconds < 0:
+            raise ValueError(f"time does not go back by {-seconds:g} s")
+        end = self._now + seconds
+        while (timer := self._next(end)) is not None:
+            self._now = max(self._now, timer.when)
+            timer.callback()
+        self._now = end
+
+    def _next(self, end: float) -> FakeTimer | None:
+        with self._lock:
+            while self._timers and self._timers[0][0] <= end:
+                timer = heapq.heappop(self._timers)[2]
+                if not timer.cancelled:
+                    return timer
+        return None
+
+    @property
+    def next_due(self) -> float | None:
+        """When something is to be done next, in seconds of this clock; None if nothing is."""
+        with self._lock:
+            return min((when for when, _, timer in self._timers if not timer.cancelled), default=None)

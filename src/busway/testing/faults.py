@@ -1,0 +1,326 @@
+"""What a fault can do to a conversation, when it does it, and how it is switched.
+
+Knows requests, replies and ``now``; knows no socket, no clock and no device. The same objects serve tests and the
+simulator.
+
+1. A `Fault` is up to four functions: whether a connection is admitted, what is done with a request before the device
+   sees it, what becomes of its reply, and when a connection is closed for silence.
+2. An `AppliedFault` is a fault that somebody has put on: chosen by unit, function, address range, probability and
+   schedule, and switched while everything runs, from any thread.
+3. Whether a fault strikes a request is decided once, before any of them acts.
+4. Chance comes from the seed alone: the same requests meet the same faults.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from random import Random
+
+from ..errors import ConfigError
+from ..pdu.functions import AnyRequest
+from ..pdu.message import Request, Span
+
+SILENCE = b""
+"""The answer of a fault that keeps the device from answering."""
+
+
+@dataclass(slots=True, eq=False, weakref_slot=True)
+class Contact:
+    """One connection, as faults see it. Times are seconds in the clock of ``now``.
+
+    Attributes:
+        opened: when it was made.
+        others: connections that stood when it came.
+        last_received, last_sent: when the last request was whole, and when bytes left last; None before the first.
+    """
+
+    opened: float
+    others: int = 0
+    last_received: float | None = None
+    last_sent: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """A request, and where and when it came.
+
+    Attributes:
+        contact: the connection.
+        transaction: identifier, 0…65535.
+        unit: unit identifier, 0…255.
+        pdu: the request as it came.
+        request: the same, decoded.
+        now: when it was whole.
+        random: where the fault takes chance from.
+    """
+
+    contact: Contact
+    transaction: int
+    unit: int
+    pdu: bytes
+    request: AnyRequest
+    now: float
+    random: Random = field(default_factory=Random)
+
+    @property
+    def function(self) -> int:
+        """Function code as it came, 0…255."""
+        return self.pdu[0]
+
+    @property
+    def spans(self) -> tuple[Span, ...]:
+        """The ranges that the request names; none where it is malformed or unknown."""
+        return self.request.spans() if isinstance(self.request, Request) else ()
+
+    @property
+    def is_write(self) -> bool:
+        """Whether the request may change something."""
+        return (isinstance(self.request, Request) and self.request.is_write) or any(one.writes for one in self.spans)
+
+
+@dataclass(frozen=True, slots=True)
+class Emission:
+    """A frame on its way to the client.
+
+    Attributes:
+        transaction, unit, pdu: what it says. Without a PDU nothing is sent.
+        length: length field of the header; None for the true one.
+        delay: seconds from the request.
+        piece: bytes per write; 0 for all at once.
+        pause: seconds between pieces.
+        glued: whether it leaves in one write with glued frames that are due at the same moment.
+        closes: whether the connection is closed after it.
+    """
+
+    transaction: int
+    unit: int
+    pdu: bytes = b""
+    length: int | None = None
+    delay: float = 0.0
+    piece: int = 0
+    pause: float = 0.0
+    glued: bool = False
+    closes: bool = False
+
+
+Admits = Callable[[Contact], bool]
+Asked = Callable[[Exchange], bytes | None]
+Answered = Callable[[Exchange, list[Emission]], list[Emission]]
+ClosesAt = Callable[[Contact], float | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fault:
+    """What somebody does wrong. What it does not say goes its usual way.
+
+    Args:
+        name: of the personality.
+        admits: whether a new connection may stay.
+        asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
+        answered: the frames that leave, made from those that would.
+        closes_at: when the connection is closed, in the clock of ``now``; None for never.
+    """
+
+    name: str = ""
+    admits: Admits | None = None
+    asked: Asked | None = None
+    answered: Answered | None = None
+    closes_at: ClosesAt | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """When a fault is on, counted from its being switched on.
+
+    Args:
+        after: seconds until it begins.
+        lasts: seconds until it ends again; None for never.
+        every: seconds after which it begins again; None for once.
+        skip: requests, of those it is chosen for, that pass first.
+        times: requests that it strikes; None for any number.
+    """
+
+    after: float = 0.0
+    lasts: float | None = None
+    every: float | None = None
+    skip: int = 0
+    times: int | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("after", "lasts", "every", "skip", "times"):
+            value = getattr(self, key)
+            if value is not None and value < 0:
+                raise ConfigError(f"must not be negative, {value:g}", key=key)
+        if self.every is not None and (self.lasts is None or self.every < self.lasts):
+            raise ConfigError("must be at least as long as lasts, which it needs", key="every")
+
+    def is_time(self, elapsed: float) -> bool:
+        """Whether it is on, ``elapsed`` seconds after it was switched on."""
+        elapsed -= self.after
+        if elapsed < 0:
+            return False
+        if self.every:
+            elapsed %= self.every
+        return self.lasts is None or elapsed < self.lasts
+
+    def is_turn(self, chosen: int) -> bool:
+        """Whether it strikes after ``chosen`` requests that it was chosen for."""
+        return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which requests a fault is for; None stands for all.
+
+    Args:
+        units: unit identifiers, 0…255.
+        functions: function codes, 1…127.
+        addresses: items, 0-based; a request that touches one of them is meant.
+        probability: 0…1, the part of those requests that it strikes.
+        schedule: when.
+    """
+
+    units: Collection[int] | None = None
+    functions: Collection[int] | None = None
+    addresses: range | None = None
+    probability: float = 1.0
+    schedule: Schedule = Schedule()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.probability <= 1:
+            raise ConfigError(f"must be 0…1, not {self.probability:g}", key="probability")
+        if self.addresses is not None and (self.addresses.step != 1 or not self.addresses):
+            raise ConfigError(f"must be a range with items and without a step, not {self.addresses}", key="addresses")
+
+    def means(self, exchange: Exchange) -> bool:
+        """Whether a request is one of those, leaving chance and time aside."""
+        if self.units is not None and exchange.unit not in self.units:
+            return False
+        if self.functions is not None and exchange.function not in self.functions:
+            return False
+        wanted = self.addresses
+        return wanted is None or any(
+            span.address < wanted.stop and wanted.start < span.address + span.count for span in exchange.spans
+        )
+
+
+class AppliedFault:
+    """A fault that was put on: its choice, its switch and its count.
+
+    Attributes:
+        fault: what it does.
+        selection: which requests it is for.
+        enabled: the switch.
+        struck: requests that it has struck.
+    """
+
+    __slots__ = ("_chosen", "_random", "_since", "enabled", "fault", "selection", "struck")
+
+    def __init__(self, fault: Fault, selection: Selection, random: Random) -> None:
+        self.fault = fault
+        self.selection = selection
+        self.enabled = True
+        self.struck = 0
+        self._chosen = 0
+        self._since: float | None = None
+        self._random = random
+
+    @property
+    def name(self) -> str:
+        """The personality."""
+        return self.fault.name
+
+    def on(self) -> None:
+        """Switch it on; its schedule begins anew."""
+        self._since = None
+        self._chosen = 0
+        self.enabled = True
+
+    def off(self) -> None:
+        """Switch it off. What it holds back or has delayed already stays so."""
+        self.enabled = False
+
+    def is_on(self, now: float) -> bool:
+        """Whether the switch and the schedule let it act now."""
+        if not self.enabled:
+            return False
+        if self._since is None:
+            self._since = now
+        return self.selection.schedule.is_time(now - self._since)
+
+    def strikes(self, exchange: Exchange) -> Exchange | None:
+        """The exchange as this fault is to see it, if it strikes."""
+        if not self.is_on(exchange.now) or not self.selection.means(exchange):
+            return None
+        self._chosen += 1
+        if not self.selection.schedule.is_turn(self._chosen - 1):
+            return None
+        if self.selection.probability < 1 and self._random.random() >= self.selection.probability:
+            return None
+        self.struck += 1
+        return replace(exchange, random=self._random)
+
+
+class Faults:
+    """All faults of one server, in the order in which they act.
+
+    Args:
+        seed: what chance is made from.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._seed = seed
+        self._made = 0
+        self._applied: tuple[AppliedFault, ...] = ()
+
+    def __iter__(self) -> Iterator[AppliedFault]:
+        return iter(self._applied)
+
+    def add(self, fault: Fault, selection: Selection | None = None) -> AppliedFault:
+        """Put a fault on, behind the others, switched on.
+
+        Args:
+            fault: what happens.
+            selection: to which requests; None for all.
+        """
+        self._made += 1
+        applied = AppliedFault(fault, selection or Selection(), Random(f"{self._seed}/{self._made}/{fault.name}"))
+        self._applied = (*self._applied, applied)
+        return applied
+
+    def remove(self, applied: AppliedFault) -> None:
+        """Take a fault off. One that is not there is nothing to complain of."""
+        self._applied = tuple(one for one in self._applied if one is not applied)
+
+    @contextmanager
+    def during(self, fault: Fault, selection: Selection | None = None) -> Iterator[AppliedFault]:
+        """A fault that is on while the block runs: ``with server.faults.during(BUSY()): …``."""
+        applied = self.add(fault, selection)
+        try:
+            yield applied
+        finally:
+            self.remove(applied)
+
+    # What a conversation asks.
+
+    def admit(self, contact: Contact) -> bool:
+        """Whether a new connection may stay."""
+        return all(one.fault.admits(contact) for one in self._applied if one.fault.admits and one.is_on(contact.opened))
+
+    def strike(self, exchange: Exchange) -> list[tuple[Fault, Exchange]]:
+        """The faults that strike a request, each with what it is to see."""
+        found = []
+        for one in self._applied:
+            seen = one.strikes(exchange)
+            if seen is not None:
+                found.append((one.fault, seen))
+        return found
+
+    def closes_at(self, contact: Contact, now: float) -> float | None:
+        """When a connection is to be closed for silence."""
+        times = [
+            when
+            for one in self._applied
+            if one.fault.closes_at is not None and one.is_on(now) and (when := one.fault.closes_at(contact)) is not None
+        ]
+        return min(times, default=None)

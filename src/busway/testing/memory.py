@@ -1,0 +1,231 @@
+"""Two ends of a connection in memory: what an `asyncio` protocol writes to its transport arrives at the other one.
+
+Knows protocols and ``now``; knows no socket. Without an event loop nothing moves by itself, and a test sees every
+segment.
+
+::
+
+    pair = MemoryPair(client_protocol, server_protocol)
+    pair.open()
+    pair.deliver()                                # until nothing is on its way any more
+
+1. Segments arrive in the order in which they were written, cut and joined as the `Passage` of their direction says.
+2. With ``schedule`` (``loop.call_soon``) what was written arrives by itself; what is delayed waits for `deliver`.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """What becomes of segments on their way.
+
+    Args:
+        drop: 0…1, the part of them that gets lost.
+        delay: seconds that they take.
+        split: bytes of the pieces that they arrive in; 0 for whole ones.
+        merge: whether what is on its way at the same moment arrives as one.
+        seed: what chance is made from.
+    """
+
+    drop: float = 0.0
+    delay: float = 0.0
+    split: int = 0
+    merge: bool = False
+    seed: int = 0
+
+
+class MemoryTransport(asyncio.Transport):
+    """One end. Attributes: ``written``, every segment so far."""
+
+    def __init__(self, passage: Passage, extra: Mapping[str, Any]) -> None:  # Any: as asyncio has it
+        super().__init__(dict(extra))
+        self._passage = passage
+        self._random = Random(passage.seed)
+        self._protocol: asyncio.BaseProtocol | None = None
+        self._closing = False
+        self._lost = False
+        self._reading = True
+        self._pair: MemoryPair | None = None
+        self.way: deque[tuple[float, bytes]] = deque()
+        self.written: list[bytes] = []
+
+    # What a protocol asks.
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Send a segment."""
+        if self._closing or not data:
+            return
+        assert self._pair is not None
+        segment = bytes(data)
+        self.written.append(segment)
+        passage = self._passage
+        if passage.drop and self._random.random() < passage.drop:
+            return
+        size = passage.split or len(segment)
+        for at in range(0, len(segment), size):
+            self.way.append((self._pair.now + passage.delay, segment[at : at + size]))
+        self._pair.something_left()
+
+    def close(self) -> None:
+        """Close after what was written has arrived."""
+        if not self._closing:
+            self._closing = True
+            assert self._pair is not None
+            self._pair.something_left()
+
+    def abort(self) -> None:
+        """Close at once."""
+        self.way.clear()
+        self.close()
+
+    def is_closing(self) -> bool:
+        """Whether it was closed, by either end."""
+        return self._closing
+
+    def pause_reading(self) -> None:
+        """Nothing more is to arrive here."""
+        self._reading = False
+
+    def resume_reading(self) -> None:
+        """It may again."""
+        self._reading = True
+        if self._pair is not None:
+            self._pair.something_left()
+
+    def is_reading(self) -> bool:
+        """Whether segments may arrive here."""
+        return self._reading and not self._closing
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Taken, and without effect: what is on its way is not limited."""
+
+    def get_write_buffer_size(self) -> int:
+        """Bytes on their way."""
+        return sum(len(data) for _, data in self.way)
+
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Whom it serves."""
+        self._protocol = protocol
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        """Whom it serves."""
+        assert self._protocol is not None
+        return self._protocol
+
+    # What the pair asks.
+
+    def join(self, pair: "MemoryPair", protocol: asyncio.BaseProtocol) -> None:
+        """Become an end of ``pair``."""
+        self._pair = pair
+        self._protocol = protocol
+
+    def due(self, now: float) -> bytes:
+        """What arrives at the other end next; empty for nothing."""
+        if not self.way or self.way[0][0] > now:
+            return b""
+        data = self.way.popleft()[1]
+        while self._passage.merge and self.way and self.way[0][0] <= now:
+            data += self.way.popleft()[1]
+        return data
+
+    def take(self, data: bytes) -> None:
+        """Something has arrived."""
+        protocol = self._protocol
+        if isinstance(protocol, asyncio.BufferedProtocol):
+            while data and not self._closing:
+                room = memoryview(protocol.get_buffer(len(data)))
+                size = min(room.nbytes, len(data))
+                room[:size] = data[:size]
+                room.release()
+                protocol.buffer_updated(size)
+                data = data[size:]
+        elif isinstance(protocol, asyncio.Protocol):
+            protocol.data_received(data)
+
+    def lose(self) -> bool:
+        """End, if that is not done yet; whether it was to be done."""
+        if self._lost:
+            return False
+        self._closing = self._lost = True
+        assert self._protocol is not None
+        self._protocol.connection_lost(None)
+        return True
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it is closed and nothing of it is on its way."""
+        return self._closing and not self.way
+
+
+class MemoryPair:
+    """A connection in memory.
+
+    Args:
+        first, second: the protocols at its ends.
+        forth: what becomes of segments from the first to the second.
+        back: the other way.
+        schedule: calls a function soon (``loop.call_soon``); None: nothing moves but by `deliver`.
+        extra: what ``get_extra_info`` of both transports gives.
+
+    Attributes:
+        first, second: the transports of the ends.
+        now: seconds; moved by `deliver`.
+    """
+
+    def __init__(
+        self,
+        first: asyncio.BaseProtocol,
+        second: asyncio.BaseProtocol,
+        *,
+        forth: Passage | None = None,
+        back: Passage | None = None,
+        schedule: Callable[[Callable[[], None]], object] | None = None,
+        extra: Mapping[str, Any] | None = None,  # Any: as asyncio has it
+    ) -> None:
+        self.now = 0.0
+        self.first = MemoryTransport(forth or Passage(), extra or {})
+        self.second = MemoryTransport(back or Passage(), extra or {})
+        self._schedule = schedule
+        self._scheduled = False
+        self._protocols = (first, second)
+        self.first.join(self, first)
+        self.second.join(self, second)
+
+    def open(self) -> None:
+        """Tell both protocols that they are connected, the second one first, as a listener accepts."""
+        self._protocols[1].connection_made(self.second)
+        self._protocols[0].connection_made(self.first)
+
+    def something_left(self) -> None:
+        """A transport has sent or closed: deliver soon, if there is a schedule."""
+        if self._schedule is not None and not self._scheduled:
+            self._scheduled = True
+            self._schedule(self._deliver_scheduled)
+
+    def _deliver_scheduled(self) -> None:
+        self._scheduled = False
+        self.deliver()
+
+    def deliver(self, seconds: float = 0.0) -> None:
+        """Let time pass and bring over what is due, until nothing is any more."""
+        self.now += seconds
+        while self._step(self.first, self.second) or self._step(self.second, self.first):
+            pass
+
+    def _step(self, sender: MemoryTransport, receiver: MemoryTransport) -> bool:
+        """One segment, or the end of the connection; whether there was something."""
+        if receiver.is_reading():
+            data = sender.due(self.now)
+            if data:
+                receiver.take(data)
+                return True
+        if sender.has_ended or (sender.is_closing() and receiver.is_closing()):
+            ended = sender.lose()
+            return receiver.lose() or ended
+        return False

@@ -1,0 +1,108 @@
+"""Personalities of devices that answer too late, in the wrong turn, or not now."""
+
+from collections import deque
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+from ..faults import SILENCE, Contact, Emission, Exchange, Fault
+from ..personality import Personality
+
+
+def _late(delay: float = 1.5) -> Fault:
+    """Args: delay: seconds from request to reply."""
+
+    def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
+        return [replace(one, delay=one.delay + delay) for one in emissions]
+
+    return Fault(answered=answered)
+
+
+def _queue_lag(behind: int = 1, stamped: bool = False) -> Fault:
+    """Args: behind: requests that replies lag. stamped: replies carry the identifier of the request they meet."""
+    held: WeakKeyDictionary[Contact, deque[Emission]] = WeakKeyDictionary()
+
+    def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
+        waiting = held.setdefault(exchange.contact, deque())
+        waiting.extend(emissions)
+        leaving = [waiting.popleft() for _ in range(len(waiting) - behind)]
+        return [replace(one, transaction=exchange.transaction) for one in leaving] if stamped else leaving
+
+    return Fault(answered=answered)
+
+
+def _mute_after_connect(seconds: float = 2.0) -> Fault:
+    """Args: seconds: how long after the connection was made nothing is heard."""
+
+    def asked(exchange: Exchange) -> bytes | None:
+        return SILENCE if exchange.now - exchange.contact.opened < seconds else None
+
+    return Fault(asked=asked)
+
+
+def _wedged() -> Fault:
+    return Fault(asked=lambda exchange: SILENCE)
+
+
+def _min_gap(seconds: float = 0.1) -> Fault:
+    """Args: seconds: how long after a reply nothing is heard."""
+
+    def asked(exchange: Exchange) -> bytes | None:
+        sent = exchange.contact.last_sent
+        return SILENCE if sent is not None and exchange.now - sent < seconds else None
+
+    return Fault(asked=asked)
+
+
+def _unit_switch() -> Fault:
+    last: list[int] = []
+
+    def asked(exchange: Exchange) -> bytes | None:
+        switched = bool(last) and last[0] != exchange.unit
+        last[:] = [exchange.unit]
+        return SILENCE if switched else None
+
+    return Fault(asked=asked)
+
+
+LATE = Personality(
+    "late",
+    "replies arrive after the timeout, in order, for ever",
+    ("tmodbus#88", "goburrow/modbus#64"),
+    "ends with an error that names the slow device and the observed delay; no wrong data; back in step alone",
+    _late,
+)
+QUEUE_LAG = Personality(
+    "queue-lag",
+    "replies run some requests behind; a new connection is in step again",
+    ("Growatt_ModbusTCP#317",),
+    "never delivers them, and makes the connection anew",
+    _queue_lag,
+)
+MUTE_AFTER_CONNECT = Personality(
+    "mute-after-connect",
+    "ignores everything for some seconds after a connection was made",
+    ("telegraf#11919",),
+    "waits for `connect_delay` before its first request",
+    _mute_after_connect,
+)
+WEDGED = Personality(
+    "wedged",
+    "the socket is up and Modbus is dead",
+    ("saj-r5-modbus#267",),
+    "makes the connection anew after `recycle_after_timeouts` timeouts in a row",
+    _wedged,
+)
+MIN_GAP = Personality(
+    "min-gap",
+    "ignores requests that come too soon after its last reply",
+    ("modbus_exporter#83", "core#50245"),
+    "keeps `request_gap`, measured from the end of the reply",
+    _min_gap,
+)
+UNIT_SWITCH = Personality(
+    "unit-switch",
+    "misses the first request after another unit was asked",
+    ("mqmgateway#40",),
+    "asks again; on a serial line it keeps a gap between units",
+    _unit_switch,
+)

@@ -1,0 +1,347 @@
+"""A server on TCP that misbehaves as it is told: real sockets, a real device, and faults between the two.
+
+Knows sockets, an event loop and a clock; what goes wrong is known by `FaultyConversation` and its faults.
+
+::
+
+    with busway.testing.faulty_server(device, "late", delay=1.5) as server:
+        with busway.connect(server.endpoint, timeout=0.5) as link: ...
+
+    async with busway.testing.FaultyServer(device) as server:
+        busy = server.add("busy", units={2})
+        ...
+        busy.off()
+"""
+
+import asyncio
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from ..errors import ConfigError
+from ..pdu.functions import STANDARD, FunctionTable
+from ..server.device import Device
+from ..server.local import LocalHandler, UnitPolicy
+from ..session.diagnostics import CommunicationState
+from ..session.server import TcpServerSession, TransactionSlots
+from .clock import Clock, LoopClock, Timer
+from .conversation import FaultyConversation
+from .faults import AppliedFault, Contact, Exchange, Fault, Faults, Schedule, Selection
+from .personalities import PERSONALITIES
+
+REMEMBERED_REQUESTS = 10_000
+"""Requests that a server keeps for its test to look at."""
+PATIENCE = 10.0
+"""Seconds after which waiting for something that should happen at once has failed."""
+
+
+class FaultyServer:
+    """A server that misbehaves; an asynchronous context manager. Faults are put on and switched from any thread.
+
+    Args:
+        device: answers whatever unit is asked; or devices by unit identifier, 0…255.
+        personalities: names of personalities, or faults that were made from them.
+        seed: what chance is made from.
+        clock: what delays are measured by; the event loop's clock by default.
+        host: address to listen on; the port is a free one.
+        functions: the table of functions.
+        options: of the named personalities, each to those that have it.
+
+    Raises:
+        ConfigError: a name or an option that there is not.
+
+    Attributes:
+        faults: what goes wrong.
+        requests: the requests that came, the latest `REMEMBERED_REQUESTS`, in order.
+        accepted: connections so far.
+    """
+
+    def __init__(
+        self,
+        device: Device | Mapping[int, Device],
+        *personalities: str | Fault,
+        seed: int = 0,
+        clock: Clock | None = None,
+        host: str = "127.0.0.1",
+        functions: FunctionTable = STANDARD,
+        **options: Any,  # Any: what the personalities take
+    ) -> None:
+        units = {1: device} if isinstance(device, Device) else device
+        policy = UnitPolicy.ANY if isinstance(device, Device) else UnitPolicy.LISTED
+        self._handler = LocalHandler(units, unit_policy=policy, functions=functions)
+        self._host = host
+        self._listener: asyncio.Server | None = None
+        self._connections: set[_Connection] = set()
+        self._changed = threading.Condition()
+        self._changed_here = asyncio.Event()
+        self._clock = clock
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self.endpoint = ""
+        self.requests: deque[Exchange] = deque(maxlen=REMEMBERED_REQUESTS)
+        self.accepted = 0
+        self.faults = Faults(seed)
+        for fault in _faults_of(personalities, options):
+            self.faults.add(fault)
+
+    def add(
+        self,
+        personality: str | Fault,
+        *,
+        units: Collection[int] | None = None,
+        functions: Collection[int] | None = None,
+        addresses: range | None = None,
+        probability: float = 1.0,
+        schedule: Schedule | None = None,
+        **options: Any,  # Any: what the personality takes
+    ) -> AppliedFault:
+        """Put a fault on.
+
+        Args:
+            personality: its name, or a fault.
+            units: unit identifiers that it strikes, 0…255; None for all, here and below.
+            functions: function codes, 1…127.
+            addresses: items, 0-based; requests that touch one of them.
+            probability: 0…1, the part of those requests that it strikes.
+            schedule: when.
+            options: of the personality.
+
+        Returns:
+            The fault with its switch: ``on()``, ``off()``, ``struck``.
+
+        Raises:
+            ConfigError: a name, an option or a choice that can not be.
+        """
+        (fault,) = _faults_of((personality,), options)
+        selection = Selection(units, functions, addresses, probability, schedule or Schedule())
+        return self.faults.add(fault, selection)
+
+    @property
+    def clock(self) -> Clock:
+        """What delays are measured by, from the start on."""
+        assert self._clock is not None, "the server has not been started"
+        return self._clock
+
+    @property
+    def connections(self) -> int:
+        """Connections that stand now."""
+        return len(self._connections)
+
+    async def start(self) -> None:
+        """Listen on a free port of ``host``."""
+        self.loop = asyncio.get_running_loop()
+        if self._clock is None:
+            self._clock = LoopClock(self.loop)
+        self._listener = await self.loop.create_server(lambda: _Connection(self), self._host, 0)
+        host, port = self._listener.sockets[0].getsockname()[:2]
+        self.endpoint = f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
+
+    async def stop(self) -> None:
+        """Stop listening and close all connections."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.close()
+        for connection in list(self._connections):
+            connection.abort()
+        await self.until(lambda: not self._connections)
+
+    def drop_connections(self) -> None:
+        """Close all connections; safe from any thread."""
+        assert self.loop is not None
+        self.loop.call_soon_threadsafe(self._drop)
+
+    def _drop(self) -> None:
+        for connection in list(self._connections):
+            connection.abort()
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        """Wait in the server's own event loop until a condition about it holds. Raises `TimeoutError` after a while."""
+        async with asyncio.timeout(PATIENCE):
+            while not condition():
+                self._changed_here.clear()
+                await self._changed_here.wait()
+
+    def wait_until(self, condition: Callable[[], bool]) -> None:
+        """Wait, in a thread that is not the server's, until a condition about it holds. Raises `TimeoutError`."""
+        with self._changed:
+            if not self._changed.wait_for(condition, PATIENCE):
+                raise TimeoutError("what the test waits for did not happen")
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.stop()
+
+    # What connections report.
+
+    def begin(self, connection: "_Connection") -> FaultyConversation:
+        """A connection was made: its conversation."""
+        contact = Contact(self.clock.now(), len(self._connections))
+        session = TcpServerSession(
+            self._handler,
+            diagnostics=CommunicationState(),
+            slots=TransactionSlots(1),
+            deliver=connection.write,
+            peer="client",
+        )
+        self.accepted += 1
+        self._connections.add(connection)
+        self.changed()
+        return FaultyConversation(session, self.faults, contact, self._handler.functions)
+
+    def end(self, connection: "_Connection") -> None:
+        """A connection has ended."""
+        self._connections.discard(connection)
+        self.changed()
+
+    def changed(self) -> None:
+        """Wake those who wait for something to happen."""
+        self._changed_here.set()
+        with self._changed:
+            self._changed.notify_all()
+
+
+class _Connection(asyncio.Protocol):
+    """Carries bytes between a socket and a conversation, and looks at the clock for it."""
+
+    def __init__(self, server: FaultyServer) -> None:
+        self._server = server
+        self._transport: asyncio.Transport | None = None
+        self._conversation: FaultyConversation | None = None
+        self._timer: Timer | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._conversation = self._server.begin(self)
+        self._pump()
+
+    def data_received(self, data: bytes) -> None:
+        conversation = self._conversation
+        if conversation is None:
+            return
+        conversation.receive(data, self._server.clock.now())
+        self._server.requests.extend(conversation.exchanges)
+        conversation.exchanges.clear()
+        self._pump()
+        self._server.changed()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._conversation = None
+        self._stop_timer()
+        self._server.end(self)
+
+    def abort(self) -> None:
+        """Close at once."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    def write(self, adu: bytes) -> None:
+        """Send bytes as they are."""
+        if self._transport is not None:
+            self._transport.write(adu)
+
+    def _pump(self) -> None:
+        """Write what is due, and be back when there is more."""
+        conversation, transport = self._conversation, self._transport
+        if conversation is None or transport is None:
+            return
+        now = self._server.clock.now()
+        for data in conversation.tick(now):
+            transport.write(data)
+        self._stop_timer()
+        if conversation.closed:
+            self._conversation = None
+            transport.close()
+            return
+        deadline = conversation.deadline(now)
+        if deadline is not None:
+            self._timer = self._server.clock.call_at(deadline, self._due)
+
+    def _due(self) -> None:
+        """The clock says so, in whatever thread moved it."""
+        if self._server.loop is not None:
+            self._server.loop.call_soon_threadsafe(self._pump)
+
+    def _stop_timer(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+
+
+@contextlib.contextmanager
+def faulty_server(
+    device: Device | Mapping[int, Device], *personalities: str | Fault, **options: Any
+) -> Iterator[FaultyServer]:  # Any: as FaultyServer says
+    """A `FaultyServer` in a thread of its own, for blocking clients.
+
+    Args:
+        device: as in `FaultyServer`.
+        personalities: as in `FaultyServer`.
+        options: as in `FaultyServer`.
+    """
+    server = FaultyServer(device, *personalities, **options)
+    thread = _ServerThread(server)
+    thread.start()
+    try:
+        yield server
+    finally:
+        thread.stop()
+
+
+class _ServerThread:
+    """The thread that a server lives in."""
+
+    def __init__(self, server: FaultyServer) -> None:
+        self._server = server
+        self._started = threading.Event()
+        self._end: asyncio.Event | None = None
+        self._failure: OSError | None = None
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="busway faults", daemon=True)
+
+    def start(self) -> None:
+        """Begin; raises what the start of the server raised."""
+        self._thread.start()
+        self._started.wait()
+        if self._failure is not None:
+            self._thread.join()
+            raise self._failure
+
+    def stop(self) -> None:
+        """End, and wait for it."""
+        if self._end is not None and self._server.loop is not None:
+            self._server.loop.call_soon_threadsafe(self._end.set)
+        self._thread.join()
+
+    async def _run(self) -> None:
+        try:
+            await self._server.start()
+            self._end = asyncio.Event()
+        except OSError as error:
+            self._failure = error
+            return
+        finally:
+            self._started.set()
+        await self._end.wait()
+        await self._server.stop()
+
+
+def _faults_of(personalities: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
+    """The faults of names; each option goes to the personalities that have it."""
+    named = [one if isinstance(one, Fault) else PERSONALITIES.named(one) for one in personalities]
+    known = {option for one in named if not isinstance(one, Fault) for option in one.options}
+    for option in options:
+        if option not in known:
+            raise ConfigError(f"none of the personalities has the option {option}", key=option)
+    return [
+        one
+        if isinstance(one, Fault)
+        else one(**{option: value for option, value in options.items() if option in one.options})
+        for one in named
+    ]
