@@ -1,0 +1,5 @@
+"""``python -m busway``: the command line."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,101 @@
+"""What several commands take: their options, and text → checked value.
+
+Knows how an argument is written and named in a sentence; sends nothing.
+"""
+
+import contextlib
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..client.blocking import Unit
+
+URL = typer.Argument(..., metavar="URL", help="The device: tcp://10.0.0.5, tcp://host:5020.")
+UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="Unit identifier, 0…255. On TCP 255, the device itself.")
+TYPE = typer.Option(
+    None,
+    "-t",
+    "--type",
+    metavar="TYPE",
+    help="int16…int64, uint16…uint64, float16…float64, bcd16…bcd64, string:N, bits.",
+)
+ORDER = typer.Option("ABCD", "--order", metavar="ORDER", help="Order of bytes and registers: ABCD, CDAB, BADC, DCBA…")
+TIMEOUT = typer.Option(None, "--timeout", metavar="TIME", help="Wait this long for a reply, for each attempt: 1s.")
+RETRIES = typer.Option(None, "--retries", metavar="N", help="Further attempts of a read: 1. A write is never repeated.")
+VERBOSE = typer.Option(
+    0, "-v", "--verbose", count=True, help="Show messages on stderr; -vv frames too, -vvv every byte."
+)
+JSON = typer.Option(False, "--json", help="Print one JSON object per line.")
+CSV = typer.Option(False, "--csv", help="Print CSV with a header line.")
+
+_TIME = re.compile(r"(\d+(?:\.\d+)?|\.\d+)\s*(ms|s|m|min|h)?")
+_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, None: 1.0}
+_NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
+
+
+def whole_number(text: str, name: str, low: int, high: int) -> int:
+    """The number of an option, decimal or ``0x…``; `ConfigError` names the option and the range."""
+    number = int(text, 16 if text[:2].lower() == "0x" else 10) if _NUMBER.fullmatch(text) else -1
+    if not low <= number <= high:
+        raise ConfigError(f"a whole number {low}…{high} is needed, not {text!r}", key=name)
+    return number
+
+
+def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -> float:
+    """Seconds of a time: ``500ms``, ``1s``, ``2`` (seconds), ``1h``. `ConfigError` names the option."""
+    match = _TIME.fullmatch(text.strip())
+    if match is None:
+        raise ConfigError(f"a time such as 500ms, 1s or 2m is needed, not {text!r}", key=name)
+    time = float(match[1]) * _SECONDS[match[2]]
+    if not low <= time <= high:
+        raise ConfigError(f"a time of {low:g}…{high:g} s is needed, not {text!r}", key=name)
+    return time
+
+
+def refuse_unknown_option(value: str) -> None:
+    """Refuse a value that is a misspelt option; a minus sign begins a number or ``-inf``."""
+    if re.match(r"--?[a-zA-Z]", value) and value.lower() not in ("-inf", "-infinity", "-nan"):
+        raise ConfigError(f"there is no such option; a text that begins so is written behind --: -- {value}", key=value)
+
+
+@contextlib.contextmanager
+def opened_unit(
+    url: str, *, unit: str | None, timeout: str | None, retries: str | None, verbose: int
+) -> Iterator["Unit"]:
+    """The unit of a URL behind a blocking link; nothing is sent yet.
+
+    Raises:
+        ConfigError, InvalidRequest: URL or option can not be.
+    """
+    from ..client.blocking import connect
+
+    options: dict[str, Any] = {}  # fields of different types
+    if timeout is not None:
+        options["timeout"] = seconds(timeout, "--timeout", high=3600)
+    if retries is not None:
+        options["retries"] = whole_number(retries, "--retries", 0, 100)
+    number = None if unit is None else whole_number(unit, "--unit", 0, 255)
+    show_traffic(verbose)
+    with connect(url, **options) as link:
+        yield link.unit(number)
+
+
+def show_traffic(verbose: int) -> None:
+    """Show messages (1), frames (2) or bytes (3 and more) on stderr from now on."""
+    if not verbose:
+        return
+    import logging
+
+    from ..observe.trace import TRACE, TraceLevel
+
+    TRACE.set(TraceLevel(min(verbose, TraceLevel.BYTES)))
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s.%(msecs)03d %(message)s", "%H:%M:%S"))
+    logger = logging.getLogger("busway.trace")
+    logger.handlers[:] = [handler]
+    logger.propagate = False

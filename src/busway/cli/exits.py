@@ -1,0 +1,44 @@
+"""How a command ends: the exit codes, and the one that an error earns.
+
+====  ==========================================================================================
+code  meaning
+====  ==========================================================================================
+0     done
+2     wrong use: an argument, option, file or URL that can not be; nothing was sent
+3     no reply came, or the outcome of a write is not known
+4     the device refused with an exception code
+5     no connection, or it ended; a server that can not listen
+6     the reply, or a frame given to ``decode``, is broken
+130   interrupted (Ctrl-C) before it was done
+====  ==========================================================================================
+"""
+
+from enum import IntEnum
+
+from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
+
+
+class ExitCode(IntEnum):
+    """The exit codes of every command."""
+
+    DONE = 0
+    WRONG_USE = 2
+    NO_REPLY = 3
+    REFUSED = 4
+    NO_CONNECTION = 5
+    BROKEN = 6
+    INTERRUPTED = 130
+
+
+_CODES: tuple[tuple[type[ModbusError], ExitCode], ...] = (
+    (InvalidRequest, ExitCode.WRONG_USE),
+    (ConfigError, ExitCode.WRONG_USE),
+    (ExceptionReply, ExitCode.REFUSED),
+    (LinkDown, ExitCode.NO_CONNECTION),
+    (BadReply, ExitCode.BROKEN),
+)
+
+
+def exit_code_of(error: ModbusError) -> ExitCode:
+    """The exit code of an error; what is not listed (`NoReply`, `WriteOutcomeUnknown`, `Overloaded`) end as 3."""
+    return next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.NO_REPLY)

@@ -1,0 +1,103 @@
+"""``busway identify``: what a device says of itself.
+
+1. Device identification (43/14): the highest level that the device has; some refuse a level above their own, so the
+   levels are tried from the highest down.
+2. Report server id (17).
+3. What a device does not offer is said on stderr. It is an error only where it offers neither.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
+from .arguments import CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
+from .exits import ExitCode
+from .output import print_aligned, print_csv, print_json, say, shown_value
+
+if TYPE_CHECKING:
+    from ..client.blocking import Unit
+
+EXAMPLES = """\b
+Examples:
+  busway identify tcp://10.0.0.5
+  busway identify tcp://10.0.0.5 --unit 3 --json
+"""
+
+Fact = tuple[str, str, bytes]
+"""Function, name, value."""
+
+LEVELS = ("extended", "regular", "basic")
+
+
+def identify(
+    url: str = URL,
+    unit: str | None = UNIT,
+    as_json: bool = JSON,
+    as_csv: bool = CSV,
+    timeout: str | None = TIMEOUT,
+    retries: str | None = RETRIES,
+    verbose: int = VERBOSE,
+) -> int:
+    """Ask a device what it is (functions 43/14 and 17)."""
+    if as_json and as_csv:
+        raise ConfigError("does not go with --json", key="--csv")
+    facts: list[Fact] = []
+    failures: list[ModbusError] = []
+    questions: tuple[tuple[str, Callable[[Unit], list[Fact]]], ...] = (
+        ("device identification (43/14)", _identification),
+        ("server id (17)", _server_id),
+    )
+    with opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked:
+        for name, ask in questions:
+            try:
+                facts += ask(asked)
+            except (LinkDown, InvalidRequest, ConfigError):
+                raise
+            except ModbusError as error:
+                failures.append(error)
+                say(f"{name} is not offered: {error}")
+    if len(failures) == len(questions):
+        raise failures[0]
+    _show(facts, as_json=as_json, as_csv=as_csv)
+    return ExitCode.DONE
+
+
+def _identification(unit: "Unit") -> list[Fact]:
+    from ..pdu.encapsulated import OBJECT_NAMES
+
+    for level in LEVELS:
+        try:
+            objects = unit.read_device_identification(level)
+        except ExceptionReply:
+            if level == LEVELS[-1]:
+                raise
+        else:
+            break
+    return [
+        ("43/14", OBJECT_NAMES.get(number, f"object 0x{number:02X}"), value)
+        for number, value in sorted(objects.items())
+    ]
+
+
+def _server_id(unit: "Unit") -> list[Fact]:
+    return [("17", "ServerId", unit.report_server_id())]
+
+
+def _show(facts: list[Fact], *, as_json: bool, as_csv: bool) -> None:
+    if as_json:
+        for function, name, value in facts:
+            print_json({"function": function, "name": name, "value": _text(value), "raw": value.hex()})
+    elif as_csv:
+        print_csv(["function", "name", "value", "raw"], [[*fact[:2], _text(fact[2]), fact[2].hex()] for fact in facts])
+    else:
+        print_aligned([[function, name, _with_raw(value)] for function, name, value in facts])
+
+
+def _with_raw(value: bytes) -> str:
+    """The text, and the bytes where the text does not tell all of them."""
+    text = _text(value)
+    return text if text.encode() == value and text.isprintable() else f"{text}  [{value.hex(' ')}]"
+
+
+def _text(value: bytes) -> str:
+    return shown_value(value.decode("utf-8", errors="backslashreplace"))

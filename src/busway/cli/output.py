@@ -1,0 +1,235 @@
+"""Values on stdout: a table on a terminal, aligned lines elsewhere, JSON lines or CSV on demand.
+
+Knows rows and how they look; knows no device.
+
+1. A value is shown as `busway write` takes it: states as ``on`` and ``off``, floats with the fewest digits that give
+   the same registers back.
+2. JSON is one object per line, so that a program reads a stream of any length. What JSON has no number for (``nan``,
+   ``inf``) is a text.
+3. CSV has a header line, written once.
+"""
+
+import math
+import struct
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ..errors import ConfigError
+from ..values import Address, ValueType, format_address
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One value.
+
+    Attributes:
+        address: where it stands.
+        value: what was read or written.
+        raw: its registers in wire order; for one bit one byte, 0 or 1.
+    """
+
+    address: Address
+    value: Any  # what its type says
+    raw: bytes
+
+    @property
+    def raw_text(self) -> str:
+        """Registers in hexadecimal, four digits each; a bit as 0 or 1."""
+        return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
+
+
+def value_rows(place: Address, form: ValueType | None, values: Sequence[Any], raw: bytes) -> list[Row]:
+    """The rows of consecutive values from ``place`` on; ``form`` is None for coils and discrete inputs."""
+    step = 1 if form is None else form.registers
+    size = 1 if form is None else 2 * step
+    rows = []
+    for index, value in enumerate(values):
+        if form is not None and form.name.startswith("float"):
+            value = fewest_digits(value, size)
+        address = Address(place.table, place.offset + index * step, place.bit)
+        rows.append(Row(address, value, raw[index * size : (index + 1) * size]))
+    return rows
+
+
+def fewest_digits(value: float, size: int) -> float:
+    """The shortest decimal number that has the same ``size`` bytes: 0.1 for what is 0.10000000149 in 32 bits."""
+    letter = {2: ">e", 4: ">f"}.get(size)
+    if letter is None or not math.isfinite(value):
+        return value
+    wanted = struct.pack(letter, value)
+    for digits in range(1, 10):
+        short = float(f"{value:.{digits}g}")
+        try:
+            if struct.pack(letter, short) == wanted:
+                return short
+        except OverflowError:  # rounded up beyond the largest number of this size
+            continue
+    return value
+
+
+def shown_value(value: Any) -> str:
+    """A value as a person reads and writes it."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, tuple):  # sixteen bits, the least significant first
+        return "0b" + "".join("1" if bit else "0" for bit in reversed(value))
+    if isinstance(value, str):
+        return "".join(each if each.isprintable() else repr(each)[1:-1] for each in value)
+    return str(value)
+
+
+def json_value(value: Any) -> Any:
+    """A value as JSON can hold it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return list(value) if isinstance(value, tuple) else value
+
+
+class Writer(Protocol):
+    """Something that shows rows; ``time`` is when they were read, empty where that is not asked for."""
+
+    def write(self, rows: Sequence[Row], time: str = "") -> None:
+        """Show these rows."""
+
+    def close(self) -> None:
+        """No more rows come."""
+
+
+def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
+    """The writer for these options and this stdout. Raises `ConfigError` for options that do not go together."""
+    if as_json and as_csv:
+        raise ConfigError("does not go with --json", key="--csv")
+    if as_json:
+        return JsonWriter()
+    if as_csv:
+        return CsvWriter()
+    if sys.stdout.isatty():
+        return LiveTableWriter() if repeats else TableWriter()
+    return LineWriter()
+
+
+class LineWriter:
+    """Columns: address, value, raw; with the time in front if there is one."""
+
+    def write(self, rows: Sequence[Row], time: str = "") -> None:
+        cells = [
+            (*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw_text)
+            for row in rows
+        ]
+        print_aligned(cells)
+
+    def close(self) -> None:
+        pass
+
+
+class JsonWriter:
+    """One JSON object per value and line."""
+
+    def write(self, rows: Sequence[Row], time: str = "") -> None:
+        for row in rows:
+            fields: dict[str, Any] = {"time": time} if time else {}
+            fields |= {
+                "address": format_address(row.address),
+                "table": row.address.table.value if row.address.table else None,
+                "offset": row.address.offset,
+                "value": json_value(row.value),
+                "raw": row.raw.hex(),
+            }
+            print_json(fields)
+        sys.stdout.flush()
+
+    def close(self) -> None:
+        pass
+
+
+class CsvWriter:
+    """A header line, then one line per value."""
+
+    def __init__(self) -> None:
+        self._has_header = False
+
+    def write(self, rows: Sequence[Row], time: str = "") -> None:
+        header = [] if self._has_header else [*(["time"] if time else []), "address", "value", "raw"]
+        self._has_header = True
+        lines = []
+        for row in rows:
+            value = row.value if isinstance(row.value, str) else shown_value(row.value)
+            lines.append([*([time] if time else []), format_address(row.address), value, row.raw.hex()])
+        print_csv(header, lines)
+
+    def close(self) -> None:
+        pass
+
+
+class TableWriter:
+    """A table with headings."""
+
+    def write(self, rows: Sequence[Row], time: str = "") -> None:
+        from rich.console import Console
+
+        Console().print(_table(rows, time))
+
+    def close(self) -> None:
+        pass
+
+
+class LiveTableWriter:
+    """One table that is drawn anew in its place."""
+
+    def __init__(self) -> None:
+        from rich.live import Live
+
+        self._live = Live(auto_refresh=False)
+        self._live.start()
+
+    def write(self, rows: Sequence[Row], time: str = "") -> None:
+        self._live.update(_table(rows, time), refresh=True)
+
+    def close(self) -> None:
+        self._live.stop()
+
+
+def _table(rows: Sequence[Row], time: str) -> Any:
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    table = RichTable(caption=time or None, caption_justify="left")
+    table.add_column("Address")
+    table.add_column("Value", justify="right")
+    table.add_column("Raw", style="dim")
+    for row in rows:
+        table.add_row(format_address(row.address), Text(shown_value(row.value)), row.raw_text)
+    return table
+
+
+def print_aligned(lines: Sequence[Sequence[str]]) -> None:
+    """Lines of cells, each column as wide as its widest cell."""
+    if not lines:
+        return
+    widths = [max(len(cells[index]) for cells in lines) for index in range(len(lines[0]))]
+    for cells in lines:
+        print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
+    sys.stdout.flush()
+
+
+def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
+    """Lines of CSV, behind a header line if it is not empty."""
+    import csv
+
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerows([header, *lines] if header else lines)
+    sys.stdout.flush()
+
+
+def print_json(fields: dict[str, Any]) -> None:
+    """One JSON object on a line."""
+    import json
+
+    print(json.dumps(fields, ensure_ascii=False))
+
+
+def say(sentence: str) -> None:
+    """One sentence on stderr."""
+    print(f"busway: {sentence}", file=sys.stderr, flush=True)

@@ -1,0 +1,207 @@
+"""The program ``busway``: loads the command that is asked for, and ends with the exit code it earned.
+
+Knows how commands are found and how they end; knows nothing of what they do.
+
+1. Only the module of the command that runs is imported: start-up time is what a user of a shell feels.
+2. An error is one sentence on stderr that names what is wrong; there is never a traceback for anything that a user, a
+   device or a network did.
+3. Every argument reaches its command as text. Commands turn text into values themselves, so that one sentence says
+   what is wrong in the words of the protocol.
+"""
+
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+from ..errors import ModbusError
+from .exits import ExitCode, exit_code_of
+
+COMMANDS = {
+    "read": "Read values from a device.",
+    "write": "Write values to a device.",
+    "identify": "Ask a device what it is.",
+    "serve": "Be a device.",
+    "decode": "Explain frames, field by field.",
+    "demo": "Run a small plant and poll it.",
+}
+"""The commands, in the order in which help lists them. ``busway.cli.<name>`` holds the function ``<name>``."""
+
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+class ReaderGoneError(Exception):
+    """Whoever read stdout has closed it (``busway read … | head -1``)."""
+
+
+class Verbatim:
+    """Hands the text of an argument on as it is.
+
+    Typer would load pydantic (0.1 s) to turn text into text.
+    """
+
+    @staticmethod
+    def coerce(value: Any, param: Any, ctx: Any) -> Any:
+        """The value, or an empty tuple where several may stand and none does."""
+        if value is None and (param.multiple or param.nargs == -1):
+            return ()
+        return value
+
+
+class Command(TyperCommand):
+    """A command whose arguments reach it as text."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _verbatim(super().get_params(ctx))
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        return ["[OPTIONS]", *(param.metavar or param.name.upper() for param in _arguments(self))]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        # The texts say what an argument is; typer would add that each of them is a str.
+        options = [param for param in self.get_params(ctx) if param.param_type_name == "option"]
+        for title, rows in (
+            ("Arguments", [(param.metavar or param.name.upper(), param.help or "") for param in _arguments(self)]),
+            ("Options", [_option_row(param) for param in options]),
+        ):
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+class Program(TyperGroup):
+    """The group of commands, each loaded when it is named."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _verbatim(super().get_params(ctx))
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in COMMANDS:
+            return None
+        return load(cmd_name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[0] not in COMMANDS and not ctx.resilient_parsing:
+            ctx.fail(f"there is no command {args[0]!r}, but {', '.join(COMMANDS)}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        # Here and not by the commands' own help: listing them would import them all.
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:  # typer would end with code 1
+            raise ReaderGoneError from error
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> NoReturn:
+        given = sys.argv[1:] if args is None else list(args)
+        try:
+            result = super().main(
+                given or ["--help"], prog_name or "busway", complete_var, standalone_mode=False, **extra
+            )
+            code = result if isinstance(result, int) else ExitCode.DONE
+            sys.stdout.flush()
+        except ModbusError as error:
+            code = _fail(str(error), exit_code_of(error))
+        except KeyboardInterrupt:
+            code = ExitCode.INTERRUPTED
+        except (BrokenPipeError, ReaderGoneError):
+            code = _leave_pipe()
+        except Exception as error:
+            if not hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
+                raise
+            code = _fail(_usage_sentence(error), ExitCode.WRONG_USE)
+        sys.exit(int(code))
+
+
+def _verbatim(params: list[Any]) -> list[Any]:
+    """The parameters, each given its text as it is."""
+    for param in params:
+        param._runtime_param = Verbatim
+    return params
+
+
+def _arguments(command: Any) -> list[Any]:
+    return [param for param in command.params if param.param_type_name == "argument"]
+
+
+def _option_row(param: Any) -> tuple[str, str]:
+    names = ", ".join([*param.opts, *param.secondary_opts])
+    return f"{names} {param.metavar}" if param.metavar else names, param.help or ""
+
+
+def load(name: str) -> Any:
+    """The command of a name, ready to be parsed."""
+    module = import_module(f".{name}", __package__)
+    single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    settings = {**_SETTINGS, **getattr(module, "SETTINGS", {})}
+    single.command(name, cls=Command, epilog=module.EXAMPLES, context_settings=settings)(getattr(module, name))
+    return get_command(single)
+
+
+def _fail(sentence: str, code: ExitCode) -> ExitCode:
+    with contextlib.suppress(BrokenPipeError):
+        print(f"busway: {sentence}", file=sys.stderr, flush=True)
+    return code
+
+
+def _usage_sentence(error: Any) -> str:
+    """The parser's error as one sentence that names the command."""
+    context = getattr(error, "ctx", None)
+    command = context.info_name if context is not None and context.parent is not None else ""
+    words = " ".join(error.format_message().split())
+    sentence = words[:1].lower() + words[1:].removesuffix(".")
+    return f"{command}: {sentence}" if command else sentence
+
+
+def _leave_pipe() -> ExitCode:
+    """Whoever read the output has what he wanted; what is still buffered must not be written at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return ExitCode.DONE
+
+
+app = typer.Typer(
+    cls=Program,
+    name="busway",
+    help="A MODBUS client, server and decoder.",
+    epilog="`busway COMMAND --help` shows examples.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings=_SETTINGS,
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        from ..version import __version__
+
+        print(f"busway {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    version: bool = typer.Option(False, "--version", help="Print the version.", is_eager=True, callback=_show_version),
+) -> None:
+    pass

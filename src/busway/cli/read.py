@@ -1,0 +1,169 @@
+"""``busway read``: values of a device, once or again and again.
+
+1. Every address, type and count is checked before the first byte goes out.
+2. With several addresses, one that the device refuses does not keep the others from being read; the exit code is that
+   of the first failure.
+3. While it watches, a failure is said and watching goes on.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+import typer
+
+from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS
+from ..errors import ConfigError, InvalidRequest, LinkDown, ModbusError
+from ..values import Address, ValueType, parse_address, value_type
+from .arguments import (
+    CSV,
+    JSON,
+    ORDER,
+    RETRIES,
+    TIMEOUT,
+    TYPE,
+    UNIT,
+    URL,
+    VERBOSE,
+    opened_unit,
+    seconds,
+    whole_number,
+)
+from .exits import ExitCode, exit_code_of
+from .output import Row, Writer, choose_writer, say, value_rows
+
+if TYPE_CHECKING:
+    from ..client.blocking import Unit
+
+EXAMPLES = """\b
+Examples:
+  busway read tcp://10.0.0.5 4x1 --count 10
+  busway read tcp://10.0.0.5 4x101 --type float32 --order CDAB
+  busway read tcp://10.0.0.5:5020 3x1 1x5 holding:0x10 --unit 3 --json
+  busway read tcp://10.0.0.5 0x1 -n 16 --watch 1s
+
+Addresses: 4x1 or 40001 is the first holding register, 3x1 the first input register,
+0x1 the first coil, 1x1 the first discrete input; 4x1.3 is bit 3 of a register;
+holding:0 and holding:0x10 count from 0.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is read from one address."""
+
+    place: Address
+    form: ValueType | None
+    """None for coils and discrete inputs."""
+    order: str
+    count: int
+
+
+def read(
+    url: str = URL,
+    addresses: list[str] = typer.Argument(..., metavar="ADDRESS...", help="Where to read: 4x1, 3x17, 0x1, holding:0."),
+    count: str = typer.Option("1", "-n", "--count", metavar="N", help="Number of values from each address on."),
+    unit: str | None = UNIT,
+    kind: str | None = TYPE,
+    order: str = ORDER,
+    watch: str | None = typer.Option(None, "--watch", metavar="TIME", help="Read again and again: every 1s, 500ms."),
+    split: bool = typer.Option(False, "--split", help="Take several requests where one does not hold --count values."),
+    as_json: bool = JSON,
+    as_csv: bool = CSV,
+    timeout: str | None = TIMEOUT,
+    retries: str | None = RETRIES,
+    verbose: int = VERBOSE,
+) -> int:
+    """Read values from a device."""
+    number = whole_number(count, "--count", 1, 65_536)
+    period = None if watch is None else seconds(watch, "--watch", low=0.01)
+    wanted = [_wanted(address, kind, order, number, split=split) for address in addresses]
+    with opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked:
+        writer = choose_writer(as_json=as_json, as_csv=as_csv, repeats=period is not None)
+        with closing(writer):
+            if period is None:
+                return _read_once(asked, wanted, writer, split=split)
+            with suppress(KeyboardInterrupt):  # this is how watching ends
+                _read_again_and_again(asked, wanted, writer, period, split=split)
+    return ExitCode.DONE
+
+
+def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
+    """What one address means; whatever can not be asked is refused here."""
+    if text.startswith("-"):
+        raise ConfigError("there is no such option", key=text)
+    place = parse_address(text)
+    assert place.table is not None  # a text that names no table is refused
+    form = None
+    limit, items = MAX_READ_BITS, count
+    if place.table.holds_bits:
+        if kind is not None:
+            raise InvalidRequest(f"{place}: a {place.table.label} is one bit and has no type {kind}")
+    else:
+        if place.bit is not None and kind is not None:
+            raise InvalidRequest(f"{place}: one bit of a register has no type {kind}")
+        form = value_type(kind or "uint16" if place.bit is None else f"bit:{place.bit}", order)
+        limit, items = MAX_READ_REGISTERS, form.registers_for(count)
+    if items > limit and not split:
+        raise InvalidRequest(
+            f"{place}: {count} values are {items} {place.table.label}s, and one request reads at most {limit};"
+            f" --count {limit // (form.registers if form else 1)} at most, or --split"
+        )
+    return Wanted(place, form, order, count)
+
+
+def _read_once(unit: "Unit", wanted: Sequence[Wanted], writer: Writer, *, split: bool) -> int:
+    rows: list[Row] = []
+    code: int = ExitCode.DONE
+    for each in wanted:
+        try:
+            rows += _rows(unit, each, split=split)
+        except LinkDown:
+            raise
+        except ModbusError as error:
+            if len(wanted) == 1:
+                raise
+            say(f"{each.place}: {error}")
+            code = code or exit_code_of(error)
+    writer.write(rows)
+    return code
+
+
+def _read_again_and_again(
+    unit: "Unit", wanted: Sequence[Wanted], writer: Writer, period: float, *, split: bool
+) -> None:
+    due = time.monotonic()
+    while True:
+        now = datetime.now().astimezone().isoformat(timespec="milliseconds")
+        rows: list[Row] = []
+        for each in wanted:
+            try:
+                rows += _rows(unit, each, split=split)
+            except InvalidRequest:
+                raise
+            except ModbusError as error:
+                say(f"{now} {each.place}: {error}")
+        writer.write(rows, now)
+        due = max(due + period, time.monotonic())
+        time.sleep(due - time.monotonic() if due > time.monotonic() else 0)
+
+
+def _rows(unit: "Unit", wanted: Wanted, *, split: bool) -> list[Row]:
+    """Ask, and keep the bytes beside the values."""
+    from ..client.operations import read_values
+
+    form = None if wanted.place.bit is not None else wanted.form  # the bit of an address is its type
+    operation = read_values(wanted.place, form, wanted.order, wanted.count, split)
+    raw = b""
+    requests = next(operation)
+    while True:
+        replies = unit.execute_many(requests)
+        for request, reply in zip(requests, replies, strict=True):
+            raw += reply.data if wanted.form is not None else bytes(reply.bits(request.values()["count"]))
+        try:
+            requests = operation.send(replies)
+        except StopIteration as stop:
+            return value_rows(wanted.place, wanted.form, stop.value, raw)
