@@ -53,7 +53,7 @@ def test_running_states_are_the_states_after_each_byte(data: bytes) -> None:
 
 
 @given(st.binary(max_size=60), st.binary(min_size=2, max_size=254), st.binary(max_size=60))
-def test_a_span_is_checked_from_the_running_states_wherever_it_stands(before: bytes, body: bytes, behind: bytes) -> None:
+def test_a_span_is_checked_from_the_running_states(before: bytes, body: bytes, behind: bytes) -> None:
     frame = body + crc_bytes(body)
     states = [0, *running_states(before + frame + behind)]
     check = span_check(len(frame))

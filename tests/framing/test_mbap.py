@@ -1,5 +1,7 @@
 """MBAP: whatever the stream is cut into, the same frames; lengths that can not be break it at once."""
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -57,7 +59,7 @@ def test_any_cut_of_any_stream_gives_the_same_frames(
     receiver = MbapReceiver()
     found = []
     places = sorted({0, *(min(cut, len(stream)) for cut in cuts), len(stream)})
-    for start, end in zip(places, places[1:], strict=False):
+    for start, end in pairwise(places):
         found += receiver.receive(bytearray(stream[start:end]))
     assert found == [frame(*one) for one in sent]
     assert receiver.pending == len(beginning)

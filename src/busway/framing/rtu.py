@@ -22,6 +22,7 @@ gaps; a read that comes late makes it look longer than it was, never shorter tha
 """
 
 from collections.abc import Container
+from functools import cache
 from typing import Final
 
 from ..codes import RTU_ADU_LIMIT
@@ -39,6 +40,8 @@ DEFAULT_GAP_LIMIT: Final = 0.050
 """Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems skip a beat."""
 
 _NEVER: Final = float("-inf")
+IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
+"""Stands for every length that no frame has."""
 _PIECE: Final = RTU_ADU_LIMIT
 _SILENCES_KEPT: Final = 4
 """How many silences inside an undecided chunk a server remembers as places where a frame may have begun."""
@@ -311,9 +314,7 @@ class RtuReceiver:
         return length
 
     def _fits(self, at: int, end: int) -> bool:
-        low, high = _CHECKS[end - at] or _check(end - at)
-        state = self._states[at]
-        return low[state & 0xFF] ^ high[state >> 8] == self._states[end]
+        return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
         """The chunk is longer than a frame: no frame begins where it begins."""
@@ -445,44 +446,37 @@ class RtuReceiver:
     def _search_reply(self, *, at_limit: bool) -> tuple[int, Direction]:
         """As `_search`, for the reply that is due, its exception included."""
         due, buffer, states, size = self.conversation.due, self._buffer, self._states, len(self._buffer)
-        shapes = {} if due is None else self._shapes_of_due(due)
+        if due is None:
+            self._scan = size
+            return _DEAD, Direction.UNKNOWN
+        unit, checks, shape_of_code = due.unit, _checks(), self._shapes_of_due(due).get
         answers = self._lengths.answers[Direction.REPLY]
-        at = size if due is None else self._scan
-        while due is not None and at < size:
-            at = buffer.find(due.unit, at)
-            if at < 0:
-                break
-            if size - at < SHORTEST:
-                end = size + 1
+        for at in range(self._scan, size - SHORTEST + 1):
+            if buffer[at] != unit:
+                continue
+            shape = shape_of_code(buffer[at + 1])
+            if shape is None:
+                continue
+            count_at, around = shape
+            if count_at:
+                end = at + around + buffer[at + count_at] if at + count_at < size else size + 1
+            elif around:
+                end = at + around
             else:
-                shape = shapes.get(buffer[at + 1])
-                if shape is None:
-                    at += 1
+                length = answers.get(buffer[at + 1] << 16 | buffer[at + 2] << 8 | buffer[at + 3])
+                if length == UNKNOWN_LENGTH:
                     continue
-                count_at, around = shape
-                if not around:
-                    length = answers.get(buffer[at + 1] << 16 | buffer[at + 2] << 8 | buffer[at + 3], NEED_MORE)
-                    if length == NEED_MORE:
-                        length = self._length(Direction.REPLY, at, size)
-                    end = size + 1 if length == NEED_MORE else at + length
-                elif not count_at:
-                    end = at + around
-                else:
-                    end = at + around + buffer[at + count_at] if at + count_at < size else size + 1
-            length = end - at
-            if SHORTEST <= length <= RTU_ADU_LIMIT:
-                if end <= size:
-                    low, high = _CHECKS[length] or _check(length)
-                    state = states[at]
-                    if low[state & 0xFF] ^ high[state >> 8] == states[end]:
-                        self._scan = at
-                        return end, Direction.REPLY
-                elif not at_limit:
+                end = at + (self._asked_of_due(at, size) if length is None else min(length, IMPOSSIBLE))
+            if end <= size:
+                low, high = checks[end - at]
+                state = states[at]
+                if low[state & 0xFF] ^ high[state >> 8] == states[end]:
                     self._scan = at
-                    return _WAITS, Direction.REPLY
-            at += 1
-        self._scan = size
-        return _DEAD, Direction.UNKNOWN
+                    return end, Direction.REPLY
+            elif not at_limit and end - at <= RTU_ADU_LIMIT:
+                self._scan = at
+                return _WAITS, Direction.REPLY
+        return self._searched_to_end(at_limit=at_limit)
 
     def _shapes_of_due(self, due: Due) -> dict[int, tuple[int, int]]:
         """The shape of the reply and of its exception, by function code; (0, 0) where the table has to be asked."""
@@ -492,9 +486,17 @@ class RtuReceiver:
             shapes[function] = 0, due.size + AROUND_PDU
         return {code: shape for code, shape in shapes.items() if shape is not None}
 
+    def _asked_of_due(self, at: int, size: int) -> int:
+        """The length of the reply at ``at`` where only the table tells; beyond the buffer while it can not be told."""
+        length = self._length(Direction.REPLY, at, size)
+        if length == NEED_MORE:
+            return size - at + 1
+        return IMPOSSIBLE if length == UNKNOWN_LENGTH else min(length, IMPOSSIBLE)
+
     def _search_any(self, *, at_limit: bool) -> tuple[int, Direction]:
         """As `_search`, for functions whose length one look tells: the others are found by silence alone."""
-        buffer, states, size, shapes = self._buffer, self._states, len(self._buffer), self._lengths.shapes
+        buffer, states, size = self._buffer, self._states, len(self._buffer)
+        shapes, checks = self._lengths.shapes, _checks()
         for at in range(self._scan, size - SHORTEST + 1):
             for count_at, around in shapes[buffer[at + 1]]:
                 if not count_at:
@@ -504,16 +506,19 @@ class RtuReceiver:
                 else:
                     end = size + 1
                 if end <= size:
-                    length = end - at
-                    if length <= RTU_ADU_LIMIT:
-                        low, high = _CHECKS[length] or _check(length)
-                        state = states[at]
-                        if low[state & 0xFF] ^ high[state >> 8] == states[end]:
-                            self._scan = at
-                            return end, self._direction(at, end)
+                    low, high = checks[end - at]
+                    state = states[at]
+                    if low[state & 0xFF] ^ high[state >> 8] == states[end]:
+                        self._scan = at
+                        return end, self._direction(at, end)
                 elif not at_limit and end - at <= RTU_ADU_LIMIT:
                     self._scan = at
                     return _WAITS, Direction.UNKNOWN
+        return self._searched_to_end(at_limit=at_limit)
+
+    def _searched_to_end(self, *, at_limit: bool) -> tuple[int, Direction]:
+        """No place fits; the last bytes, too few to tell, may still begin a frame."""
+        size = len(self._buffer)
         self._scan = max(self._scan, size if at_limit else size - SHORTEST + 1)
         return (_DEAD if self._scan == size else _WAITS), Direction.UNKNOWN
 
@@ -564,11 +569,12 @@ class RtuReceiver:
         return request == 0 or request == self._lengths.replies[code]
 
 
-# The tables of the checks in use, by length: a search asks for them at every byte of a noisy line.
-_CHECKS: Final[list[tuple[list[int], list[int]] | None]] = [None] * (RTU_ADU_LIMIT + 1)
+@cache
+def _checks() -> list[tuple[list[int], list[int]]]:
+    """The tables of `span_check` by length: a search asks for them at every byte of a noisy line.
 
-
-def _check(length: int) -> tuple[list[int], list[int]]:
-    check = span_check(length)
-    tables = _CHECKS[length] = check.low, check.high
-    return tables
+    Lengths that no frame has never fit.
+    """
+    never = [-1] * 256, [0] * 256
+    spans = [span_check(length) for length in range(SHORTEST, RTU_ADU_LIMIT + 1)]
+    return [never] * SHORTEST + [(span.low, span.high) for span in spans] + [never] * RTU_ADU_LIMIT
