@@ -32,6 +32,7 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.ledger import ClientCounters
+from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit
@@ -44,6 +45,7 @@ from .operations import (
     diagnostic_data,
     diagnostic_request,
     read_identification,
+    read_request,
     read_values,
     write_values,
 )
@@ -132,25 +134,25 @@ class AsyncUnit:
 
     @documented_by(Unit.read_coils)
     async def read_coils(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
-        reply = await self.execute(ReadCoils(address, count), **call)
+        reply = await self.execute(read_request(ReadCoils, address, count), **call)
         assert isinstance(reply, ReadCoils.Reply)
         return reply.bits(count)
 
     @documented_by(Unit.read_discrete_inputs)
     async def read_discrete_inputs(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
-        reply = await self.execute(ReadDiscreteInputs(address, count), **call)
+        reply = await self.execute(read_request(ReadDiscreteInputs, address, count), **call)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
         return reply.bits(count)
 
     @documented_by(Unit.read_holding_registers)
     async def read_holding_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self.execute(ReadHoldingRegisters(address, count), **call)
+        reply = await self.execute(read_request(ReadHoldingRegisters, address, count), **call)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
     @documented_by(Unit.read_input_registers)
     async def read_input_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self.execute(ReadInputRegisters(address, count), **call)
+        reply = await self.execute(read_request(ReadInputRegisters, address, count), **call)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
@@ -248,11 +250,21 @@ class AsyncLink:
     one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
-    def __init__(self, settings: LinkSettings, pool: LinkPool, link: Link) -> None:
+    def __init__(self, settings: LinkSettings, *, shared: bool) -> None:
         self._settings = settings
-        self._pool = pool
-        self._link = link
+        self._shared = shared
+        self._pool: LinkPool | None = None
+        self._link: Link | None = None
         self._closed = False
+
+    def _bound(self) -> Link:
+        """The link on the running event loop; taken at the first need, so that a link can be made before the loop."""
+        if self._closed:
+            raise closed_error(self._settings)
+        if self._link is None:
+            self._pool = pool_of_running_loop()
+            self._link = self._pool.acquire(self._settings, shared=self._shared)
+        return self._link
 
     @property
     @documented_by(BlockingLink.endpoint)
@@ -262,17 +274,17 @@ class AsyncLink:
     @property
     @documented_by(BlockingLink.is_connected)
     def is_connected(self) -> bool:
-        return self._link.is_connected
+        return self._link is not None and self._link.is_connected
 
     @property
     @documented_by(BlockingLink.state)
     def state(self) -> str:
-        return self._link.reconnect.state.value
+        return ConnectionState.DOWN.value if self._link is None else self._link.reconnect.state.value
 
     @property
     @documented_by(BlockingLink.counters)
     def counters(self) -> ClientCounters:
-        return self._link.session.counters
+        return ClientCounters() if self._link is None else self._link.session.counters
 
     @documented_by(BlockingLink.unit)
     def unit(self, number: int | None = None) -> AsyncUnit:
@@ -280,15 +292,17 @@ class AsyncLink:
 
     @documented_by(BlockingLink.connect)
     async def connect(self) -> None:
-        await self._link.connect()
+        await self._bound().connect()
 
     @documented_by(BlockingLink.close)
     async def close(self) -> None:
         if not self._closed:
             self._closed = True
-            await self._pool.release(self._settings, self._link)
+            if self._pool is not None and self._link is not None:
+                await self._pool.release(self._settings, self._link)
 
     async def __aenter__(self) -> Self:
+        self._bound()
         return self
 
     async def __aexit__(
@@ -298,25 +312,24 @@ class AsyncLink:
 
     @documented_by(BlockingLink.run)
     async def run(self, unit: int, requests: Sequence[Request], call: CallOptions) -> list[Any]:
-        if self._closed:
-            raise closed_error(self._settings)
         link = self._link
-        demand = demand_for(
-            unit,
-            requests,
-            self._settings.parameters,
-            call,
-            caller=asyncio.current_task(),
-            now=link.now(),
-        )
-        await link.run(demand)
+        if link is None or self._closed:
+            link = self._bound()
+        now = link.now()
+        demand = demand_for(unit, requests, self._settings.parameters, call, now=now)
+        future = link.start(demand, now)
+        try:
+            await future
+        except asyncio.CancelledError:
+            link.give_up(demand)
+            raise
         return demand.outcomes
 
 
 def open_link(url: str | Endpoint, *, shared: bool = True, **options: Any) -> AsyncLink:
     """A link for asyncio programs: ``async with busway.open("tcp://10.0.0.5") as link: …``.
 
-    It must be called on a running event loop. Nothing is sent before the first request.
+    Nothing is sent, and no connection made, before the first request; the event loop that runs then is the link's.
 
     Args:
         url: the endpoint; options behind ``?`` are those below.
@@ -327,6 +340,4 @@ def open_link(url: str | Endpoint, *, shared: bool = True, **options: Any) -> As
     Raises:
         ConfigError: the URL or an option can not be, or the endpoint is open with other settings of the connection.
     """
-    settings = link_settings(url, options)
-    pool = pool_of_running_loop()
-    return AsyncLink(settings, pool, pool.acquire(settings, shared=shared))
+    return AsyncLink(link_settings(url, options), shared=shared)

@@ -43,6 +43,7 @@ from .operations import (
     diagnostic_data,
     diagnostic_request,
     read_identification,
+    read_request,
     read_values,
     write_values,
 )
@@ -174,7 +175,7 @@ class Unit:
             count: number of coils, 1…2000.
             call: `CallOptions`.
         """
-        reply = self.execute(ReadCoils(address, count), **call)
+        reply = self.execute(read_request(ReadCoils, address, count), **call)
         assert isinstance(reply, ReadCoils.Reply)
         return reply.bits(count)
 
@@ -186,7 +187,7 @@ class Unit:
             count: number of inputs, 1…2000.
             call: `CallOptions`.
         """
-        reply = self.execute(ReadDiscreteInputs(address, count), **call)
+        reply = self.execute(read_request(ReadDiscreteInputs, address, count), **call)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
         return reply.bits(count)
 
@@ -198,7 +199,7 @@ class Unit:
             count: number of registers, 1…125.
             call: `CallOptions`.
         """
-        reply = self.execute(ReadHoldingRegisters(address, count), **call)
+        reply = self.execute(read_request(ReadHoldingRegisters, address, count), **call)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
@@ -210,7 +211,7 @@ class Unit:
             count: number of registers, 1…125.
             call: `CallOptions`.
         """
-        reply = self.execute(ReadInputRegisters(address, count), **call)
+        reply = self.execute(read_request(ReadInputRegisters, address, count), **call)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 

@@ -80,10 +80,10 @@ def demand_for(
     defaults: ClientParameters,
     call: CallOptions,
     *,
-    caller: object,
     now: float,
+    caller: object = None,
 ) -> Demand:
-    """The demand of one call."""
+    """The demand of one call; ``caller`` may be named later, when it has to queue."""
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries

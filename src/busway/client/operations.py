@@ -4,7 +4,8 @@ Knows which requests an operation needs and what its result is made of; knows no
 operation is a generator that yields requests (one, or several to send together) and is sent their replies.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from functools import lru_cache
 from typing import Any, Literal, TypedDict
 
 from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
@@ -25,6 +26,13 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..values import Address, ValueType, parse_address, value_type
+
+
+@lru_cache(maxsize=4096, typed=True)
+def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
+    """A read of a range; the same object for the same range, so a poller encodes each of its requests once."""
+    return kind(address, count)
+
 
 Operation = Generator[Sequence[Request], Sequence[Message], Any]
 WriteFunction = Literal["auto", "single", "multiple"]

@@ -67,5 +67,7 @@ def pool_of_running_loop() -> LinkPool:
     try:
         loop = asyncio.get_running_loop()
     except RuntimeError:
-        raise ConfigError("busway.open needs a running event loop; busway.connect is for blocking programs") from None
+        raise ConfigError(
+            "a link of busway.open is used in coroutines; busway.connect is for blocking programs"
+        ) from None
     return _pools.setdefault(loop, LinkPool())

@@ -168,9 +168,13 @@ class ReadFifoQueue(Request):
         return self.Reply(len(data) // 2, data)
 
 
+_REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_READ_REGISTERS + 2))
+"""Unpackers by number of registers; a record of a file may have one register more than a read."""
+
+
 def unpack_registers(data: bytes) -> list[int]:
     """Big-endian registers as numbers 0…65535."""
-    return list(struct.unpack(f">{len(data) >> 1}H", data))
+    return list(_REGISTERS[len(data) >> 1](data))
 
 
 def _read(model: DataModel, table: Table, address: int, count: int, context: Context) -> bytes:

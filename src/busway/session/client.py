@@ -19,7 +19,7 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
-from ..pdu.general import ExceptionResponse
+from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from .demand import Demand
@@ -135,7 +135,7 @@ class TcpClientSession:
         self._buffer = StreamBuffer()
         self._expired.clear()
         self._timeouts_in_row = self._foreign_in_row = 0
-        self._not_before = now + self.parameters.connect_delay
+        self._not_before = now + self.parameters.connect_delay if self.parameters.connect_delay else 0.0
         self.recycle = ""
         self.valid_reply = False
         self.counters.connections += 1
@@ -171,6 +171,7 @@ class TcpClientSession:
             return out
         if now < self._not_before:
             return out
+        self._not_before = 0.0
         gap = self.parameters.request_gap
         while self._free and (demand := queue.pick()) is not None:
             self._send(demand, now, out, at_most=len(self._free) if queue.sole_caller and not gap else 1)
@@ -180,34 +181,48 @@ class TcpClientSession:
                 break
         return out
 
+    def send_now(self, demand: Demand, now: float) -> bytes | None:
+        """The ADU of a demand of one request, if nothing waits and it may go at once; None: `submit` it."""
+        if (
+            self._queue.size
+            or not self._free
+            or not self._connected
+            or now < self._not_before
+            or self.recycle
+            or self._buffer.kept
+            or len(demand.requests) > 1
+        ):
+            return None
+        self._ledger.begin(demand, now)
+        self.counters.requests += 1
+        demand.next = 1
+        return self._launch(demand, 0, now, now + demand.timeout)
+
+    def _launch(self, demand: Demand, position: int, now: float, expires: float) -> bytes:
+        """Put one request in flight; its ADU."""
+        request = demand.requests[position]
+        try:
+            wire = request.wire
+        except AttributeError:
+            wire = request.prepare()
+        transaction = self._transaction + 1 & 0xFFFF
+        while transaction in self._pending or transaction in self._expired:
+            transaction = transaction + 1 & 0xFFFF
+        self._transaction = transaction
+        flight = self._free.pop()
+        flight.demand = demand
+        flight.request = request
+        flight.position = position
+        flight.unit = demand.unit
+        flight.sent = now
+        flight.expires = expires
+        self._pending[transaction] = flight
+        return _pack(transaction, 0, len(wire) + 1, demand.unit) + wire
+
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
-        adus: list[bytes] = []
-        free, pending, expired = self._free, self._pending, self._expired
-        transaction = self._transaction
         expires = now + demand.timeout
-        unit = demand.unit
-        requests = demand.requests
-        # 0.8 µs per request; the loop is spelt out because a call per request would cost a quarter more.
-        for position in demand.take(at_most):
-            request = requests[position]
-            try:
-                wire = request.wire
-            except AttributeError:
-                wire = request.prepare()
-            transaction = transaction + 1 & 0xFFFF
-            while transaction in pending or transaction in expired:
-                transaction = transaction + 1 & 0xFFFF
-            flight = free.pop()
-            flight.demand = demand
-            flight.request = request
-            flight.position = position
-            flight.unit = unit
-            flight.sent = now
-            flight.expires = expires
-            pending[transaction] = flight
-            adus.append(_pack(transaction, 0, len(wire) + 1, unit) + wire)
-        self._transaction = transaction
+        adus = [self._launch(demand, position, now, expires) for position in demand.take(at_most)]
         self.counters.requests += len(adus)
         if len(adus) == 1 or self.parameters.single_adu_segments:
             out += adus
@@ -289,6 +304,8 @@ class TcpClientSession:
                 del self._pending[transaction]
                 self._release(flight)
                 self._timed_out(transaction, flight, now, over=over)
+        if now >= self._not_before:
+            self._not_before = 0.0  # else a link that may not send for another reason would be woken again and again
         if self._ledger.deadlines:
             in_flight = {(id(one.demand), one.position) for one in self._pending.values()}
             self._ledger.expire_queue(now, in_flight)
@@ -300,7 +317,7 @@ class TcpClientSession:
         if flight.demand is not None:
             self.counters.timeouts += 1
             self._timeouts_in_row += 1
-            self._failed(flight, flight.demand, self._no_reply(flight, partial), now, again=not over)
+            self._failed(flight, flight.demand, self._no_reply(flight, partial, now, over=over), now, again=not over)
         if partial:
             self._recycle("a frame began and did not end within the timeout")
         elif self._tolerant:
@@ -308,8 +325,12 @@ class TcpClientSession:
         elif self._timeouts_in_row >= self.parameters.recycle_after_timeouts:
             self._recycle(f"{self._timeouts_in_row} timeouts in a row")
 
-    def _no_reply(self, flight: _Flight, partial: bytes) -> NoReply:
+    def _no_reply(self, flight: _Flight, partial: bytes, now: float, *, over: bool) -> NoReply:
         timeout = flight.expires - flight.sent
+        if over and now < flight.expires:
+            return NoReply(
+                "no answer before the deadline of the call", kind="partial" if partial else "nothing", raw=partial
+            )
         if partial:
             return NoReply(f"only a part of a reply came within {timeout:g} s", kind="partial", raw=partial)
         if self.observed_delay is not None:
@@ -332,6 +353,7 @@ class TcpClientSession:
                 self.counters.late_replies += 1
                 self.observed_delay = now - sent
                 self._timeouts_in_row = 0
+                self._start_gap(now)
                 return
             flight = self._tolerated(transaction, protocol, unit, adu)
             if flight is None:
@@ -351,7 +373,7 @@ class TcpClientSession:
         if protocol:
             self.counters.foreign_protocol += 1
             reason = f"protocol identifier {protocol} where 0 is Modbus"
-        elif unit != flight.unit and flight.unit not in (0, TCP_DEVICE_UNIT) and not self._unit_tolerated():
+        elif not self._unit_fits(flight, unit, alone=not self._pending):
             reason = f"unit {unit} answered where {flight.unit} was asked"
         elif pdu[0] & 0x7F != function:
             reason = f"function {pdu[0]} answers function {function}"
@@ -363,14 +385,13 @@ class TcpClientSession:
                 reason = error.reason
         self.counters.bad_replies += 1
         self._timeouts_in_row = 0
+        self._start_gap(now)
         self._failed(flight, demand, BadReply(reason, raw=adu), now, again=False)
 
     def _accept(self, flight: _Flight, demand: Demand, pdu: bytes, now: float) -> None:
         """Take a reply or an exception that belongs to ``flight``. Raises `MalformedPdu` where it is broken."""
         if pdu[0] & 0x80:
-            # 43/14 may be refused with AB 0E cc, the form that the figure of its section prints.
-            short = pdu[:1] + pdu[2:] if pdu[0] == 0xAB and len(pdu) == 3 else pdu
-            code = ExceptionResponse.decode(short).exception
+            code = decode_exception(pdu).exception
             self.counters.exceptions += 1
             self._answered(0, now)
             error = ExceptionReply(code, raw=pdu)
@@ -386,12 +407,13 @@ class TcpClientSession:
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> _Flight | None:
         """The one request in flight, if a reply with a foreign transaction may be taken for its answer."""
         policy = self.parameters.transaction_policy
-        if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol:
+        if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
+            # Where the connection is to be made anew after a timeout, it may be the late reply of that one.
             return None
         flight = next(iter(self._pending.values()))
         if policy is MismatchPolicy.AUTOMATIC and (
             flight.demand is None
-            or (unit != flight.unit and flight.unit not in (0, TCP_DEVICE_UNIT) and not self._unit_tolerated())
+            or not self._unit_fits(flight, unit, alone=True)
             or not self._fits(flight.request, adu[7:])
         ):
             return None
@@ -399,20 +421,21 @@ class TcpClientSession:
         return flight
 
     def _fits(self, request: Request, pdu: bytes) -> bool:
-        if pdu[0] == request.wire[0] | 0x80:
-            return len(pdu) == 2
         try:
-            request.accept(pdu)
+            if pdu[0] == request.wire[0] | 0x80:
+                decode_exception(pdu)
+            else:
+                request.accept(pdu)
         except MalformedPdu:
             return False
         return True
 
-    def _unit_tolerated(self) -> bool:
-        policy = self.parameters.unit_policy
-        if policy is MismatchPolicy.IGNORE or (policy is MismatchPolicy.AUTOMATIC and not self._pending):
-            # Called when the flight in question has been taken out, or is the only one.
+    def _unit_fits(self, flight: _Flight, unit: int, *, alone: bool) -> bool:
+        """Whether ``unit`` may answer; ``alone`` says that nothing else is in flight."""
+        if unit == flight.unit or flight.unit in (0, TCP_DEVICE_UNIT):
             return True
-        return policy is MismatchPolicy.AUTOMATIC and len(self._pending) == 1
+        policy = self.parameters.unit_policy
+        return policy is MismatchPolicy.IGNORE or (policy is MismatchPolicy.AUTOMATIC and alone)
 
     @property
     def _tolerant(self) -> bool:
@@ -443,6 +466,10 @@ class TcpClientSession:
         self.counters.replies += good
         self._timeouts_in_row = self._foreign_in_row = 0
         self.valid_reply = True
+        self._start_gap(now)
+
+    def _start_gap(self, now: float) -> None:
+        """The device has just spoken: it wants ``request_gap`` before the next request."""
         if self.parameters.request_gap:
             self._not_before = now + self.parameters.request_gap
 

@@ -3,13 +3,17 @@
 Knows its own progress; knows no connection and no bytes (Messaging on TCP/IP V1.0b §4.4.1: "user application demand").
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from ..errors import ModbusError
 from ..pdu.message import Message, Request
 
 Outcome = Message | ModbusError
+
+
+_NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 
 
 class Demand:
@@ -76,8 +80,9 @@ class Demand:
         self.outcomes: list[Outcome | None] = [None] * len(requests)
         self.open = len(requests)
         self.next = 0
-        self.again: list[int] = []
-        self.attempts: dict[int, int] = {}
+        # Empty until something is repeated; the shared empty values save two allocations per call.
+        self.again: Sequence[int] = ()
+        self.attempts: Mapping[int, int] = _NO_ATTEMPTS
         self.submitted = 0.0
         self.ended = False
 
@@ -89,12 +94,16 @@ class Demand:
     def take(self, at_most: int) -> Sequence[int]:
         """Positions of the next requests to send, ``at_most`` of them: first what is repeated, then what is new."""
         if self.again:
-            taken = self.again[:at_most]
-            del self.again[:at_most]
+            taken, self.again = self.again[:at_most], self.again[at_most:]
             return taken
         first = self.next
         self.next = min(first + at_most, len(self.requests))
         return range(first, self.next)
+
+    def repeat(self, position: int) -> None:
+        """Let a request be sent once more."""
+        self.attempts = {**self.attempts, position: self.attempts.get(position, 1) + 1}
+        self.again = (*self.again, position)
 
     @property
     def error(self) -> ModbusError | None:

@@ -64,13 +64,17 @@ class Ledger:
 
     def submit(self, demand: Demand, now: float) -> None:
         """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
-        demand.submitted = now
         try:
             self.queue.add(demand)
         except Overloaded as error:
             self.counters.overloaded += 1
             error.at(endpoint=self.endpoint or None, unit=demand.unit)
             raise
+        self.begin(demand, now)
+
+    def begin(self, demand: Demand, now: float) -> None:
+        """Take a demand that needs no place in the queue."""
+        demand.submitted = now
         if demand.deadline is not None:
             self.deadlines += 1
 
@@ -87,9 +91,9 @@ class Ledger:
             self.queue.remove(demand)
             for position, outcome in enumerate(demand.outcomes):
                 if outcome is None:
-                    copy = LinkDown(error.message)
+                    copy = LinkDown(error.message, sent=position in demand.attempts)
                     copy.__cause__ = error.__cause__
-                    self.conclude(demand, position, self.placed(copy, demand, position, now))
+                    self._given_up(demand, position, copy, now)
 
     def next_deadline(self) -> float | None:
         """The nearest deadline of what waits in the queue."""
@@ -113,7 +117,16 @@ class Ledger:
                         if tried
                         else "the deadline passed in the queue; nothing was sent"
                     )
-                    self.conclude(demand, position, self.placed(error, demand, position, now))
+                    self._given_up(demand, position, error, now)
+
+    def _given_up(self, demand: Demand, position: int, error: ModbusError, now: float) -> None:
+        """A request ends while it waits: as if never asked, unless it waits to be repeated and is a write."""
+        if position in demand.attempts:
+            error.attempt = demand.attempts[position] - 1  # the one after it was never begun
+        if error.attempt and demand.requests[position].is_write:
+            self._unknown(demand, position, error, now)
+        else:
+            self.conclude(demand, position, self.placed(error, demand, position, now))
 
     def failed(self, demand: Demand, position: int, error: ModbusError, now: float, *, again: bool) -> None:
         """A request that was sent got no valid answer: repeat it, or end it with the error that is true."""
@@ -122,20 +135,24 @@ class Ledger:
         guarded = request.is_write and not demand.idempotent
         retries = self.parameters.write_retries if guarded else demand.retries
         if again and attempt <= retries and not demand.ended:
-            demand.attempts[position] = attempt + 1
-            demand.again.append(position)
+            demand.repeat(position)
             self.counters.retries += 1
             self.queue.add_again(demand)
             return
         error.attempt = attempt
-        self.placed(error, demand, position, now)
         if request.is_write:
-            unknown = WriteOutcomeUnknown(
-                "the write was sent and may have been executed; no valid answer came", attempt=attempt, raw=error.raw
-            )
-            unknown.__cause__ = error
-            error = self.placed(unknown, demand, position, now)
-        self.conclude(demand, position, error)
+            self._unknown(demand, position, error, now)
+        else:
+            self.conclude(demand, position, self.placed(error, demand, position, now))
+
+    def _unknown(self, demand: Demand, position: int, error: ModbusError, now: float) -> None:
+        unknown = WriteOutcomeUnknown(
+            "the write was sent and may have been executed; no valid answer came",
+            attempt=error.attempt,
+            raw=error.raw,
+        )
+        unknown.__cause__ = self.placed(error, demand, position, now)
+        self.conclude(demand, position, self.placed(unknown, demand, position, now))
 
     def placed(self, error: ModbusError, demand: Demand, position: int, now: float) -> ModbusError:
         """Say where and when of an error."""
