@@ -111,7 +111,9 @@ def unit_at(request: pytest.FixtureRequest) -> Iterator[Callable[[str], Unit]]:
 @pytest.fixture(scope="module")
 def our_url() -> Iterator[str]:
     """Our server with a device of the known content; the URL at which it answers."""
-    device = busway.Device(**foreign.CONTENT, identification=foreign.IDENTITY)
+    device = busway.Device(
+        **foreign.CONTENT, identification=foreign.IDENTITY, files={4: {7: [0, 0, 0]}}, fifos={40: [440, 4740]}
+    )
     with busway.serve_in_thread("tcp://127.0.0.1:0", units={UNIT: device}) as server:
         yield server.endpoints[0]
 

@@ -54,7 +54,7 @@ def test_the_event_log_is_empty(unit: Any) -> None:
 
 
 def test_the_server_tells_its_name_and_that_it_runs(unit: Any) -> None:
-    assert bytes(unit.report_server_id().data) == b"Acme-PX-1-2.5\xff"
+    assert unit.report_server_id() == b"Acme-PX-1-2.5\xff"
 
 
 def test_file_records_are_registers(unit: Any) -> None:

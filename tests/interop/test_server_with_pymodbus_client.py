@@ -67,7 +67,7 @@ def test_the_event_log_has_the_event_count_of_the_counter(pymodbus_client: forei
 def test_the_server_id_is_the_same_for_both(pymodbus_client: foreign.Program, unit: Any) -> None:
     answer = pymodbus_client.ask("report_server_id")
     seen = bytes.fromhex(answer["identifier"]) + (b"\xff" if answer["running"] else b"\x00")
-    assert seen == bytes(unit.report_server_id().data)
+    assert seen == unit.report_server_id()
 
 
 def test_file_records_are_written_and_read(pymodbus_client: foreign.Program, unit: Any) -> None:
