@@ -1,0 +1,59 @@
+"""The reference says what the code says: defaults, errors, exception codes, endpoints, types, orders."""
+
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from busway import errors
+from busway.codes import EXCEPTION_MEANING
+from busway.config.endpoints import SCHEMES
+from busway.values import ORDERS, TYPE_NAMES
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = ROOT / "docs" / "reference"
+
+
+def page(name: str) -> str:
+    return (REFERENCE / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.clause("T19")
+def test_the_defaults_are_those_of_the_parameter_classes_and_the_guides_keepalive_stands_beside_ours() -> None:
+    done = subprocess.run(
+        [sys.executable, "scripts/defaults_table.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    text = page("defaults.md")
+    assert "| idle time before the first probe | 2 hours | 60 s |" in text
+    assert "| time between probes | 75 s | 10 s |" in text
+    assert "| probes that may be lost | 8 | 3 |" in text
+
+
+def test_every_error_is_listed() -> None:
+    names = [name for name, one in inspect.getmembers(errors, inspect.isclass) if issubclass(one, errors.ModbusError)]
+    assert len(names) > 5
+    text = page("errors.md")
+    assert [name for name in names if f"`{name}`" not in text and name != "ModbusError"] == []
+
+
+def test_every_exception_code_is_listed_with_the_first_word_of_its_meaning() -> None:
+    text = page("errors.md")
+    for code, meaning in EXCEPTION_MEANING.items():
+        assert f"| {code:02X} | {meaning.split()[0]} " in text
+
+
+def test_every_scheme_is_listed_with_its_port() -> None:
+    text = page("endpoints.md")
+    for name, scheme in SCHEMES.items():
+        (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}://")]
+        if scheme.default_port is not None:
+            assert f"| {scheme.default_port} |" in row
+
+
+def test_every_type_and_order_is_listed() -> None:
+    text = page("values-and-addresses.md")
+    assert [name for name in TYPE_NAMES if f"`{name}`" not in text] == []
+    assert [order for orders in ORDERS.values() for order in orders if f"`{order}`" not in text] == []
