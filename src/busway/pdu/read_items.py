@@ -169,12 +169,15 @@ class ReadFifoQueue(Request):
 
 
 _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_READ_REGISTERS + 2))
-"""Unpackers by number of registers; a record of a file may have one register more than a read."""
+"""Unpackers by number of registers, as many as a reply has; a device also unpacks whole tables."""
 
 
 def unpack_registers(data: bytes) -> list[int]:
     """Big-endian registers as numbers 0…65535."""
-    return list(_REGISTERS[len(data) >> 1](data))
+    count = len(data) >> 1
+    if count < len(_REGISTERS):
+        return list(_REGISTERS[count](data))
+    return list(struct.unpack(f">{count}H", data))
 
 
 def _read(model: DataModel, table: Table, address: int, count: int, context: Context) -> bytes:
