@@ -42,7 +42,7 @@ def test_every_error_is_listed() -> None:
 def test_every_exception_code_is_listed_with_the_first_word_of_its_meaning() -> None:
     text = page("errors.md")
     for code, meaning in EXCEPTION_MEANING.items():
-        assert f"| {code:02X} | {meaning.split()[0]} " in text
+        assert f"| {code:02X} | {meaning.split()[0].rstrip(':')} " in text
 
 
 def test_every_scheme_is_listed_with_its_port() -> None:
