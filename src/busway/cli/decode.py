@@ -1,0 +1,137 @@
+"""``busway decode``: frames as they stand in a log or a manual, explained field by field.
+
+1. Each argument is a frame; bytes that the shell has split (``01 03 00 6b …``) are joined to one.
+2. Frames that follow each other are one conversation: a reply is compared with the request before it.
+3. A frame that is wrong is explained as far as it goes; the exit code is then 6.
+"""
+
+import re
+import sys
+from collections.abc import Iterable
+
+import typer
+
+from ..errors import ConfigError
+from ..observe.dissect import Direction, Dissection, Dissector, Framing
+from .arguments import JSON
+from .exits import ExitCode
+from .output import print_json
+
+EXAMPLES = """\b
+Examples:
+  busway decode 000100000006ff03006b0003
+  busway decode 01 03 00 6b 00 03 74 17
+  busway decode 03006b0003 0306022b00000064
+  busway decode ':0103006B00038E'
+  grep RX plant.log | cut -d' ' -f4- | busway decode -
+
+Spaces, commas, 0x, \\x and colons between bytes do not matter. - reads one frame per line
+from standard input.
+"""
+
+_BYTES_PER_LINE = 16
+_ASCII_FRAME = re.compile(r":[^:]+", re.DOTALL)
+_SEPARATORS = re.compile(r"0[xX]|\\x|[\s,;:\-_\[\]()']+")
+
+
+def decode(
+    frames: list[str] = typer.Argument(
+        ..., metavar="HEX...", help="Frames in hexadecimal, or ASCII frames with colon."
+    ),
+    framing: str | None = typer.Option(None, "--framing", metavar="NAME", help="mbap, rtu, ascii or pdu, if known."),
+    direction: str | None = typer.Option(None, "--direction", metavar="NAME", help="request or reply, if known."),
+    as_json: bool = JSON,
+) -> int:
+    """Explain frames, field by field."""
+    dissector = Dissector(
+        framing=None if framing is None else Framing(_one_of(framing, "--framing", [each.value for each in Framing])),
+        direction=None if direction is None else Direction(_one_of(direction, "--direction", ["request", "reply"])),
+    )
+    code = ExitCode.DONE
+    if frames == ["-"]:
+        # A long log is decoded as it comes.
+        all_bytes: Iterable[bytes] = (_bytes_of(line.strip()) for line in sys.stdin if line.strip())
+    else:
+        all_bytes = [_bytes_of(text) for text in _joined(frames)]
+    is_first = True
+    for data in all_bytes:
+        for dissection in dissector.dissect(data):
+            if dissection.problems:
+                code = ExitCode.BROKEN
+            if as_json:
+                print_json(_as_json(dissection))
+            else:
+                _show(dissection, is_first=is_first)
+                is_first = False
+    return code
+
+
+def _one_of(text: str, name: str, allowed: list[str]) -> str:
+    if text not in allowed:
+        raise ConfigError(f"one of {', '.join(allowed)} is needed, not {text!r}", key=name)
+    return text
+
+
+def _joined(texts: list[str]) -> list[str]:
+    """The frames; single bytes are one frame that the shell has split."""
+    if len(texts) > 1 and all(len(text.removeprefix("0x").strip(",")) <= 2 for text in texts):
+        return [" ".join(texts)]
+    return texts
+
+
+def _bytes_of(text: str) -> bytes:
+    """The bytes of a frame; those of an ASCII frame are its characters."""
+    if _ASCII_FRAME.fullmatch(text) and not text[1:].isspace():
+        return text.replace("\\r", "\r").replace("\\n", "\n").encode("ascii", errors="replace")
+    digits = _SEPARATORS.sub("", text)
+    wrong = next((each for each in digits if each not in "0123456789abcdefABCDEF"), None)
+    if wrong is not None:
+        raise ConfigError(f"{wrong!r} is no hexadecimal digit", key=_cut(text))
+    if not digits:
+        raise ConfigError("there are no bytes", key=repr(text))
+    if len(digits) % 2:
+        raise ConfigError(f"{len(digits)} hexadecimal digits are no whole number of bytes", key=_cut(text))
+    return bytes.fromhex(digits)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:40]}…"
+
+
+def _show(dissection: Dissection, *, is_first: bool) -> None:
+    if not is_first:
+        print()
+    print(dissection.title + (", answers the request before it" if dissection.answers else ""))
+    names = max((len(part.name) for part in dissection.parts), default=0)
+    widest = max((min(len(part.data), _BYTES_PER_LINE) for part in dissection.parts), default=0)
+    for part in dissection.parts:
+        chunks = [part.data[at : at + _BYTES_PER_LINE] for at in range(0, len(part.data), _BYTES_PER_LINE)] or [b""]
+        said = "  ".join(each for each in (part.text, f"! {part.problem}" if part.problem else "") if each)
+        line = f"  {part.offset:3}  {chunks[0].hex(' '):{3 * widest}} {part.name:{names}}  {said}"
+        print(line.rstrip())
+        for number, chunk in enumerate(chunks[1:], start=1):
+            print(f"  {part.offset + number * _BYTES_PER_LINE:3}  {chunk.hex(' ')}")
+    said_already = {f"{part.name}: {part.problem}" for part in dissection.parts}
+    for problem in dissection.problems:
+        if problem not in said_already:
+            print(f"  ! {problem}")
+
+
+def _as_json(dissection: Dissection) -> dict[str, object]:
+    return {
+        "framing": dissection.framing.value,
+        "direction": dissection.direction.value,
+        "title": dissection.title,
+        "answers": dissection.answers,
+        "fields": [
+            {
+                "offset": part.offset,
+                "bytes": part.data.hex(),
+                "name": part.name,
+                "value": part.text,
+                "problem": part.problem,
+            }
+            for part in dissection.parts
+        ],
+        "problems": list(dissection.problems),
+    }

@@ -1,0 +1,330 @@
+"""A frame that somebody found → what it is: framing, direction and every field, also of a frame that is broken.
+
+Knows the shapes of the framings and the describer of PDUs; knows no connection. Nothing raises, whatever the bytes are.
+
+1. Framing: what proves itself goes first (MBAP by its protocol and length, RTU by its CRC, ASCII by its colon), then a
+   PDU that is right by itself, then the likeliest broken frame.
+2. Direction: a frame is a reply if it answers the request before it; else what its length and limits allow. Some
+   requests and replies are alike (05, 06, 08, 22); that is said.
+3. The parts of a dissection hold all bytes, in their order.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
+
+from ..codes import ASCII_ADU_LIMIT, PDU_LIMIT, RTU_ADU_LIMIT
+from ..framing.crc import crc16, crc_bytes
+from ..framing.lrc import lrc
+from ..framing.mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH, impossible_length
+from ..pdu.describe import Description, Part, describe_reply, describe_request
+from ..pdu.functions import STANDARD, FunctionTable
+from ..pdu.malformed import MalformedPdu
+from ..pdu.message import Request
+
+
+class Framing(Enum):
+    """What surrounds a PDU."""
+
+    MBAP = "mbap"
+    RTU = "rtu"
+    ASCII = "ascii"
+    PDU = "pdu"
+
+
+class Direction(Enum):
+    """Who sent it."""
+
+    REQUEST = "request"
+    REPLY = "reply"
+    EITHER = "request or reply"
+
+
+@dataclass(frozen=True, slots=True)
+class Dissection:
+    """One frame.
+
+    Attributes:
+        framing: what surrounds the PDU.
+        direction: who sent it.
+        title: framing, addressing, function and direction in words.
+        parts: all fields; offsets count from the first byte (of ASCII: character) of the frame.
+        problems: what is wrong, one sentence each; empty if nothing is.
+        answers: whether it answers the request that was dissected before it.
+    """
+
+    framing: Framing
+    direction: Direction
+    title: str
+    parts: tuple[Part, ...]
+    problems: tuple[str, ...]
+    answers: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """A frame cut into what surrounds the PDU, and the PDU."""
+
+    framing: Framing
+    pdu: bytes
+    head: tuple[Part, ...] = ()
+    tail: tuple[Part, ...] = ()
+    unit: int | None = None
+    transaction: int | None = None
+    pdu_at: int = 0
+    characters: int = 1
+    """Places that a byte takes in the frame: two in ASCII."""
+    rest: bytes = b""
+    """What follows this frame."""
+
+    @property
+    def title(self) -> str:
+        """Framing and addressing."""
+        words = {Framing.MBAP: "MBAP", Framing.RTU: "RTU", Framing.ASCII: "ASCII", Framing.PDU: "PDU"}[self.framing]
+        if self.transaction is not None:
+            words += f", transaction {self.transaction}"
+        return words if self.unit is None else f"{words}, unit {self.unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The last request, until it is answered."""
+
+    request: Request
+    unit: int | None
+    transaction: int | None
+
+
+_HEX: Final = frozenset(b"0123456789ABCDEFabcdef")
+
+
+class Dissector:
+    """Takes frames apart, one after the other, and remembers the last request.
+
+    Args:
+        functions: the table of functions.
+        framing: the framing of all frames; None to find it out for each.
+        direction: the direction of all frames; None to find it out.
+    """
+
+    def __init__(
+        self,
+        functions: FunctionTable = STANDARD,
+        *,
+        framing: Framing | None = None,
+        direction: Direction | None = None,
+    ) -> None:
+        self._functions = functions
+        self._framing = framing
+        self._direction = direction
+        self._asked: _Asked | None = None
+
+    def dissect(self, data: bytes) -> list[Dissection]:
+        """The frames in ``data``: one, or several MBAP frames that follow each other."""
+        found = []
+        rest = data
+        while True:
+            frame = self._frame(rest)
+            found.append(self._dissected(frame))
+            rest = frame.rest
+            if not rest:
+                return found
+
+    # Framing.
+
+    def _frame(self, data: bytes) -> _Frame:
+        if self._framing is not None:
+            return _CUTTERS[self._framing](data)
+        if data.startswith(b":"):
+            return _cut_ascii(data)
+        if _is_mbap(data):
+            return _cut_mbap(data)
+        if len(data) >= 4 and crc16(data) == 0:
+            return _cut_rtu(data)
+        candidates = (
+            (data[2:4] == b"\x00\x00" and len(data) > HEADER_SIZE, _cut_mbap),
+            (True, _cut_pdu),
+            (len(data) >= 4, _cut_rtu),
+        )
+        frames = [cut(data) for possible, cut in candidates if possible]
+        for frame in frames:
+            if self._is_right(frame.pdu):
+                return frame
+        return next(
+            (frame for frame in frames if self._knows(frame.pdu)), frames[-1] if len(data) < 4 else _cut_pdu(data)
+        )
+
+    def _is_right(self, pdu: bytes) -> bool:
+        """Whether the PDU is one of a known function, in one of the directions."""
+        both = (describe_request(pdu, self._functions), describe_reply(pdu, self._functions))
+        return self._knows(pdu) and any(not one.problems for one in both)
+
+    def _knows(self, pdu: bytes) -> bool:
+        return bool(pdu) and pdu[0] & 0x7F in self._functions
+
+    # Direction.
+
+    def _dissected(self, frame: _Frame) -> Dissection:
+        direction, description, answers, mismatch = self._directed(frame)
+        if direction is Direction.REPLY:
+            self._asked = None if answers else self._asked
+        elif isinstance(description.message, Request):
+            self._asked = _Asked(description.message, frame.unit, frame.transaction)
+        inner = [replace(part, offset=frame.pdu_at + part.offset * frame.characters) for part in description.parts]
+        around = [f"{part.name}: {part.problem}" for part in (*frame.head, *frame.tail) if part.problem]
+        title = f"{frame.title}: {description.title}"
+        if direction is Direction.EITHER:
+            title += " or its reply, which is alike"
+        return Dissection(
+            frame.framing,
+            direction,
+            title,
+            (*frame.head, *inner, *frame.tail),
+            (*around, *description.problems, *mismatch),
+            answers,
+        )
+
+    def _directed(self, frame: _Frame) -> tuple[Direction, Description, bool, tuple[str, ...]]:
+        """Direction, description, whether it answers the request before it, and what does not fit that request."""
+        asked = self._asked
+        due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.request.code
+        as_request = describe_request(frame.pdu, self._functions)
+        as_reply = describe_reply(frame.pdu, self._functions, request=asked.request if asked and due else None)
+        direction = self._direction or _likelier(as_request, as_reply, frame.pdu, due=due)
+        if direction is Direction.REQUEST:
+            return direction, as_request, False, ()
+        if asked is None or not due or as_reply.problems:
+            return direction, as_request if direction is Direction.EITHER else as_reply, False, ()
+        mismatch = _mismatch(asked, frame)
+        if not mismatch:
+            return Direction.REPLY, as_reply, True, ()
+        if direction is Direction.EITHER:
+            return direction, as_request, False, ()
+        return direction, as_reply, False, (f"does not answer the request before it: {mismatch}",)
+
+
+def _likelier(as_request: Description, as_reply: Description, pdu: bytes, *, due: bool) -> Direction:
+    if pdu and pdu[0] & 0x80:
+        return Direction.REPLY
+    wrong, answer_wrong = len(as_request.problems), len(as_reply.problems)
+    if not wrong and not answer_wrong:
+        return Direction.EITHER
+    if wrong == answer_wrong:
+        return Direction.REPLY if due else Direction.REQUEST
+    return Direction.REQUEST if wrong < answer_wrong else Direction.REPLY
+
+
+def _mismatch(asked: _Asked, frame: _Frame) -> str:
+    """Why the frame can not be the answer; empty if it can."""
+    if asked.transaction != frame.transaction and None not in (asked.transaction, frame.transaction):
+        return f"transaction {frame.transaction} where {asked.transaction} was asked"
+    if asked.unit != frame.unit and None not in (asked.unit, frame.unit):
+        return f"unit {frame.unit} where {asked.unit} was asked"
+    if frame.pdu[0] & 0x80:
+        return ""
+    try:
+        asked.request.prepare()
+        asked.request.accept(frame.pdu)
+    except MalformedPdu as error:
+        return error.reason
+    return ""
+
+
+# What surrounds a PDU.
+
+
+def _is_mbap(data: bytes) -> bool:
+    """Whether protocol and length prove it."""
+    return len(data) > HEADER_SIZE and data[2:4] == b"\x00\x00" and data[4] << 8 | data[5] == len(data) - 6
+
+
+def _cut_mbap(data: bytes) -> _Frame:
+    if len(data) < HEADER_SIZE:
+        cut_off = Part(0, data, "header", problem=f"{len(data)} bytes where MBAP has {HEADER_SIZE}")
+        return _Frame(Framing.MBAP, b"", (cut_off,), pdu_at=len(data))
+    transaction, protocol, length = (data[at] << 8 | data[at + 1] for at in (0, 2, 4))
+    following = len(data) - 6
+    problem = ""
+    end = len(data)
+    if not MIN_LENGTH <= length <= MAX_LENGTH:
+        problem = impossible_length(length)
+    elif length < following and _looks_like_mbap(data[6 + length :]):
+        end = 6 + length
+    elif length != following:
+        problem = f"announces {length} bytes, and {following} follow"
+    head = (
+        Part(0, data[:2], "transaction", str(transaction)),
+        Part(2, data[2:4], "protocol", str(protocol), "is 0 in Modbus" if protocol else ""),
+        Part(4, data[4:6], "length", str(length), problem),
+        Part(6, data[6:7], "unit", str(data[6])),
+    )
+    pdu = data[HEADER_SIZE:end]
+    return _Frame(Framing.MBAP, pdu, head, (), data[6], transaction, HEADER_SIZE, rest=data[end:])
+
+
+def _looks_like_mbap(data: bytes) -> bool:
+    return len(data) > HEADER_SIZE and data[2:4] == b"\x00\x00" and MIN_LENGTH <= data[4] << 8 | data[5] <= MAX_LENGTH
+
+
+def _cut_rtu(data: bytes) -> _Frame:
+    if len(data) < 4:
+        head = Part(0, data, "frame", problem=f"{len(data)} bytes where RTU has at least 4")
+        return _Frame(Framing.RTU, b"", (head,))
+    wanted = crc_bytes(data[:-2])
+    problem = "" if wanted == data[-2:] else f"is {data[-2:].hex(' ')} where {wanted.hex(' ')} fits"
+    limit = f"the frame has {len(data)} bytes, and RTU at most {RTU_ADU_LIMIT}" if len(data) > RTU_ADU_LIMIT else ""
+    head = Part(0, data[:1], "unit", str(data[0]), limit)
+    tail = Part(len(data) - 2, data[-2:], "CRC", "fits" if not problem else "", problem)
+    return _Frame(Framing.RTU, data[1:-2], (head,), (tail,), data[0], pdu_at=1)
+
+
+def _cut_ascii(data: bytes) -> _Frame:
+    """``:``, pairs of characters, CR LF. The end may be missing: it is lost when a frame is copied."""
+    body = data[1:] if data.startswith(b":") else data
+    text = body.rstrip(b"\r\n")
+    ending = body[len(text) :]
+    wrong = next((index for index, each in enumerate(text) if each not in _HEX), None)
+    start = Part(0, b":", "start", ":") if data.startswith(b":") else Part(0, b"", "start", problem="is no ':'")
+    first = len(data) - len(body)
+    if wrong is not None or len(text) % 2:
+        problem = (
+            f"character {first + wrong} is {chr(text[wrong])!r}, no hexadecimal digit"
+            if wrong is not None
+            else f"{len(text)} characters, which is no whole number of bytes"
+        )
+        return _Frame(Framing.ASCII, b"", (start, Part(first, text, "content", problem=problem)))
+    content = bytes.fromhex(text.decode("ascii"))
+    if len(content) < 3:
+        problem = f"{len(content)} bytes where unit, function and LRC are 3"
+        return _Frame(Framing.ASCII, b"", (start, Part(first, content, "content", problem=problem)))
+    wanted = lrc(content[:-1])
+    problem = "" if wanted == content[-1] else f"is {content[-1]:02X} where {wanted:02X} fits"
+    limit = f"the frame has {len(data)} characters, and ASCII at most {ASCII_ADU_LIMIT}"
+    tail = [Part(first + len(text) - 2, content[-1:], "LRC", "" if problem else "fits", problem)]
+    if ending:
+        tail.append(Part(first + len(text), ending, "end", "CR LF" if ending == b"\r\n" else repr(ending)))
+    return _Frame(
+        Framing.ASCII,
+        content[1:-1],
+        (start, Part(first, content[:1], "unit", str(content[0]), limit if len(data) > ASCII_ADU_LIMIT else "")),
+        tuple(tail),
+        content[0],
+        pdu_at=first + 2,
+        characters=2,
+    )
+
+
+def _cut_pdu(data: bytes) -> _Frame:
+    if len(data) > PDU_LIMIT:
+        head = Part(0, b"", "PDU", problem=f"has {len(data)} bytes, and a PDU at most {PDU_LIMIT}")
+        return _Frame(Framing.PDU, data, (head,))
+    return _Frame(Framing.PDU, data)
+
+
+_CUTTERS: Final[dict[Framing, Callable[[bytes], _Frame]]] = {
+    Framing.MBAP: _cut_mbap,
+    Framing.RTU: _cut_rtu,
+    Framing.ASCII: _cut_ascii,
+    Framing.PDU: _cut_pdu,
+}
