@@ -172,9 +172,17 @@ def _layout(cls: Any) -> Layout:
     length_offset = 0
     tail: RestField | RepeatedField | None = None
     tail_name = ""
+    optional = ""
     for name, field in cls.declared.items():
         if tail is not None:
             raise TypeError(f"{cls.__name__}.{name} stands behind the variable field {tail_name}")
+        if not isinstance(field, RestLength):
+            if field.default is not NO_DEFAULT:
+                optional = name
+            elif optional:
+                raise TypeError(f"{cls.__name__}.{name} needs a default, because {optional} before it has one")
+        elif length_at is not None:
+            raise TypeError(f"{cls.__name__}.{name} is a second length")
         if isinstance(field, RestField | RepeatedField):
             tail, tail_name = field, name
             continue
