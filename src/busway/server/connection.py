@@ -5,6 +5,7 @@ Knows when bytes come and go; knows nothing of what they say.
 1. What arrived is worked through in one call and answered with one write.
 2. While a client does not take its replies, nothing more is read from it (Messaging on TCP/IP V1.0b §4.1).
 3. No task, future or timer per request; a task only for a handler's awaitable.
+4. A frame that was begun is watched by connection management, which has one timer for all of them.
 """
 
 import asyncio
@@ -94,6 +95,9 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._start_waiting(session)
         if session.failures:
             self._report(session)
+        if session.unfinished:
+            # More than came now: it began with an earlier segment, and its time goes on.
+            self._management.watch_frame(self, begun_now=session.unfinished <= nbytes)
         if session.broken:
             _log.warning("%s: closed: %s", self.peer, session.broken)
             self._management.counters.broken_streams += 1
@@ -126,9 +130,10 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What connection management and the session ask.
 
     def deliver(self, adu: bytes) -> None:
-        """Send a late reply."""
+        """Send a late reply; an empty one says that there is none to wait for any more."""
         if self.session is not None and not self._transport.is_closing():
-            self._write([adu])
+            if adu:
+                self._write([adu])
             if self._half_closed and not self.session.waiting:
                 self._transport.close()
 

@@ -4,7 +4,8 @@ Knows connections and their limits; knows no request.
 
 1. A newcomer beyond the limit takes the place of the connection that has been unused longest; where all are busy,
    of the oldest.
-2. What happens is counted, and can be seen.
+2. A client that began a frame and fell silent loses its place after ``frame_timeout``.
+3. What happens is counted, and can be seen.
 """
 
 import asyncio
@@ -31,6 +32,7 @@ class ServerCounters:
     closed: int = 0
     evicted: int = 0
     broken_streams: int = 0
+    frame_timeouts: int = 0
     reading_paused: int = 0
     handler_failures: int = 0
     requests: int = 0
@@ -84,6 +86,8 @@ class ConnectionManagement:
         self._sockets = sockets
         self._server_slots = slots
         self._connections: dict[ServerConnection, None] = {}  # in the order they came
+        self._begun: dict[ServerConnection, float] = {}  # connections with an unfinished frame, and since when
+        self._frame_timer: asyncio.TimerHandle | None = None
         self._emptied: asyncio.Event | None = None
 
     def __len__(self) -> int:
@@ -113,6 +117,10 @@ class ConnectionManagement:
     def leave(self, connection: ServerConnection, session: TcpServerSession, error: Exception | None) -> None:
         """A connection has ended."""
         self._connections.pop(connection, None)
+        self._begun.pop(connection, None)
+        if not self._begun and self._frame_timer is not None:
+            self._frame_timer.cancel()
+            self._frame_timer = None
         if not self._connections and self._emptied is not None:
             self._emptied.set()
         self.counters.closed += 1
@@ -130,6 +138,33 @@ class ConnectionManagement:
         _log.warning("%s: closed to make room, %d connections are the limit", chosen.peer, len(self._connections))
         del self._connections[chosen]
         chosen.abort()
+
+    def watch_frame(self, connection: ServerConnection, *, begun_now: bool) -> None:
+        """A connection holds a part of a frame; ``begun_now`` if it came whole out of the last segment."""
+        timeout = self.parameters.frame_timeout
+        if timeout is None:
+            return
+        if begun_now:
+            self._begun[connection] = self.loop.time()
+        if self._frame_timer is None:
+            self._frame_timer = self.loop.call_later(timeout, self._look_at_frames)
+
+    def _look_at_frames(self) -> None:
+        """Close those whose frame has not ended in time; be back when the next one may be due."""
+        self._frame_timer = None
+        timeout = self.parameters.frame_timeout
+        assert timeout is not None  # or there would be no timer
+        now = self.loop.time()
+        for connection, since in list(self._begun.items()):
+            if connection.session is None or not connection.session.unfinished:
+                del self._begun[connection]
+            elif now >= since + timeout:
+                del self._begun[connection]
+                self.counters.frame_timeouts += 1
+                _log.warning("%s: closed: a request began and did not end within %g s", connection.peer, timeout)
+                connection.abort()
+        if self._begun:
+            self._frame_timer = self.loop.call_at(min(self._begun.values()) + timeout, self._look_at_frames)
 
     def status(self) -> list[ConnectionStatus]:
         """The connections, the oldest first."""

@@ -44,7 +44,7 @@ class TransactionSlots:
 
 
 class Deliver(Protocol):
-    """Takes the bytes of a late reply to the connection."""
+    """Takes the bytes of a late reply to the connection; none where a request gets no answer."""
 
     def __call__(self, adu: bytes, /) -> None:
         """Send them."""
@@ -288,6 +288,7 @@ class TcpServerSession:
             self._deliver(self._encode(context, reply))
         else:
             self._diagnostics.kept_silent()
+            self._deliver(b"")  # nothing is sent, but a client that has closed its half may wait for nothing else
 
     def _encode(self, context: RequestContext, reply: Message) -> bytes:
         if isinstance(reply, ExceptionResponse):
