@@ -2,8 +2,9 @@
 
 Knows characters and the times at which they were read; knows no port and no function's length.
 
-1. ``:`` begins a frame, wherever it stands, also behind CR; a frame in progress is discarded then. CR and the
-   delimiter end it. The delimiter is LF until function 08/03 changes it.
+1. ``:`` begins a frame, wherever it stands, also behind CR; a frame in progress is discarded then, and reported when
+   the one that follows it ends: it is one disturbance, however many colons it has. CR and the delimiter end a frame;
+   the delimiter is LF until function 08/03 changes it.
 2. Between two characters at most ``character_timeout`` may pass, 1 s by default.
 3. At most 513 characters. What stands between frames is no frame and no error: it is skipped.
 4. Sent in upper case. Lower case is received too unless ``upper_case_only`` says otherwise: devices send it, and the
@@ -30,8 +31,6 @@ LF: Final = 0x0A
 DEFAULT_CHARACTER_TIMEOUT: Final = 1.0
 SHORTEST_CONTENT: Final = 3
 """Unit, function code, LRC."""
-_PIECE: Final = 1024
-"""Characters that are searched at a time, so that a search never runs far beyond the frame."""
 _MOST_DIGITS: Final = ASCII_ADU_LIMIT - 3
 _UPPER_CASE: Final = b"0123456789ABCDEF"
 _ANY_CASE: Final = _UPPER_CASE + b"abcdef"
@@ -68,6 +67,9 @@ class AsciiReceiver:
     __slots__ = (
         "_allowed",
         "_began",
+        "_interrupted",
+        "_interrupted_began",
+        "_interrupted_size",
         "_last",
         "_lengths",
         "_sent_until",
@@ -114,6 +116,9 @@ class AsciiReceiver:
         self._allowed = _UPPER_CASE if upper_case_only else _ANY_CASE
         self._strip_parity = strip_parity
         self._text = bytearray()
+        self._interrupted = bytearray()  # frames that colons cut off, until it is known how the last one ends
+        self._interrupted_size = 0
+        self._interrupted_began = _NEVER
         self._began = self._last = self._sent_until = _NEVER
 
     # What the driver calls.
@@ -189,57 +194,48 @@ class AsciiReceiver:
     def _accept(self, data: bytes, began: float, found: list[Received]) -> None:
         if self._strip_parity:
             data = data.translate(_SEVEN_BITS)
-        for start in range(0, len(data), _PIECE):
-            self._piece(data[start : start + _PIECE], began + start * self.timing.character, found)
+        at, character = 0, self.timing.character
+        for part in data.split(b":"):
+            if at:
+                self._colon(began + (at - 1) * character, found)
+            if part and self.state is not AsciiState.IDLE:
+                self._content(part, began + at * character, found)
+            at += len(part) + 1
 
-    def _piece(self, data: bytes, began: float, found: list[Received]) -> None:
-        at, size = 0, len(data)
-        while at < size:
-            time = began + at * self.timing.character
-            if self.state is AsciiState.IDLE:
-                at = data.find(COLON, at)
-                if at < 0:
-                    return
-                at += 1
-                self._begin(began + (at - 1) * self.timing.character)
-            elif self.state is AsciiState.WAITING_FOR_DELIMITER:
-                at = self._end(data[at], at, time, found)
-            else:
-                at = self._content(data, at, began, found)
-
-    def _begin(self, time: float) -> None:
+    def _colon(self, time: float, found: list[Received]) -> None:
+        """A colon at ``time``: a frame begins, and one in progress is lost with what it held."""
+        if self.state is AsciiState.WAITING_FOR_DELIMITER and self.delimiter == COLON:
+            self._complete(time + self.timing.character, found)
+            return
+        if self._text or self.state is AsciiState.WAITING_FOR_DELIMITER:
+            if not self._interrupted_size:
+                self._interrupted_began = self._began
+            self._interrupted_size += 1 + len(self._text)
+            if len(self._interrupted) < ASCII_ADU_LIMIT:
+                self._interrupted += b":"
+                self._interrupted += self._text
+            self._text.clear()
         self.state = AsciiState.RECEPTION
-        self._text.clear()
         self._began = time
 
-    def _content(self, data: bytes, at: int, began: float, found: list[Received]) -> int:
-        """Take characters up to the next colon or CR; gives the place behind what was used."""
-        colon, end = data.find(COLON, at), data.find(CR, at)
-        stop = min((place for place in (colon, end) if place >= 0), default=len(data))
-        self._text += data[at : min(stop, at + ASCII_ADU_LIMIT)]
-        time = began + stop * self.timing.character
-        if len(self._text) > _MOST_DIGITS:
-            self._discard(Damage.TOO_LONG, time, found)
-        elif stop == len(data):
-            return stop
-        elif stop == end:
+    def _content(self, part: bytes, began: float, found: list[Received]) -> None:
+        """Characters without a colon, within a frame."""
+        if self.state is AsciiState.RECEPTION:
+            end = part.find(CR)
+            self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
+            if len(self._text) > _MOST_DIGITS:
+                self._discard(Damage.TOO_LONG, began + len(part) * self.timing.character, found)
+                return
+            if end < 0:
+                return
             self.state = AsciiState.WAITING_FOR_DELIMITER
-            return stop + 1
-        elif self._text:
-            self._discard(Damage.RESTARTED, time, found)
+            if end + 1 == len(part):
+                return
+            part, began = part[end + 1 :], began + (end + 1) * self.timing.character
+        if part[0] == self.delimiter:
+            self._complete(began + self.timing.character, found)
         else:
-            self._begin(time)
-            return stop + 1
-        return stop
-
-    def _end(self, character: int, at: int, time: float, found: list[Received]) -> int:
-        """The character behind CR."""
-        if character == self.delimiter:
-            self._complete(time + self.timing.character, found)
-            return at + 1
-        restarts = character == COLON
-        self._discard(Damage.RESTARTED if restarts else Damage.NO_DELIMITER, time, found)
-        return at if restarts else at + 1
+            self._discard(Damage.NO_DELIMITER, began, found)
 
     def _complete(self, ended: float, found: list[Received]) -> None:
         text = bytes(self._text)
@@ -257,6 +253,7 @@ class AsciiReceiver:
             unit, pdu = content[0], content[1:-1]
             direction = self._direction(content, self._began)
             raw = b":%b\r%c" % (text, self.delimiter)
+            self._report_interrupted(self._began, found)
             found.append(SerialFrame(unit, pdu, raw, direction, self._began, ended))
             self.conversation.follow(unit, pdu[0], direction, ended)
             self.state = AsciiState.IDLE
@@ -274,8 +271,23 @@ class AsciiReceiver:
     def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
         """The frame in progress is none; what follows is skipped until the next colon."""
         in_frame = self.state is not AsciiState.IDLE
-        raw = b":%b" % bytes(self._text) if in_frame else b""
+        raw = b":" + bytes(self._text) if in_frame else b""
         began = self._began if in_frame else ended
-        found.append(Damaged(raw[:ASCII_ADU_LIMIT], reason, len(raw), began, ended, overrun))
+        size = len(raw)
+        if self._interrupted_size:
+            raw, began, size = bytes(self._interrupted) + raw, self._interrupted_began, self._interrupted_size + size
+            self._forget_interrupted()
+        found.append(Damaged(raw[:ASCII_ADU_LIMIT], reason, size, began, ended, overrun))
         self.state = AsciiState.IDLE
         self._text.clear()
+
+    def _report_interrupted(self, ended: float, found: list[Received]) -> None:
+        """Frames that a colon cut off, ahead of the good one that it began."""
+        if self._interrupted_size:
+            raw = bytes(self._interrupted[:ASCII_ADU_LIMIT])
+            found.append(Damaged(raw, Damage.RESTARTED, self._interrupted_size, self._interrupted_began, ended))
+            self._forget_interrupted()
+
+    def _forget_interrupted(self) -> None:
+        self._interrupted.clear()
+        self._interrupted_size = 0

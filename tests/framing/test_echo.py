@@ -1,0 +1,88 @@
+"""Echo: exactly one copy of each sent frame is taken out, and the automatic mode learns."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from busway.framing.echo import ECHO_WINDOW, Echo, EchoFilter
+
+FRAME = bytes.fromhex("01 03 00 00 00 0A C5 CD")
+
+
+def after_sending(mode: Echo, *, may_be_reply: bool = False) -> EchoFilter:
+    echo = EchoFilter(mode)
+    echo.sent(FRAME, 1.0, may_be_reply=may_be_reply)
+    return echo
+
+
+def test_off_hands_everything_through() -> None:
+    assert after_sending(Echo.OFF).receive(FRAME, 1.0) == FRAME
+
+
+@pytest.mark.clause("S15")
+@given(st.lists(st.integers(1, 20), max_size=8), st.binary(max_size=20))
+def test_on_takes_one_copy_however_it_is_cut(cuts: list[int], behind: bytes) -> None:
+    echo = after_sending(Echo.ON, may_be_reply=True)
+    stream, out, at = FRAME + behind, b"", 0
+    for cut in [*cuts, len(stream)]:
+        if stream[at : at + cut]:
+            out += echo.receive(stream[at : at + cut], 1.0)
+        at += cut
+    assert out == behind
+
+
+def test_bytes_that_differ_go_on_whole() -> None:
+    echo = after_sending(Echo.ON)
+    assert echo.receive(FRAME[:4], 1.0) == b""
+    assert echo.pending
+    assert echo.receive(b"\xff\xff", 1.0) == FRAME[:4] + b"\xff\xff"
+    assert echo.present is True
+
+
+def test_a_copy_after_the_window_is_not_the_echo() -> None:
+    echo = after_sending(Echo.ON)
+    assert echo.receive(FRAME, 1.0 + ECHO_WINDOW * 1.01) == FRAME
+
+
+def test_a_part_of_a_copy_is_let_go_when_the_window_ends() -> None:
+    echo = after_sending(Echo.AUTOMATIC)
+    echo.receive(FRAME[:3], 1.0)
+    due = echo.deadline()
+    assert due == 1.0 + ECHO_WINDOW
+    assert echo.tick(due - 0.001) == b""
+    assert echo.tick(due) == FRAME[:3]
+    assert echo.present is False
+
+
+@pytest.mark.clause("S15")
+def test_automatic_learns_both_ways_and_unlearns() -> None:
+    echo = after_sending(Echo.AUTOMATIC)
+    assert echo.present is None
+    assert echo.receive(FRAME, 1.0) == b""
+    assert echo.present is True
+    echo.sent(FRAME, 2.0, may_be_reply=False)
+    assert echo.receive(b"\x01\x83\x02", 2.0) == b"\x01\x83\x02"
+    assert echo.present is False
+    echo.sent(FRAME, 3.0, may_be_reply=False)
+    assert echo.receive(FRAME, 3.0) == b""
+    assert echo.present is True
+
+
+@pytest.mark.clause("S15")
+def test_a_copy_that_may_be_the_reply_is_held_only_while_the_line_is_unknown() -> None:
+    echo = after_sending(Echo.AUTOMATIC, may_be_reply=True)
+    assert echo.receive(FRAME, 1.0) == b""
+    assert echo.receive(FRAME, 1.2) == FRAME  # the second one is the reply
+    assert echo.present is True
+    unknown = after_sending(Echo.AUTOMATIC, may_be_reply=True)
+    assert unknown.receive(FRAME, 1.0) == b""
+    assert unknown.release() == FRAME
+    assert unknown.present is False
+    unknown.sent(FRAME, 2.0, may_be_reply=True)
+    assert unknown.receive(FRAME, 2.0) == FRAME
+
+
+def test_release_with_nothing_held_ends_the_wait_for_a_copy() -> None:
+    echo = after_sending(Echo.ON)
+    assert echo.release() == b""
+    assert echo.receive(FRAME, 1.0) == FRAME
