@@ -20,7 +20,7 @@ from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
-    from .direct import Answer, DirectModel
+    from .direct import Answer, DirectModel, ReadPlan
     from .model import Context, DataModel
 
 UNKNOWN_LENGTH = -1
@@ -224,6 +224,11 @@ class Request(Message):
         @property
         def expected_prefix(self) -> bytes:
             """What the reply PDU starts with."""
+
+    @classmethod
+    def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
+        """The plan of one request that will be asked again (`busway.pdu.direct.ReadPlan`), or None."""
+        return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
         """Execute on a device and give the reply. Raises `Refusal` with the exception code of a failure."""

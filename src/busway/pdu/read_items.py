@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
 from .bits import unpack_bits
-from .direct import Answer, DirectModel, read_bits, read_registers
+from .direct import Answer, DirectModel, ReadPlan, plan_read, read_bits, read_registers
 from .fields import rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel, Refusal
@@ -103,6 +103,11 @@ class ReadHoldingRegisters(Request):
         block = model.plain_block(Table.HOLDING_REGISTERS, writes=False)
         return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
 
+    @classmethod
+    def plan(cls, model: DirectModel, unit: int, pdu: bytes) -> ReadPlan | None:
+        block = model.plain_block(Table.HOLDING_REGISTERS, writes=False)
+        return None if block is None else plan_read(unit, pdu, MAX_READ_REGISTERS, block)
+
 
 class ReadInputRegisters(Request):
     """04 Read Input Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.4)."""
@@ -133,6 +138,11 @@ class ReadInputRegisters(Request):
     def direct(cls, model: DirectModel) -> Answer | None:
         block = model.plain_block(Table.INPUT_REGISTERS, writes=False)
         return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
+
+    @classmethod
+    def plan(cls, model: DirectModel, unit: int, pdu: bytes) -> ReadPlan | None:
+        block = model.plain_block(Table.INPUT_REGISTERS, writes=False)
+        return None if block is None else plan_read(unit, pdu, MAX_READ_REGISTERS, block)
 
 
 class ReadFifoQueue(Request):

@@ -14,7 +14,7 @@ from enum import Enum
 
 from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
-from ..pdu.direct import Answer
+from ..pdu.direct import Answer, ReadPlan
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
 from ..pdu.message import Request
@@ -70,11 +70,13 @@ class LocalHandler:
         # Counted when a device changes, not summed up at every receive call: a handler may have 247 devices.
         self.generation = 0
         self._answers: dict[int, Mapping[int, Answer]] = {}
+        self._plans: dict[bytes, ReadPlan] = {}
         for device in distinct.values():
             device.watch(self._device_changed)
 
     def _device_changed(self) -> None:
         self._answers.clear()
+        self._plans = {}
         self.generation += 1
 
     def find(self, unit: int) -> Device | None:
@@ -90,6 +92,18 @@ class LocalHandler:
         if answers is None:
             answers = self._answers[context.unit] = self._compiled(self.find(context.unit))
         return answers
+
+    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
+        """Plans of reads, the same for every connection."""
+        return self._plans
+
+    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
+        """The plan of a read of registers, if nothing needs to know of it."""
+        device = self.find(context.unit)
+        function = self.functions.find(pdu, 0, len(pdu))
+        if device is None or function is None or not device.enabled(pdu[0]):
+            return None
+        return function.plan(device, context.unit, pdu)
 
     def _compiled(self, device: Device | None) -> dict[int, Answer]:
         if device is None:

@@ -10,9 +10,9 @@ Knows the shape of a handler; knows no device, policy or gateway. Those are hand
 
 from collections.abc import Awaitable, Callable, Mapping
 from enum import Enum
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
-from ..pdu.direct import Answer
+from ..pdu.direct import Answer, ReadPlan
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
@@ -103,4 +103,15 @@ class Handler(Protocol):
         """The long road."""
 
 
-__all__ = ["LATER", "SILENCE", "Deferral", "Handler", "Outcome", "Refusal", "RequestContext"]
+@runtime_checkable
+class ReadPlanner(Protocol):
+    """A handler that lets reads be planned (`busway.pdu.direct.ReadPlan`)."""
+
+    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
+        """The plans for whoever has the rights of ``context``, of all units; shared by all who have the same."""
+
+    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
+        """The plan of a read that was just answered by the short road, or None."""
+
+
+__all__ = ["LATER", "SILENCE", "Deferral", "Handler", "Outcome", "ReadPlanner", "Refusal", "RequestContext"]

@@ -8,6 +8,7 @@ Knows the queue, retries and the errors a request ends with; knows no framing, a
 3. A demand may have a deadline; time in the queue counts.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded, WriteOutcomeUnknown
@@ -84,6 +85,13 @@ class Ledger:
         if demand.open and not demand.ended:
             self.counters.cancelled += 1
             self._leave(demand)
+
+    def give_up(self, demand: Demand, now: float, reason: Callable[[], ModbusError]) -> None:
+        """What of a demand waits to be sent is not sent any more; each request gets an error of its own."""
+        self.queue.remove(demand)
+        for position, outcome in enumerate(demand.outcomes):
+            if outcome is None:
+                self._given_up(demand, position, reason(), now)
 
     def unreachable(self, now: float, error: ModbusError) -> None:
         """No connection could be had: everything that waits fails, at once and with the same reason."""

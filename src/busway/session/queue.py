@@ -15,6 +15,10 @@ from ..errors import Overloaded
 from .demand import Demand
 
 
+Eligible = Callable[[Demand], bool]
+"""Whether the unit of a demand may be asked now."""
+
+
 class _Caller:
     """The demands of one caller, in the order they came."""
 
@@ -25,9 +29,9 @@ class _Caller:
         self.demands: deque[Demand] = deque()
         self.writes = 0
 
-    def pick(self, eligible: Callable[[int], bool] | None) -> Demand | None:
+    def pick(self, eligible: Eligible | None) -> Demand | None:
         first = self.demands[0]
-        if (not self.writes or first.is_write) and (eligible is None or eligible(first.unit)):
+        if (not self.writes or first.is_write) and (eligible is None or eligible(first)):
             return first
         chosen: Demand | None = None
         passed: set[int] = set()
@@ -35,7 +39,7 @@ class _Caller:
             if demand.unit in passed:
                 continue
             passed.add(demand.unit)
-            if eligible is not None and not eligible(demand.unit):
+            if eligible is not None and not eligible(demand):
                 continue
             if demand.is_write:
                 return demand
@@ -79,7 +83,7 @@ class RequestQueue:
         caller.writes += demand.is_write
         self.size += 1
 
-    def pick(self, eligible: Callable[[int], bool] | None = None) -> Demand | None:
+    def pick(self, eligible: Eligible | None = None) -> Demand | None:
         """The demand whose next request is due, or None. Its caller goes to the end of the round."""
         ring = self._ring
         for _ in range(len(ring)):
@@ -89,6 +93,10 @@ class RequestQueue:
             if demand is not None:
                 return demand
         return None
+
+    def peek(self, eligible: Eligible | None = None) -> Demand | None:
+        """What `pick` would give now; the round stays where it is."""
+        return next((demand for caller in self._ring if (demand := caller.pick(eligible)) is not None), None)
 
     @property
     def sole_caller(self) -> bool:

@@ -18,15 +18,17 @@ from typing import Protocol
 
 from ..codes import ExceptionCode, FunctionCode
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
-from ..pdu.direct import Answer
+from ..pdu.direct import Answer, ReadPlan
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import CommunicationState
-from .handler import LATER, Deferral, Handler, Outcome, Refusal, RequestContext
+from .handler import LATER, Deferral, Handler, Outcome, ReadPlanner, Refusal, RequestContext
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _MEMO_LIMIT = 256
+_PLAN_LIMIT = 4096
+"""A poller of 4096 different ranges is planned whole; whoever asks at random finds no plan, and loses 0.1 µs."""
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
 
@@ -87,6 +89,8 @@ class TcpServerSession:
         "_listener",
         "_memo",
         "_peer",
+        "_planner",
+        "_plans",
         "_role",
         "_slots",
         "_waiting",
@@ -119,6 +123,8 @@ class TcpServerSession:
         self._buffer = StreamBuffer()
         self._memo: dict[int, Mapping[int, Answer]] = {}
         self._generation = handler.generation
+        self._planner = handler if isinstance(handler, ReadPlanner) else None
+        self._plans = self._planned()
         # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
         self._waiting: set[RequestContext] | None = None
         self.broken = ""
@@ -147,12 +153,25 @@ class TcpServerSession:
         if self._generation != self._handler.generation:
             self._generation = self._handler.generation
             self._memo.clear()
-        memo = self._memo if not self._diagnostics.listen_only else {}
+            self._plans = self._planned()
+        if buffer.__class__ is not bytes:
+            buffer = bytes(memoryview(buffer)[:size])
+        diagnostics = self._diagnostics
+        muted = diagnostics.listen_only
+        memo = self._memo if not muted else {}
+        plans = self._plans if not muted else {}
         out: list[bytes] = []
         at = direct = 0
-        # The loop below is the hot path of a server: 1.0 µs per request with the short road, of which the call of
-        # the compiled answer is the half. Header and function are unpacked in one step for that reason.
+        # The loop below is the hot path of a server. A read that was asked before needs one look-up of its ten bytes
+        # behind the transaction: 0.4 µs. Another request of the short road takes 1.0 µs, of which the call of the
+        # compiled answer is the half.
         while size - at >= 8:
+            plan = plans.get(buffer[at + 2 : at + 12])
+            if plan is not None:
+                out.append(buffer[at : at + 2] + plan.head + plan.block.data[plan.start : plan.stop])
+                direct += 1
+                at += 12
+                continue
             transaction, protocol, length, unit, function = _unpack(buffer, at)
             end = at + 6 + length
             if not MIN_LENGTH <= length <= MAX_LENGTH:
@@ -170,6 +189,8 @@ class TcpServerSession:
                     if reply is not None:
                         out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
                         direct += 1
+                        if length == 6 and len(plans) < _PLAN_LIMIT and self._planner is not None:
+                            self._learn(unit, buffer[at:end])
                         at = end
                         continue
                 # What went the short road so far counts before the long road looks at the counters.
@@ -180,7 +201,9 @@ class TcpServerSession:
                 if adu:
                     out.append(adu)
                 # Function 08 may have muted the listener, or woken it: what is silent has no short road.
-                memo = self._memo if not self._diagnostics.listen_only else {}
+                muted = diagnostics.listen_only
+                memo = self._memo if not muted else {}
+                plans = self._plans if not muted else {}
             else:
                 self.discarded += 1
             at = end
@@ -210,6 +233,17 @@ class TcpServerSession:
         context = self._context(unit, 0, 0)
         offers = self._memo[unit] = self._handler.direct(context)
         return offers
+
+    def _planned(self) -> dict[bytes, ReadPlan]:
+        """The plans that hold for this connection."""
+        return {} if self._planner is None else self._planner.plans(self._context(0, 0, 0))
+
+    def _learn(self, unit: int, adu: bytes) -> None:
+        """Plan a read that was answered, for the next time it is asked."""
+        assert self._planner is not None
+        plan = self._planner.plan(self._context(unit, adu[7], 0), adu[7:])
+        if plan is not None:
+            self._plans[adu[2:]] = plan
 
     def _count(self, direct: int) -> None:
         self.requests += direct
