@@ -1,4 +1,4 @@
-"""A read that was asked before is answered by its plan: the same bytes as by the long road, whatever changes between."""
+"""A read that was asked before is answered by its plan: the bytes of the long road, whatever changes between."""
 
 import struct
 
