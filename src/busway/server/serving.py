@@ -4,7 +4,8 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from enum import Enum
+from typing import Any, TypeVar
 
 from ..config.endpoints import Endpoint
 from ..config.options import build_parameters, option_names
@@ -19,6 +20,8 @@ from .parameters import ListenerParameters
 from .server import Server, ServerStatus
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
+
+Choice = TypeVar("Choice", bound=Enum)
 
 
 def serve(
@@ -50,11 +53,12 @@ def serve(
         if isinstance(units, Device):
             units, unit_policy = {1: units}, UnitPolicy.ANY
         assert units is not None
-        try:
-            policy, silence = UnitPolicy(unit_policy), UnlistedUnit(unlisted)
-        except ValueError as error:
-            raise ConfigError(str(error), key="unit_policy") from None
-        handler = LocalHandler(units, unit_policy=policy, unlisted=silence, functions=functions)
+        handler = LocalHandler(
+            units,
+            unit_policy=_chosen(UnitPolicy, "unit_policy", unit_policy),
+            unlisted=_chosen(UnlistedUnit, "unlisted", unlisted),
+            functions=functions,
+        )
     kinds = (ServerParameters, ListenerParameters, SocketParameters)
     chosen: list[dict[str, object]] = [{}, {}, {}]
     for name, value in options.items():
@@ -72,6 +76,14 @@ def serve(
         listener=build_parameters(ListenerParameters, chosen[1]),
         sockets=build_parameters(SocketParameters, chosen[2]),
     )
+
+
+def _chosen(kind: type[Choice], key: str, value: Choice | str) -> Choice:
+    try:
+        return kind(value)
+    except ValueError:
+        allowed = ", ".join(str(one.value) for one in kind)
+        raise ConfigError(f"must be one of {allowed}, not {value!r}", key=key) from None
 
 
 def serve_forever(
