@@ -125,10 +125,12 @@ async def test_hook_learns_peer_unit_function_address_old_and_new() -> None:
     device = busway.Device(holding_registers=[7] * 10)
     seen: list[Change] = []
     device.on_write("holding_registers", seen.append)
-    async with busway.serve(ANY_PORT, units={1: device, 3: device}) as server:
-        async with busway.open(server.endpoints[0]) as link:
-            await link.unit(3).write_multiple_registers(2, [8, 9])
-            peer = server.status().connections[0].peer
+    async with (
+        busway.serve(ANY_PORT, units={1: device, 3: device}) as server,
+        busway.open(server.endpoints[0]) as link,
+    ):
+        await link.unit(3).write_multiple_registers(2, [8, 9])
+        peer = server.status().connections[0].peer
     (change,) = seen
     assert (change.peer, change.unit, change.function) == (peer, 3, 16)
     assert (change.address, change.count, change.old, change.new) == (2, 2, [7, 7], [8, 9])

@@ -48,9 +48,11 @@ def test_server_in_a_thread_ends_when_the_block_is_left_by_an_exception() -> Non
 def test_listener_that_a_thread_can_not_have_is_an_error_of_the_program() -> None:
     with busway.serve_in_thread(ANY_PORT, units=busway.Device(holding_registers=10)) as server:
         taken = server.endpoints[0]
-        with pytest.raises(busway.LinkDown, match="listen") as caught:
-            with busway.serve_in_thread(taken, units=busway.Device(holding_registers=10)):
-                raise AssertionError("two servers on one port")
+        with (
+            pytest.raises(busway.LinkDown, match="listen") as caught,
+            busway.serve_in_thread(taken, units=busway.Device(holding_registers=10)),
+        ):
+            raise AssertionError("two servers on one port")
         assert caught.value.endpoint == taken
 
 

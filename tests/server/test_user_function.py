@@ -65,28 +65,32 @@ def test_user_function_works_between_server_and_blocking_client_alone_and_in_bul
 @pytest.mark.clause("A8")
 async def test_user_function_obeys_the_rules_of_every_function() -> None:
     device = busway.Device(holding_registers=[100] * 4)
-    async with busway.serve(ANY_PORT, units=device, functions=FUNCTIONS) as server:
-        async with busway.open(server.endpoints[0]) as link:
-            unit = link.unit(1)
-            with pytest.raises(busway.ExceptionReply) as caught:
-                await unit.execute(AddRegisters(4, 1))
-            assert caught.value.code == 2
-            with pytest.raises(busway.ExceptionReply) as caught:
-                await unit.execute(busway.OpaqueRequest(0x41, b"\x00\x01"))
-            assert caught.value.code == 3
-            with pytest.raises(busway.InvalidRequest):
-                AddRegisters(0, 0)
-            device.functions = {3}
-            with pytest.raises(busway.ExceptionReply) as caught:
-                await unit.execute(AddRegisters(0, 1))
-            assert caught.value.code == 1
+    async with (
+        busway.serve(ANY_PORT, units=device, functions=FUNCTIONS) as server,
+        busway.open(server.endpoints[0]) as link,
+    ):
+        unit = link.unit(1)
+        with pytest.raises(busway.ExceptionReply) as caught:
+            await unit.execute(AddRegisters(4, 1))
+        assert caught.value.code == 2
+        with pytest.raises(busway.ExceptionReply) as caught:
+            await unit.execute(busway.OpaqueRequest(0x41, b"\x00\x01"))
+        assert caught.value.code == 3
+        with pytest.raises(busway.InvalidRequest):
+            AddRegisters(0, 0)
+        device.functions = {3}
+        with pytest.raises(busway.ExceptionReply) as caught:
+            await unit.execute(AddRegisters(0, 1))
+        assert caught.value.code == 1
     assert list(device.holding_registers) == [100] * 4
 
 
 @pytest.mark.clause("A8")
 async def test_server_without_the_function_answers_01() -> None:
-    async with busway.serve(ANY_PORT, units=busway.Device(holding_registers=4)) as server:
-        async with busway.open(server.endpoints[0]) as link:
-            with pytest.raises(busway.ExceptionReply) as caught:
-                await link.unit(1).execute(AddRegisters(0, 1))
-            assert (caught.value.code, caught.value.function) == (1, 0x41)
+    async with (
+        busway.serve(ANY_PORT, units=busway.Device(holding_registers=4)) as server,
+        busway.open(server.endpoints[0]) as link,
+    ):
+        with pytest.raises(busway.ExceptionReply) as caught:
+            await link.unit(1).execute(AddRegisters(0, 1))
+        assert (caught.value.code, caught.value.function) == (1, 0x41)
