@@ -196,7 +196,7 @@ class Request(Message):
         broadcast: whether a serial master may send it to unit 0 (Serial Line V1.02 §2.1).
     """
 
-    __slots__ = ("expected_prefix", "expected_size", "wire")
+    __slots__ = ("expected_prefix", "expected_size", "memo", "wire")
     Reply: ClassVar[type[ReplyMessage]]
     reads: ClassVar[Touch | None] = None
     writes: ClassVar[Touch | None] = None
@@ -211,7 +211,11 @@ class Request(Message):
         """The short road of this function on a device, or None where there is none (see `busway.pdu.direct`)."""
         return None
 
-    if TYPE_CHECKING:  # three slots that `prepare` fills; declared so, they are no fields of the message
+    if TYPE_CHECKING:  # slots that are filled later; declared so, they are no fields of the message
+
+        @property
+        def memo(self) -> Any:
+            """What a session derived from this request for the next time (`remember`); any session, so any type."""
 
         @property
         def wire(self) -> bytes:
@@ -263,6 +267,10 @@ class Request(Message):
         _set_expected_prefix(self, prefix)
         return wire
 
+    def remember(self, memo: object) -> None:
+        """Keep what a session derived from this request; it finds it in ``memo``."""
+        _set_memo(self, memo)
+
     def accept(self, pdu: bytes) -> Message:
         """The positive reply in ``pdu``. Raises `MalformedPdu` where it does not answer this request."""
         reply = self.Reply.decode(pdu)
@@ -290,3 +298,4 @@ def _rebuild(cls: type[Message], pdu: bytes) -> Message:
 _set_wire = Request.__dict__["wire"].__set__
 _set_expected_size = Request.__dict__["expected_size"].__set__
 _set_expected_prefix = Request.__dict__["expected_prefix"].__set__
+_set_memo = Request.__dict__["memo"].__set__

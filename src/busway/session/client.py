@@ -16,6 +16,8 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
    still working on it.
 """
 
+from collections.abc import Sequence
+
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
@@ -27,19 +29,45 @@ from .ledger import Ledger
 from .parameters import ClientParameters, MismatchPolicy
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
-_pack = HEAD.pack
 _EXPIRED_LIMIT = 4096
+
+
+class _Route:
+    """What a request to a unit looks like on TCP but for its transaction; kept with the request (`Request.memo`).
+
+    ``head`` are the seven bytes behind the transaction of a reply that fits: protocol, length, unit, function and
+    byte count. It is empty where such a comparison is not enough.
+    """
+
+    __slots__ = ("head", "reply_size", "tail", "unit")
+
+    def __init__(self, request: Request, unit: int) -> None:
+        wire = request.prepare()
+        size = request.expected_size
+        self.unit = unit
+        self.tail = HEAD.pack(0, 0, len(wire) + 1, unit)[2:] + wire
+        self.reply_size = 7 + size
+        self.head = b""
+        if request.take is not None and size > 0:
+            self.head = HEAD.pack(0, 0, size + 1, unit)[2:] + request.expected_prefix
+
+
+def _route(request: Request, unit: int) -> _Route:
+    """The route of a request to a unit, made anew and kept."""
+    route = _Route(request, unit)
+    request.remember(route)
+    return route
 
 
 class _Flight:
     """One place among the requests in flight; the same few objects serve a connection for ever."""
 
-    __slots__ = ("demand", "expires", "position", "request", "sent", "unit")
+    __slots__ = ("demand", "expires", "position", "request", "route", "sent")
 
     demand: Demand | None  # None: cancelled
     request: Request
     position: int
-    unit: int
+    route: "_Route"
     sent: float
     expires: float
 
@@ -194,40 +222,48 @@ class TcpClientSession:
         ):
             return None
         self._ledger.begin(demand, now)
-        self.counters.requests += 1
-        demand.next = 1
-        return self._launch(demand, 0, now, now + demand.timeout)
-
-    def _launch(self, demand: Demand, position: int, now: float, expires: float) -> bytes:
-        """Put one request in flight; its ADU."""
-        request = demand.requests[position]
-        try:
-            wire = request.wire
-        except AttributeError:
-            wire = request.prepare()
-        transaction = self._transaction + 1 & 0xFFFF
-        while transaction in self._pending or transaction in self._expired:
-            transaction = transaction + 1 & 0xFFFF
-        self._transaction = transaction
-        flight = self._free.pop()
-        flight.demand = demand
-        flight.request = request
-        flight.position = position
-        flight.unit = demand.unit
-        flight.sent = now
-        flight.expires = expires
-        self._pending[transaction] = flight
-        return _pack(transaction, 0, len(wire) + 1, demand.unit) + wire
+        return self._launch(demand, demand.take(1), now)[0]
 
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
-        expires = now + demand.timeout
-        adus = [self._launch(demand, position, now, expires) for position in demand.take(at_most)]
-        self.counters.requests += len(adus)
+        adus = self._launch(demand, demand.take(at_most), now)
         if len(adus) == 1 or self.parameters.single_adu_segments:
             out += adus
         else:
             out.append(b"".join(adus))
+
+    def _launch(self, demand: Demand, positions: Sequence[int], now: float) -> list[bytes]:
+        """Put requests in flight, one for each free place; their ADUs."""
+        pending, expired, free = self._pending, self._expired, self._free
+        requests = demand.requests
+        unit = demand.unit
+        expires = now + demand.timeout
+        transaction = self._transaction
+        adus: list[bytes] = []
+        # 0.5 µs per request that was sent before: what does not depend on the transaction is kept with the request.
+        for position in positions:
+            request = requests[position]
+            try:
+                route = request.memo
+            except AttributeError:
+                route = _route(request, unit)
+            if route.unit != unit:
+                route = _route(request, unit)
+            transaction = transaction + 1 & 0xFFFF
+            while transaction in pending or transaction in expired:
+                transaction = transaction + 1 & 0xFFFF
+            flight = free.pop()
+            flight.demand = demand
+            flight.request = request
+            flight.position = position
+            flight.route = route
+            flight.sent = now
+            flight.expires = expires
+            pending[transaction] = flight
+            adus.append(transaction.to_bytes(2, "big") + route.tail)
+        self._transaction = transaction
+        self.counters.requests += len(adus)
+        return adus
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
         """Work through the first ``size`` bytes of ``buffer``. Demands that are complete are in ``finished``."""
@@ -239,32 +275,29 @@ class TcpClientSession:
         free = self._free
         ledger = self._ledger
         at = good = 0
-        # The hot path of a client, 1.2 µs per reply: one that answers its request is told by its length and its
-        # first bytes alone, and `Request.take` only cuts out the payload. All else goes through _odd_frame.
+        # The hot path of a client, 1.0 µs per reply: one that answers its request is told by the seven bytes behind
+        # its transaction, and `Request.take` only cuts out the payload. All else goes through _odd_frame.
         while size - at >= 8:
-            transaction, protocol, length, unit, _ = _unpack(buffer, at)
-            end = at + 6 + length
-            if not MIN_LENGTH <= length <= MAX_LENGTH or end > size:
-                break
-            flight = pending.get(transaction)
-            if flight is not None and not protocol and (demand := flight.demand) is not None:
-                request = flight.request
-                take = request.take
-                if (
-                    take is not None
-                    and length == request.expected_size + 1
-                    and buffer.startswith(request.expected_prefix, at + 7)
-                    and (unit == flight.unit or flight.unit == TCP_DEVICE_UNIT or not flight.unit)
-                ):
-                    del pending[transaction]
+            flight = pending.get(buffer[at] << 8 | buffer[at + 1])
+            if flight is not None and buffer[at + 2 : at + 9] == flight.route.head:
+                demand = flight.demand
+                end = at + flight.route.reply_size
+                if end > size:
+                    break
+                if demand is not None:
+                    del pending[buffer[at] << 8 | buffer[at + 1]]
                     free.append(flight)
                     good += 1
-                    demand.outcomes[flight.position] = take(buffer[at + 7 : end])
+                    demand.outcomes[flight.position] = flight.request.take(buffer[at + 7 : end])
                     demand.open -= 1
                     if not demand.open:
                         ledger.finish(demand)
                     at = end
                     continue
+            transaction, protocol, length, unit, _ = _unpack(buffer, at)
+            end = at + 6 + length
+            if not MIN_LENGTH <= length <= MAX_LENGTH or end > size:
+                break
             self._odd_frame(transaction, protocol, unit, bytes(buffer[at:end]), now)
             at = end
         if good:
@@ -374,7 +407,7 @@ class TcpClientSession:
             self.counters.foreign_protocol += 1
             reason = f"protocol identifier {protocol} where 0 is Modbus"
         elif not self._unit_fits(flight, unit, alone=not self._pending):
-            reason = f"unit {unit} answered where {flight.unit} was asked"
+            reason = f"unit {unit} answered where {flight.route.unit} was asked"
         elif pdu[0] & 0x7F != function:
             reason = f"function {pdu[0]} answers function {function}"
         if not reason:
@@ -432,7 +465,7 @@ class TcpClientSession:
 
     def _unit_fits(self, flight: _Flight, unit: int, *, alone: bool) -> bool:
         """Whether ``unit`` may answer; ``alone`` says that nothing else is in flight."""
-        if unit == flight.unit or flight.unit in (0, TCP_DEVICE_UNIT):
+        if unit == flight.route.unit or flight.route.unit in (0, TCP_DEVICE_UNIT):
             return True
         policy = self.parameters.unit_policy
         return policy is MismatchPolicy.IGNORE or (policy is MismatchPolicy.AUTOMATIC and alone)
