@@ -122,7 +122,8 @@ class Program(TyperGroup):
             code = result if isinstance(result, int) else ExitCode.DONE
             sys.stdout.flush()
         except ModbusError as error:
-            code = _fail(str(error), exit_code_of(error))
+            # What is wrong in a file begins with file and line, as editors expect it.
+            code = _fail(str(error), exit_code_of(error), prefix="" if getattr(error, "file", None) else "busway: ")
         except KeyboardInterrupt:
             code = ExitCode.INTERRUPTED
         except (BrokenPipeError, ReaderGoneError):
@@ -159,9 +160,9 @@ def load(name: str) -> Any:
     return get_command(single)
 
 
-def _fail(sentence: str, code: ExitCode) -> ExitCode:
+def _fail(sentence: str, code: ExitCode, *, prefix: str = "busway: ") -> ExitCode:
     with contextlib.suppress(BrokenPipeError):
-        print(f"busway: {sentence}", file=sys.stderr, flush=True)
+        print(f"{prefix}{sentence}", file=sys.stderr, flush=True)
     return code
 
 

@@ -1,0 +1,163 @@
+"""At which line each key of a TOML text stands; ``tomllib`` does not tell.
+
+Knows the grammar as far as it separates keys from values; judges nothing: the text has passed ``tomllib``.
+
+A path is a tuple of keys and, in arrays, indexes: ``("unit", 0, "point", 3, "type")``.
+"""
+
+from typing import Final
+
+Path = tuple[str | int, ...]
+
+_SPACE: Final = " \t"
+_BLANK: Final = " \t\r\n"
+_DELIMITERS: Final = ("'''", '"""', "'", '"')
+
+
+def key_lines(text: str) -> dict[Path, int]:
+    """The 1-based line of every key, table and array element in a valid TOML text."""
+    reader = _Reader(text)
+    reader.read_document()
+    return reader.lines
+
+
+def line_of(lines: dict[Path, int], path: Path) -> int:
+    """The line of a path; of a path that does not stand there, the line of the innermost that does."""
+    while path and path not in lines:
+        path = path[:-1]
+    return lines.get(path, 1)
+
+
+class _Reader:
+    """One pass over the text."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._at = 0
+        self._line = 1
+        self._tables: dict[Path, int] = {}
+        """Arrays of tables, and how many elements each has so far."""
+        self.lines: dict[Path, int] = {}
+
+    def read_document(self) -> None:
+        """Table by table, line by line."""
+        table: Path = ()
+        while True:
+            self._skip_blank()
+            if self._at >= len(self._text):
+                return
+            if self._text.startswith("[[", self._at):
+                table = self._read_header(2)
+            elif self._text[self._at] == "[":
+                table = self._read_header(1)
+            else:
+                self._read_pair(table)
+
+    def _read_header(self, brackets: int) -> Path:
+        line = self._line
+        self._move(brackets)
+        keys = self._read_key()
+        self._skip(_SPACE)
+        self._move(brackets)
+        path: Path = ()
+        for position, key in enumerate(keys):
+            path = (*path, key)
+            if brackets == 2 and position == len(keys) - 1:
+                self._tables[path] = self._tables.get(path, 0) + 1
+            if path in self._tables:
+                self.lines.setdefault(path, line)
+                path = (*path, self._tables[path] - 1)
+            self.lines.setdefault(path, line)
+        return path
+
+    def _read_pair(self, table: Path) -> None:
+        line = self._line
+        path = table
+        for key in self._read_key():
+            path = (*path, key)
+            self.lines.setdefault(path, line)
+        self._skip(_SPACE)
+        self._move(1)  # =
+        self._skip(_SPACE)
+        self._read_value(path)
+
+    def _read_key(self) -> list[str]:
+        """A dotted key."""
+        keys = []
+        while True:
+            self._skip(_SPACE)
+            if self._text[self._at] in "'\"":
+                keys.append(self._read_string())
+            else:
+                start = self._at
+                while self._at < len(self._text) and (self._text[self._at].isalnum() or self._text[self._at] in "-_"):
+                    self._at += 1
+                keys.append(self._text[start : self._at])
+            self._skip(_SPACE)
+            if self._text[self._at : self._at + 1] != ".":
+                return keys
+            self._move(1)
+
+    def _read_value(self, path: Path) -> None:
+        first = self._text[self._at : self._at + 1]
+        if first == "[":
+            self._move(1)
+            index = 0
+            self._skip_blank()
+            while self._text[self._at] != "]":
+                self.lines.setdefault((*path, index), self._line)
+                self._read_value((*path, index))
+                index += 1
+                self._skip_separator()
+            self._move(1)
+        elif first == "{":
+            self._move(1)
+            self._skip_blank()
+            while self._text[self._at] != "}":
+                self._read_pair(path)
+                self._skip_separator()
+            self._move(1)
+        elif first in ("'", '"'):
+            self._read_string()
+        else:
+            while self._at < len(self._text) and self._text[self._at] not in ",]}#\r\n":
+                self._at += 1
+
+    def _read_string(self) -> str:
+        """A string of any of the four kinds; its text is right where keys need it."""
+        mark = next(each for each in _DELIMITERS if self._text.startswith(each, self._at))
+        self._move(len(mark))
+        start = self._at
+        while not self._text.startswith(mark, self._at):
+            self._move(2 if self._text[self._at] == "\\" and mark[0] == '"' else 1)
+        content = self._text[start : self._at]
+        self._move(len(mark))
+        # A multi-line string may end in up to two quotation marks of its own.
+        while len(mark) == 3 and self._text[self._at : self._at + 1] == mark[0]:
+            self._move(1)
+        return content
+
+    def _skip_separator(self) -> None:
+        self._skip_blank()
+        if self._text[self._at] == ",":
+            self._move(1)
+            self._skip_blank()
+
+    def _skip_blank(self) -> None:
+        """Spaces, line ends and comments."""
+        while self._at < len(self._text):
+            if self._text[self._at] == "#":
+                while self._at < len(self._text) and self._text[self._at] != "\n":
+                    self._at += 1
+            elif self._text[self._at] in _BLANK:
+                self._move(1)
+            else:
+                return
+
+    def _skip(self, characters: str) -> None:
+        while self._at < len(self._text) and self._text[self._at] in characters:
+            self._at += 1
+
+    def _move(self, count: int) -> None:
+        self._line += self._text.count("\n", self._at, self._at + count)
+        self._at += count

@@ -1,0 +1,22 @@
+"""Everything that is wrong with a file, as one error with a line for each problem."""
+
+from collections.abc import Sequence
+
+from ...errors import ConfigError
+
+
+class FileError(ConfigError):
+    """A file that can not be used.
+
+    Attributes:
+        problems: what is wrong, each with file, line and key, in the order of the lines. The fields of the error itself
+            are those of the first.
+    """
+
+    def __init__(self, problems: Sequence[ConfigError]) -> None:
+        first = problems[0]
+        super().__init__(first.message, file=first.file, line=first.line, key=first.key)
+        self.problems = tuple(problems)
+
+    def __str__(self) -> str:
+        return "\n".join(str(each) for each in self.problems)

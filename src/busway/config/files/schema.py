@@ -1,0 +1,175 @@
+"""How a schema of a file is written, and how its violations become sentences with a line.
+
+Knows pydantic and TOML texts; knows no particular file.
+
+1. A file is read as a whole, and all that is wrong with it is said at once.
+2. Unknown keys are refused; the sentence names those that there are.
+3. Nothing is converted: a text is no number, a number with a fraction no whole number.
+"""
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ...errors import ConfigError
+from ...values.refusal import shown
+from .lines import Path, key_lines, line_of
+from .problems import FileError
+
+
+class Section(BaseModel):
+    """A table of a file. Keys are exactly the declared ones; values are never converted; frozen once read."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True)
+
+
+class Faults(ValueError):
+    """What a validator finds wrong inside its section: for each, the path from the section and a sentence.
+
+    pydantic gives an error of a whole section the section's place; this carries the places inside.
+    """
+
+    def __init__(self, faults: Sequence[tuple[Path, str]]) -> None:
+        super().__init__("; ".join(sentence for _, sentence in faults))
+        self.faults = tuple(faults)
+
+
+File = TypeVar("File", bound=Section)
+
+
+def parse_file(text: str, schema: type[File], name: str) -> File:
+    """The content of a file.
+
+    Args:
+        text: the file's text, in TOML.
+        schema: what it has to look like.
+        name: the file's name, for the sentences.
+
+    Raises:
+        FileError: all that is wrong with it.
+    """
+    try:
+        data = tomllib.loads(text)
+        lines = key_lines(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileError([_syntax_problem(text, error, name)]) from error
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else f"it can not be read: {error}"
+        raise FileError([ConfigError(reason, file=name, line=_densest_line(text))]) from error
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        found = {}
+        for each in error.errors():
+            for path, sentence in _faults(each, schema):
+                problem = ConfigError(
+                    sentence, file=name, line=line_of(lines, path), key=_written(_standing(path, lines))
+                )
+                found[problem.line, problem.key, problem.message] = problem
+        raise FileError(sorted(found.values(), key=lambda each: each.line or 0)) from None
+
+
+def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> ConfigError:
+    """``tomllib`` says the line in words: ``… (at line 3, column 5)`` or ``(at end of document)``."""
+    message = str(error)
+    match = re.search(r" ?\(at (?:line (\d+), column (\d+)|end of document)\)$", message)
+    if match is None:
+        return ConfigError(message, file=name, line=1)
+    line = int(match[1]) if match[1] else max(1, len(text.rstrip("\n").split("\n")))
+    place = f" (column {match[2]})" if match[2] else " (at the end of the file)"
+    said = message[: match.start()]
+    return ConfigError(f"{said[:1].lower()}{said[1:]}{place}", file=name, line=line)
+
+
+def _densest_line(text: str) -> int:
+    """Where a text that exhausts the reader most likely does so: the line with most brackets, or the longest."""
+    lines = text.split("\n")
+    return 1 + max(range(len(lines)), key=lambda at: (lines[at].count("[") + lines[at].count("{"), len(lines[at])))
+
+
+def _faults(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
+    """One of pydantic's errors (a mapping of its own kind, hence Any) as places and sentences."""
+    path: Path = tuple(error["loc"])
+    raised = error.get("ctx", {}).get("error")
+    if isinstance(raised, Faults):
+        for inner, sentence in raised.faults:
+            yield (*path, *inner), sentence
+    else:
+        yield path, _sentence(error, schema, path)
+
+
+def _standing(path: Path, lines: dict[Path, int]) -> Path:
+    """The path without an index that the file does not have: one value may stand for a list of one."""
+    return path[:-1] if path and isinstance(path[-1], int) and path not in lines else path
+
+
+def _written(path: Path) -> str | None:
+    """``unit[0].point[3].type``."""
+    text = ""
+    for each in path:
+        text += f"[{each}]" if isinstance(each, int) else f".{each}" if text else each
+    return text or None
+
+
+_WORDS = {
+    "missing": "is missing",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_type": "must be a number",
+    "string_type": "must be a text",
+    "bool_type": "must be true or false",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+}
+
+
+def _sentence(error: Any, schema: type[Section], path: Path) -> str:
+    kind, details = error["type"], error.get("ctx", {})
+    got = f", not {shown(error['input'])}"
+    if kind == "extra_forbidden":
+        known = _keys_at(schema, path[:-1])
+        near = get_close_matches(str(path[-1]), known, 1)
+        hint = f"; is it {near[0]}?" if near else f"; there are {', '.join(known)}" if known else ""
+        return f"there is no such key{hint}"
+    if kind in ("value_error", "assertion_error"):
+        return str(details.get("error", error["msg"]))
+    if kind == "literal_error":
+        return f"must be {details['expected']}{got}"
+    if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
+        words = {"greater_than_equal": "ge", "less_than_equal": "le", "greater_than": "gt", "less_than": "lt"}[kind]
+        signs = {"ge": "at least", "le": "at most", "gt": "above", "lt": "below"}
+        return f"must be {signs[words]} {details[words]}{got}"
+    if kind == "missing":
+        return _WORDS[kind]
+    if kind in _WORDS:
+        return _WORDS[kind] + got
+    message = error["msg"]
+    return f"{message[:1].lower()}{message[1:]}{got}"
+
+
+def _keys_at(schema: type[Section], path: Path) -> list[str]:
+    """The keys that the table at a path may have."""
+    for key in path:
+        if isinstance(key, int):
+            continue
+        field = schema.model_fields.get(key)
+        inner = None if field is None else next(_sections_in(field.annotation), None)
+        if inner is None:
+            return []
+        schema = inner
+    return list(schema.model_fields)
+
+
+def _sections_in(annotation: Any) -> Iterator[type[Section]]:
+    """The sections that a type names, however deep."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield annotation
+    for each in get_args(annotation):
+        yield from _sections_in(each)

@@ -1,0 +1,71 @@
+"""Device files → devices that can be served.
+
+Knows the schema and `Device`; reads no file.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..codes import Table
+from ..config.files.device import DeviceFile, PointSection, TableSection, UnitSection
+from ..server.cells import Cells
+from ..server.device import Device
+from ..server.server import Server
+from ..server.serving import serve
+
+
+def build_server(file: DeviceFile, listen: Sequence[str] = ()) -> Server:
+    """A server for all that a file declares, not started yet.
+
+    Args:
+        file: the file.
+        listen: endpoints instead of those in the file.
+
+    Raises:
+        ConfigError: an endpoint that can not be listened on.
+    """
+    return serve(*(listen or file.listen), units=build_units(file), **file.server.options())
+
+
+def build_units(file: DeviceFile) -> dict[int, Device]:
+    """The devices of a file by unit, each with a memory of its own."""
+    return {number: build_device(section) for section in file.unit for number in section.unit}
+
+
+def build_device(section: UnitSection) -> Device:
+    """The device that a unit's section declares, its points holding their first values."""
+    # Any: arguments of different types
+    options: dict[str, Any] = {table.value: _cells(section.table(table), section.points_in(table)) for table in Table}
+    if section.server_id is not None:
+        options["server_id"] = section.server_id
+    device = Device(
+        files={file.number: _declared(file, file.read_only) for file in section.file},
+        fifos={fifo.place.offset: fifo.values for fifo in section.fifo},
+        identification=section.objects(),
+        exception_status=section.exception_status,
+        functions=section.functions,
+        **options,
+    )
+    for point in section.point:
+        if point.value is not None:
+            device.write(point.place, point.raw(point.value), point.form)
+    return device
+
+
+def _cells(declared: TableSection | None, points: Sequence[PointSection]) -> Cells | None:
+    """The items of a table: as declared, or else those of its points."""
+    read_only = [
+        [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
+    ]
+    if declared is not None:
+        return _declared(declared, [*declared.read_only, *read_only])
+    offsets = {offset for point in points for offset in range(point.place.offset, point.place.offset + point.size)}
+    return Cells(values=dict.fromkeys(sorted(offsets), 0), read_only=_pairs(read_only)) if offsets else None
+
+
+def _declared(table: TableSection, read_only: Sequence[Sequence[int]]) -> Cells:
+    return Cells(table.first, table.size, table.values, _pairs(read_only))
+
+
+def _pairs(ranges: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
+    return [(first, count) for first, count in ranges]
