@@ -15,14 +15,17 @@ Knows bytes and the times at which they were read; knows no port, no request tab
    A server never does: it takes up again at a silence of t3.5, and until it is in step it believes a frame only if
    it stands between two such silences.
 6. Each byte is looked at a bounded number of times, whatever it is: running CRC states, one comparison per candidate,
-   at most 256 bytes of an undecided chunk, rejected places are not tried again.
+   at most 256 bytes of an undecided chunk, rejected places are not tried again, and at most one pass per silence.
 
 A silence before a burst is measured to the moment at which its first byte began, taken that its bytes came without
 gaps; a read that comes late makes it look longer than it was, never shorter than zero.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Container
+from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from typing import Final
 
 from ..codes import RTU_ADU_LIMIT
@@ -70,9 +73,8 @@ class RtuReceiver:
     __slots__ = (
         "_at",
         "_buffer",
-        "_burst_at",
-        "_burst_began",
-        "_chunk_began",
+        "_bursts",
+        "_gone",
         "_in_step",
         "_last",
         "_lengths",
@@ -132,9 +134,8 @@ class RtuReceiver:
         self._scan = 1  # places of the chunk before this one are rejected as beginnings of a frame inside it
         self._prefix_end = SHORTEST  # lengths of the chunk below this one are no frame of an unknown function
         self._silences: list[int] = []
-        self._chunk_began = _NEVER
-        self._burst_at = 0
-        self._burst_began = _NEVER
+        self._gone = 0  # bytes that have left the buffer, so that the places of the bursts need not be moved
+        self._bursts = [_Burst(0, _NEVER, 0.0)]
         self._last = _NEVER if started is None else started
         self._sent_until = _NEVER
         self._quiet = True  # whether the t3.5 after the last byte has been dealt with
@@ -201,8 +202,6 @@ class RtuReceiver:
         """
         found: list[Received] = []
         self._pass_time(now, found)
-        if not self._undecided:
-            self._chunk_began = now
         self._lose(len(self._buffer))
         self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
         self._fall_out_of_step()
@@ -246,28 +245,28 @@ class RtuReceiver:
     def _accept(self, data: bytes | bytearray, began: float, now: float, found: list[Received]) -> None:
         if data and self._at < len(self._buffer) and self._quiet:
             self._silences = [*self._silences[1 - _SILENCES_KEPT :], len(self._buffer)]
-        self._burst_began = began
+        each = (now - began) / len(data) if data else 0.0
         for start in range(0, len(data), _PIECE):
-            self._append(data[start : start + _PIECE])
+            self._append(data[start : start + _PIECE], began + start * each, each)
             self._follow(found)
-            self._burst_began += _PIECE * self.timing.character
         self._last = max(self._last, now)
         self._quiet = False
 
-    def _append(self, piece: bytes | bytearray) -> None:
+    def _append(self, piece: bytes | bytearray, began: float, each: float) -> None:
         gone = self._at
         if gone:
+            self._gone += gone
             del self._buffer[:gone]
             del self._states[:gone]
             self._scan -= gone
             self._silences = [place - gone for place in self._silences]
             self._at = 0
         if self._skipping:
-            self._lost.add(piece, self._burst_began, self._burst_began + len(piece) * self.timing.character)
+            self._lost.add(piece, began, began + len(piece) * each)
             return
-        if not self._buffer:
-            self._chunk_began = self._burst_began
-        self._burst_at = len(self._buffer)
+        self._bursts.append(_Burst(self._gone + len(self._buffer), began, each))
+        if gone:
+            del self._bursts[: bisect_right(self._bursts, self._gone, key=_place) - 1]
         self._buffer += piece
         self._states += running_states(piece, self._states[-1])
 
@@ -292,7 +291,7 @@ class RtuReceiver:
         if size - at < 2:
             return _WAITS, Direction.UNKNOWN
         unit, code = buffer[at], buffer[at + 1]
-        for direction in self.conversation.order(unit, code, self._burst_began):
+        for direction in self.conversation.order(unit, code, self._bursts[-1].began):
             length = self._length(direction, at, size)
             if length == NEED_MORE:
                 return _WAITS, direction
@@ -387,7 +386,7 @@ class RtuReceiver:
         """The end of the frame at ``at`` by the length rule of either direction; or 0."""
         if size - at < SHORTEST:
             return 0
-        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._burst_began):
+        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts[-1].began):
             length = self._length(direction, at, size)
             if SHORTEST <= length <= min(size - at, RTU_ADU_LIMIT) and self._fits(at, at + length):
                 return at + length
@@ -409,10 +408,10 @@ class RtuReceiver:
     def _direction(self, at: int, end: int) -> Direction:
         """The likeliest direction whose length fits the frame, or a guess."""
         unit, code = self._buffer[at], self._buffer[at + 1]
-        for direction in self.conversation.order(unit, code, self._burst_began):
+        for direction in self.conversation.order(unit, code, self._bursts[-1].began):
             if self._length(direction, at, end) == end - at:
                 return direction
-        return self.conversation.guess(unit, code, self._burst_began)
+        return self.conversation.guess(unit, code, self._bursts[-1].began)
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
         """Take a frame that begins inside the chunk: after a silence for a server, anywhere for the others."""
@@ -528,7 +527,7 @@ class RtuReceiver:
         """Report what was lost before the frame, then the frame; the chunk begins behind it."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
-        ended = self._time_of(end)
+        ended = self._end_of(end)
         found.append(SerialFrame(raw[0], raw[1:-2], raw, direction, self._time_of(self._at), ended, recovered))
         self.conversation.follow(raw[0], raw[1], direction, ended)
         self._move_to(end)
@@ -537,11 +536,10 @@ class RtuReceiver:
     def _lose(self, end: int) -> None:
         """The bytes up to ``end`` are no frame."""
         if end > self._at:
-            self._lost.add(self._buffer[self._at : end], self._time_of(self._at), self._time_of(end))
+            self._lost.add(self._buffer[self._at : end], self._time_of(self._at), self._end_of(end))
             self._move_to(end)
 
     def _move_to(self, at: int) -> None:
-        self._chunk_began = self._time_of(at)
         self._at = at
         self._scan = max(self._scan, at + 1)
         self._prefix_end = SHORTEST
@@ -550,9 +548,15 @@ class RtuReceiver:
 
     def _time_of(self, place: int) -> float:
         """When the byte at ``place`` began, as far as the reads tell."""
-        if place < self._burst_at or place == self._at:
-            return self._chunk_began
-        return self._burst_began + (place - self._burst_at) * self.timing.character
+        place += self._gone
+        burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
+        return burst.began + (place - burst.place) * burst.each
+
+    def _end_of(self, place: int) -> float:
+        """When the byte ahead of ``place`` ended."""
+        place += self._gone
+        burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
+        return burst.began + (place - burst.place) * burst.each
 
     def _fall_out_of_step(self) -> None:
         self._in_step = False
@@ -567,6 +571,18 @@ class RtuReceiver:
         """Whether a reply may be a copy of its request: their lengths are alike, or not known."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]
+
+
+@dataclass(frozen=True, slots=True)
+class _Burst:
+    """Bytes that were read at once: the place of the first one in the stream, when it began, and seconds for each."""
+
+    place: int
+    began: float
+    each: float
+
+
+_place = attrgetter("place")
 
 
 @cache
