@@ -45,7 +45,7 @@ class RecordingModel:
         if refusal is not None:
             raise refusal
 
-    def check(self, table: Table, address: int, count: int, writes: bool) -> None:
+    def check(self, table: Table, address: int, count: int, writes: bool, context: object = None) -> None:
         self._note("check", table, address, count, writes)
         if address + count > self.size:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
