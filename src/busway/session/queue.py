@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from ..errors import Overloaded
 from .demand import Demand
 
-
 Eligible = Callable[[Demand], bool]
 """Whether the unit of a demand may be asked now."""
 

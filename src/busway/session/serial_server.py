@@ -1,7 +1,7 @@
 """The servers of a serial line: any number of units on one wire, which never speak unasked.
 
 Knows the server's state diagram (Serial Line V1.02 §2.4.2) and what is counted when (appendix A); knows no port.
-RTU and ASCII differ only in the receiver and in the encoding that are handed in.
+RTU and ASCII differ only in the framing that is handed in.
 
 1. Only a request for an own unit is answered; what passes by for others, request or reply, is counted as a message of
    the line and nothing else.
@@ -10,21 +10,22 @@ RTU and ASCII differ only in the receiver and in the encoding that are handed in
 4. The answer leaves t3.5 after the last byte on the line at the earliest. If somebody else has spoken before a slow
    handler is ready, its answer is not sent: the master has given up and the line is not ours.
 5. In listen-only mode nothing is answered, until a restart that is not answered either.
+6. Function 08/03 changes the delimiter of what comes after its own answer.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from ..codes import BROADCAST_UNIT, ExceptionCode, FunctionCode
-from ..framing.received import Damaged, Direction, SerialFrame, SerialReceiver
+from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode, FunctionCode
+from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostics import CommunicationState
 from .handler import LATER, Deferral, Handler, Outcome, Refusal, RequestContext
+from .line_framing import LineFraming
 from .server import Deferred, HandlerFailure
 
-EncodeFrame = Callable[[int, bytes], bytes]
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
 
@@ -46,23 +47,24 @@ class SerialServerSession:
 
     Attributes:
         deferred, failures: as in `TcpServerSession`; the driver empties them.
-        requests: requests for own units so far.
+        requests: requests for own units so far, broadcasts included.
         foreign: frames of others that passed by.
+        damaged_frames: disturbances so far.
         abandoned: answers that came after somebody else had spoken.
     """
 
     __slots__ = (
-        "_broadcast_units",
         "_deliver",
         "_diagnostics",
-        "_encode",
+        "_framing",
         "_handler",
+        "_last_byte",
         "_line",
-        "_listener",
         "_receiver",
         "_units",
         "_waiting",
         "abandoned",
+        "damaged_frames",
         "deferred",
         "failures",
         "foreign",
@@ -72,11 +74,9 @@ class SerialServerSession:
     def __init__(
         self,
         handler: Handler,
-        units: Callable[[int], bool],
-        broadcast_units: Callable[[], "list[int]"],
+        units: Container[int],
         *,
-        receiver: SerialReceiver,
-        encode: EncodeFrame,
+        framing: LineFraming,
         diagnostics: CommunicationState,
         deliver: Callable[[Emission], None],
         line: str = "",
@@ -85,10 +85,8 @@ class SerialServerSession:
 
         Args:
             handler: what answers.
-            units: whether a unit 1…247 is an own one.
-            broadcast_units: the units that execute a broadcast.
-            receiver: a receiver in the role of a server.
-            encode: unit and PDU → frame.
+            units: the own units, 1…247; a live view is welcome.
+            framing: in the role of a server with the same units.
             diagnostics: counters and mode of the line.
             deliver: takes late answers.
             line: name of the line, for contexts.
@@ -96,28 +94,43 @@ class SerialServerSession:
         self._handler = handler
         self._units = units
         self._line = line
-        self._listener = line
-        self._broadcast_units = broadcast_units
-        self._receiver = receiver
-        self._encode = encode
+        self._framing = framing
+        self._receiver = framing.receiver
         self._diagnostics = diagnostics
         self._deliver = deliver
         self._waiting: RequestContext | None = None
+        self._last_byte = 0.0
         self.deferred: list[Deferred] = []
         self.failures: list[HandlerFailure] = []
         self.requests = 0
         self.foreign = 0
+        self.damaged_frames = 0
         self.abandoned = 0
+
+    @property
+    def waiting(self) -> int:
+        """1 while an answer is still to come."""
+        return 0 if self._waiting is None else 1
 
     # What the port reports.
 
     def receive(self, data: bytes, now: float) -> list[Emission]:
         """Work through bytes read at ``now``; the answers to send, at most one on a line where masters keep order."""
+        self._last_byte = max(self._last_byte, now)
         return self._work(self._receiver.receive(data, now))
 
-    def damaged(self, now: float, *, overrun: bool = False) -> list[Emission]:
-        """The port marks a parity or framing error, or lost characters, here."""
-        return self._work(self._receiver.damaged(now, overrun=overrun))
+    def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
+        """Bytes among which the port marks a parity or framing error, or after which it lost some (S14).
+
+        The frame in progress is discarded, and so is one that these bytes complete.
+        """
+        self._last_byte = max(self._last_byte, now)
+        marked = [found for found in self._receiver.receive(data, now) if isinstance(found, Damaged)]
+        self._work([*marked, *self._receiver.damaged(now, overrun=overrun)])
+
+    def clear_at(self) -> float:
+        """The earliest time at which an answer may be sent."""
+        return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[Emission]:
         """Let the silence until ``now`` take effect."""
@@ -129,6 +142,7 @@ class SerialServerSession:
 
     def sent(self, frame: bytes, ends: float) -> None:
         """A frame of ours is on the line until ``ends``."""
+        self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
     def close(self) -> None:
@@ -137,14 +151,16 @@ class SerialServerSession:
         if context is not None:
             self._diagnostics.kept_silent()
             context._finish = None
+        self._receiver.flush(self._last_byte)
 
     # Inside.
 
-    def _work(self, received: "list[SerialFrame | Damaged]") -> list[Emission]:
+    def _work(self, received: list[Received]) -> list[Emission]:
         out: list[Emission] = []
         for found in received:
             self._abandon()
             if isinstance(found, Damaged):
+                self.damaged_frames += 1
                 self._diagnostics.received_damaged(overrun=found.overrun)
                 continue
             answer = self._frame(found)
@@ -154,12 +170,8 @@ class SerialServerSession:
 
     def _frame(self, frame: SerialFrame) -> Emission | None:
         broadcast = frame.unit == BROADCAST_UNIT
-        if frame.direction is Direction.REPLY or not (broadcast or self._units(frame.unit)):
-            self.foreign += 1
-            self._diagnostics.received_foreign()
-            return None
         function = frame.pdu[0]
-        if function > 0x7F:
+        if frame.direction is Direction.REPLY or function > 0x7F or not (broadcast or frame.unit in self._units):
             self.foreign += 1
             self._diagnostics.received_foreign()
             return None
@@ -168,20 +180,24 @@ class SerialServerSession:
         if broadcast:
             self._broadcast(frame.pdu)
             return None
-        context = self._context(frame.unit, function)
+        context = self._waiting = self._context(frame.unit, function)
         outcome = self._outcome(context, frame.pdu)
+        if context.replied:
+            return None  # by ``reply``, before the handler returned; a request has one answer
         if isinstance(outcome, Message):
-            context._finish = None
-            return Emission(self._answer(context, outcome), self._receiver.clear_at())
+            self._settle(context)
+            return Emission(self._answer(context, outcome), self.clear_at())
         if outcome is Deferral.SILENCE:
-            context._finish = None
+            self._settle(context)
             self._diagnostics.kept_silent()
-            return None
-        if not context.replied:
-            self._waiting = context
-            if outcome is not LATER:
-                self.deferred.append(Deferred(context, outcome))
+        elif outcome is not LATER:
+            self.deferred.append(Deferred(context, outcome))
         return None
+
+    def _settle(self, context: RequestContext) -> None:
+        """The request has its outcome."""
+        self._waiting = None
+        context._finish = None
 
     def _outcome(self, context: RequestContext, pdu: bytes) -> Outcome:
         diagnostics = self._diagnostics
@@ -206,7 +222,9 @@ class SerialServerSession:
         if not isinstance(request, AnyFunction) or not request.broadcast:
             diagnostics.failed(ExceptionCode.ILLEGAL_FUNCTION)
             return
-        for unit in self._broadcast_units():
+        for unit in range(1, LAST_SERIAL_UNIT + 1):
+            if unit not in self._units:
+                continue
             context = self._context(unit, pdu[0])
             outcome = self._ask(context, pdu)
             if isinstance(outcome, ExceptionResponse):
@@ -233,7 +251,7 @@ class SerialServerSession:
             function=function,
             diagnostics=self._diagnostics,
             peer=self._line,
-            listener=self._listener,
+            listener=self._line,
             finish=self._finish,
         )
 
@@ -243,7 +261,7 @@ class SerialServerSession:
             return  # a broadcast, or given up
         self._waiting = None
         if isinstance(reply, Message):
-            self._deliver(Emission(self._answer(context, reply), self._receiver.clear_at()))
+            self._deliver(Emission(self._answer(context, reply), self.clear_at()))
         else:
             self._diagnostics.kept_silent()
 
@@ -260,4 +278,7 @@ class SerialServerSession:
             self._diagnostics.answered(exception=reply.exception)
         else:
             self._diagnostics.answered(counts=context.function not in _POLLS)
-        return self._encode(context.unit, reply.encode())
+        frame = self._framing.encode(context.unit, reply.encode())
+        if context.function == FunctionCode.DIAGNOSTICS:
+            self._framing.delimit_by(self._diagnostics.ascii_delimiter)
+        return frame

@@ -1,0 +1,149 @@
+"""What a conversation on a serial line needs of its framing: a receiver, an encoder, and the silence before sending.
+
+Knows which receiver goes with which framing and what can be set about it; knows no port and no conversation.
+
+1. On a wire, RTU sends after t3.5 of silence. ASCII needs none, its frames have marks; over a network the silence on
+   the wire is the business of whoever stands at it.
+2. The end delimiter of ASCII may change at any time (function 08/03); what is sent follows what is received.
+"""
+
+from collections.abc import Container
+from dataclasses import dataclass
+
+from ..errors import ConfigError
+from ..framing.ascii import AsciiReceiver, encode_ascii
+from ..framing.conversation import Role
+from ..framing.echo import Echo
+from ..framing.received import SerialReceiver
+from ..framing.rtu import RtuReceiver, encode_rtu
+from ..framing.rtu_strict import StrictRtuReceiver
+from ..framing.timing import SerialTiming
+from ..pdu.functions import STANDARD, FunctionTable
+
+LONGEST_GAP = 10.0
+LONGEST_CHARACTER_TIMEOUT = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class FramingParameters:
+    """How the frames of a serial line are found.
+
+    Attributes:
+        strict_timing: RTU to the letter (Serial Line V1.02 §2.5.1.1): a gap above t1.5 spoils a frame, silence ends
+            it. Only for ports that deliver each character at once.
+        gap_limit: RTU: seconds that an unfinished frame waits for its rest, t3.5…10; None for 50 ms or t3.5,
+            whichever is longer.
+        character_timeout: ASCII: seconds that may pass between two characters, above 0…60.
+        delimiter: ASCII: the character that ends a frame behind CR, 0…127 (function 08/03); 10 is LF.
+        upper_case_only: ASCII: whether hexadecimal digits in lower case are refused.
+    """
+
+    strict_timing: bool = False
+    gap_limit: float | None = None
+    character_timeout: float = 1.0
+    delimiter: int = 0x0A
+    upper_case_only: bool = False
+
+    def __post_init__(self) -> None:
+        if self.gap_limit is not None and not 0 < self.gap_limit <= LONGEST_GAP:
+            raise ConfigError(f"must be above 0 and at most {LONGEST_GAP:g} seconds", key="gap_limit")
+        if self.gap_limit is not None and self.strict_timing:
+            raise ConfigError("does not go with strict_timing, which allows t1.5", key="gap_limit")
+        if not 0 < self.character_timeout <= LONGEST_CHARACTER_TIMEOUT:
+            raise ConfigError(
+                f"must be above 0 and at most {LONGEST_CHARACTER_TIMEOUT:g} seconds", key="character_timeout"
+            )
+        if not 0 <= self.delimiter <= 0x7F:
+            raise ConfigError(f"must be an ASCII character, 0…127, not {self.delimiter}", key="delimiter")
+
+
+class LineFraming:
+    """The framing of one end of one line. Made by `line_framing`.
+
+    Attributes:
+        receiver: finds the frames.
+        timing: character time, t1.5, t3.5.
+        send_gap: seconds of silence before a frame of ours.
+    """
+
+    __slots__ = ("_ascii", "receiver", "send_gap", "timing")
+
+    def __init__(self, receiver: SerialReceiver, timing: SerialTiming) -> None:
+        self.receiver = receiver
+        self.timing = timing
+        self._ascii = receiver if isinstance(receiver, AsciiReceiver) else None
+        self.send_gap = 0.0 if self._ascii is not None or not timing.character else timing.t3_5
+
+    @property
+    def is_network(self) -> bool:
+        """Whether the frames travel over a network, where characters have no duration."""
+        return not self.timing.character
+
+    def encode(self, unit: int, pdu: bytes) -> bytes:
+        """The frame of a PDU of 1…253 bytes for ``unit`` 0…255."""
+        if self._ascii is not None:
+            return encode_ascii(unit, pdu, self._ascii.delimiter)
+        return encode_rtu(unit, pdu)
+
+    def delimit_by(self, character: int) -> None:
+        """End ASCII frames by another character, 0…127, from now on; RTU has none and stays as it is."""
+        if self._ascii is not None:
+            self._ascii.delimiter = character
+
+
+def line_framing(
+    framing: str,
+    role: Role,
+    timing: SerialTiming,
+    parameters: FramingParameters | None = None,
+    *,
+    functions: FunctionTable = STANDARD,
+    units: Container[int] = (),
+    echo: Echo = Echo.OFF,
+    strip_parity: bool = False,
+    started: float | None = None,
+) -> LineFraming:
+    """The framing of one end of a line.
+
+    Args:
+        framing: ``rtu`` or ``ascii``.
+        role: master, server or observer.
+        timing: of a wire or of a network.
+        parameters: how frames are found.
+        functions: the functions whose lengths are known.
+        units: the own units of a server; a live view is welcome.
+        echo: whether the port gives back what is sent.
+        strip_parity: ASCII: whether the eighth bit is ignored.
+        started: when the port was opened; None where the line is known to be idle.
+
+    Raises:
+        ConfigError: a ``gap_limit`` below t3.5, or strict timing where characters have no times.
+    """
+    chosen = parameters or FramingParameters()
+    if framing == "ascii":
+        return LineFraming(
+            AsciiReceiver(
+                role,
+                timing,
+                functions=functions,
+                units=units,
+                delimiter=chosen.delimiter,
+                character_timeout=chosen.character_timeout,
+                upper_case_only=chosen.upper_case_only,
+                strip_parity=strip_parity,
+                echo=echo,
+            ),
+            timing,
+        )
+    receiver: SerialReceiver
+    if chosen.strict_timing:
+        if not timing.character:
+            raise ConfigError("is for serial ports: a network has no times between characters", key="strict_timing")
+        receiver = StrictRtuReceiver(role, timing, functions=functions, units=units, echo=echo, started=started)
+    else:
+        if chosen.gap_limit is not None and chosen.gap_limit < timing.t3_5:
+            raise ConfigError(f"must be t3.5 of this line ({timing.t3_5:g} s) or more", key="gap_limit")
+        receiver = RtuReceiver(
+            role, timing, functions=functions, units=units, gap_limit=chosen.gap_limit, echo=echo, started=started
+        )
+    return LineFraming(receiver, timing)
