@@ -276,7 +276,9 @@ class PointSection(Section):
 
     def physical(self, raw: Any) -> Any:
         """The value in the unit of measure of what the registers hold."""
-        return raw if self.scale == 1.0 or isinstance(raw, bool) else raw * self.scale
+        if self.scale == 1.0 or isinstance(raw, bool):
+            return raw
+        return float(f"{raw * self.scale:.12g}")  # 183 × 0.1 is 18.3
 
     @model_validator(mode="after")
     def _check(self) -> "PointSection":
