@@ -35,7 +35,7 @@ def libmodbus_server() -> Iterator[foreign.Program]:
 
 @pytest.fixture(scope="session")
 def pymodbus_server() -> Iterator[foreign.Program]:
-    with foreign.python_peer("pymodbus_server.py", 0) as program:
+    with foreign.python_peer("pymodbus_server.py", "tcp", 0) as program:
         yield program
 
 
@@ -131,7 +131,7 @@ def libmodbus_client(our_port: int) -> Iterator[foreign.Program]:
 
 @pytest.fixture(scope="module")
 def pymodbus_client(our_port: int) -> Iterator[foreign.Program]:
-    with foreign.python_peer("pymodbus_client.py", "127.0.0.1", our_port, UNIT) as program:
+    with foreign.python_peer("pymodbus_client.py", "tcp", "127.0.0.1", our_port, UNIT) as program:
         yield program
 
 

@@ -1,4 +1,9 @@
-"""A Modbus client made of pymodbus, for the interop tests: ``pymodbus_client.py HOST PORT UNIT``.
+"""A Modbus client made of pymodbus, for the interop tests.
+
+::
+
+    pymodbus_client.py tcp HOST PORT UNIT
+    pymodbus_client.py rtu|ascii DEVICE BAUD UNIT      8 data bits, no parity, 2 stop bits
 
 It understands the commands of ``conversation.py``; the names are those of the functions in the specification.
 """
@@ -9,10 +14,13 @@ from collections.abc import Callable
 from typing import Any
 
 from conversation import Refused, converse
-from pymodbus.client import ModbusTcpClient
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.framer import FramerType
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.diag_message import DiagnosticBase
 from pymodbus.pdu.file_message import FileRecord
+
+Client = ModbusTcpClient | ModbusSerialClient
 
 DIAGNOSTICS_WITHOUT_DATA = {
     0x02: "diag_read_diagnostic_register",
@@ -46,7 +54,7 @@ def wire(values: tuple[int, ...]) -> bytes:
     return b"".join(value.to_bytes(2, "big") for value in values)
 
 
-def commands_of(client: ModbusTcpClient, unit: int) -> dict[str, Callable[..., dict[str, Any]]]:
+def commands_of(client: Client, unit: int) -> dict[str, Callable[..., dict[str, Any]]]:
     """Every function that pymodbus offers, as commands."""
 
     def bits(method: Callable[..., ModbusPDU]) -> Callable[[int, int], dict[str, Any]]:
@@ -150,13 +158,22 @@ def commands_of(client: ModbusTcpClient, unit: int) -> dict[str, Callable[..., d
     }
 
 
+def client_of(words: list[str]) -> Client:
+    """The client that the words of the command line ask for, not connected yet."""
+    kind, where, number, _ = words
+    if kind == "tcp":
+        return ModbusTcpClient(where, port=int(number), timeout=5, retries=0)
+    return ModbusSerialClient(
+        where, framer=FramerType(kind), baudrate=int(number), parity="N", stopbits=2, timeout=5, retries=0
+    )
+
+
 def main() -> None:
-    host, port, unit = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-    client = ModbusTcpClient(host, port=port, timeout=5, retries=0)
+    client = client_of(sys.argv[1:])
     if not client.connect():
         sys.exit("can not connect")
-    converse(commands_of(client, unit))
+    converse(commands_of(client, int(sys.argv[4])))
     client.close()
 
 

@@ -1,7 +1,12 @@
-"""A Modbus server made of pymodbus, for the interop tests: ``pymodbus_server.py PORT``; port 0 takes a free one.
+"""A Modbus server made of pymodbus, for the interop tests.
 
-Prints ``ready PORT``. Four tables of 1000 items with the known content, on every unit. File records and the FIFO queue
-have the constant content that pymodbus itself gives them.
+::
+
+    pymodbus_server.py tcp PORT                        port 0 takes a free one; every unit
+    pymodbus_server.py rtu|ascii DEVICE BAUD UNIT      8 data bits, no parity, 2 stop bits
+
+Prints ``ready PORT`` (or ``ready DEVICE``). Four tables of 1000 items with the known content. File records and the FIFO
+queue have the constant content that pymodbus itself gives them.
 """
 
 import asyncio
@@ -9,16 +14,17 @@ import logging
 import sys
 
 from conversation import COILS, DISCRETE_INPUTS, HOLDING_REGISTERS, IDENTITY, INPUT_REGISTERS, say
+from pymodbus.framer import FramerType
 from pymodbus.pdu.device import ModbusDeviceIdentification
-from pymodbus.server import ModbusTcpServer
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 ANY_UNIT = 0
 
 
-async def serve(port: int) -> None:
-    device = SimDevice(
-        ANY_UNIT,
+def device(unit: int) -> SimDevice:
+    return SimDevice(
+        unit,
         simdata=(
             [SimData(0, values=COILS, datatype=DataType.BITS)],
             [SimData(0, values=DISCRETE_INPUTS, datatype=DataType.BITS)],
@@ -26,11 +32,38 @@ async def serve(port: int) -> None:
             [SimData(0, values=INPUT_REGISTERS, datatype=DataType.REGISTERS)],
         ),
     )
-    server = ModbusTcpServer(device, address=("127.0.0.1", port), identity=ModbusDeviceIdentification(info=IDENTITY))
+
+
+async def serve_tcp(port: int) -> None:
+    server = ModbusTcpServer(
+        device(ANY_UNIT), address=("127.0.0.1", port), identity=ModbusDeviceIdentification(info=IDENTITY)
+    )
     await server.serve_forever(background=True)
     say(f"ready {server.transport.sockets[0].getsockname()[1]}")
     await server.serving
 
 
+async def serve_line(framing: str, path: str, baud: int, unit: int) -> None:
+    server = ModbusSerialServer(
+        device(unit),
+        framer=FramerType(framing),
+        identity=ModbusDeviceIdentification(info=IDENTITY),
+        port=path,
+        baudrate=baud,
+        bytesize=8,
+        parity="N",
+        stopbits=2,
+    )
+    await server.serve_forever(background=True)
+    say(f"ready {path}")
+    await server.serving
+
+
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-asyncio.run(serve(int(sys.argv[1])))
+match sys.argv[1:]:
+    case ["tcp", port]:
+        asyncio.run(serve_tcp(int(port)))
+    case ["rtu" | "ascii" as framing, path, baud, unit]:
+        asyncio.run(serve_line(framing, path, int(baud), int(unit)))
+    case _:
+        sys.exit("usage: pymodbus_server.py tcp PORT | rtu|ascii DEVICE BAUD UNIT")
