@@ -12,7 +12,8 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
 5. Where transactions can not be told apart (policies automatic and ignore), a timeout ends the connection: the next
    reply could be the late one.
-6. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
+6. A connection that brings nothing but timeouts, or late replies only, is made anew.
+7. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
    still working on it.
 """
 
@@ -30,6 +31,12 @@ from .parameters import ClientParameters, MismatchPolicy
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
+_LATE_FACTOR = 2
+"""A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
+helps: so many times more timeouts are borne while late replies come."""
+_STEP = 1021
+"""From one identifier to the next; odd, so that all are used. Devices that answer with the identifier of the request
+plus 1 (sunsynk#680) would with a step of 1 hit another request in flight, and give it the wrong data."""
 
 
 class _Route:
@@ -79,8 +86,8 @@ class TcpClientSession:
         counters: what happened.
         finished: demands that have all their outcomes; the driver empties the list.
         recycle: why the connection must be closed and made anew; empty while it need not.
-        observed_delay: seconds that the last late reply had taken; None before the first.
-        valid_reply: whether this connection has brought a reply that answers a request.
+        observed_delay: seconds that the last late reply had taken; None before the first, and after one in time.
+        valid_reply: whether this connection has brought a reply that answers a request, in time or late.
     """
 
     __slots__ = (
@@ -94,6 +101,7 @@ class TcpClientSession:
         "_pending",
         "_queue",
         "_timeouts_in_row",
+        "_timeouts_since_reply",
         "_transaction",
         "counters",
         "finished",
@@ -120,6 +128,7 @@ class TcpClientSession:
         self._connected = False
         self._not_before = 0.0
         self._timeouts_in_row = 0
+        self._timeouts_since_reply = 0
         self._foreign_in_row = 0
 
     # What the application asks.
@@ -162,7 +171,7 @@ class TcpClientSession:
         self._connected = True
         self._buffer = StreamBuffer()
         self._expired.clear()
-        self._timeouts_in_row = self._foreign_in_row = 0
+        self._timeouts_in_row = self._timeouts_since_reply = self._foreign_in_row = 0
         self._not_before = now + self.parameters.connect_delay if self.parameters.connect_delay else 0.0
         self.recycle = ""
         self.valid_reply = False
@@ -249,9 +258,9 @@ class TcpClientSession:
                 route = _route(request, unit)
             if route.unit != unit:
                 route = _route(request, unit)
-            transaction = transaction + 1 & 0xFFFF
+            transaction = transaction + _STEP & 0xFFFF
             while transaction in pending or transaction in expired:
-                transaction = transaction + 1 & 0xFFFF
+                transaction = transaction + _STEP & 0xFFFF
             flight = free.pop()
             flight.demand = demand
             flight.request = request
@@ -350,6 +359,7 @@ class TcpClientSession:
         if flight.demand is not None:
             self.counters.timeouts += 1
             self._timeouts_in_row += 1
+            self._timeouts_since_reply += 1
             self._failed(flight, flight.demand, self._no_reply(flight, partial, now, over=over), now, again=not over)
         if partial:
             self._recycle("a frame began and did not end within the timeout")
@@ -357,6 +367,8 @@ class TcpClientSession:
             self._recycle("a timeout where transactions can not be told apart")
         elif self._timeouts_in_row >= self.parameters.recycle_after_timeouts:
             self._recycle(f"{self._timeouts_in_row} timeouts in a row")
+        elif self._timeouts_since_reply >= _LATE_FACTOR * self.parameters.recycle_after_timeouts:
+            self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
 
     def _no_reply(self, flight: _Flight, partial: bytes, now: float, *, over: bool) -> NoReply:
         timeout = flight.expires - flight.sent
@@ -386,6 +398,7 @@ class TcpClientSession:
                 self.counters.late_replies += 1
                 self.observed_delay = now - sent
                 self._timeouts_in_row = 0
+                self.valid_reply = True
                 self._start_gap(now)
                 return
             flight = self._tolerated(transaction, protocol, unit, adu)
@@ -417,7 +430,7 @@ class TcpClientSession:
             except MalformedPdu as error:
                 reason = error.reason
         self.counters.bad_replies += 1
-        self._timeouts_in_row = 0
+        self._timeouts_in_row = self._timeouts_since_reply = 0
         self._start_gap(now)
         self._failed(flight, demand, BadReply(reason, raw=adu), now, again=False)
 
@@ -497,7 +510,8 @@ class TcpClientSession:
 
     def _answered(self, good: int, now: float) -> None:
         self.counters.replies += good
-        self._timeouts_in_row = self._foreign_in_row = 0
+        self._timeouts_in_row = self._timeouts_since_reply = self._foreign_in_row = 0
+        self.observed_delay = None
         self.valid_reply = True
         self._start_gap(now)
 

@@ -44,7 +44,8 @@ class ClientParameters:
         max_transactions: NumberMaxOfClientTransaction, 1…16 requests in flight on a connection.
         queue: calls that may wait on a link; one more is refused with `Overloaded`.
         transaction_policy, unit_policy: what is done with replies that name another transaction or unit.
-        recycle_after_timeouts: timeouts in a row, with no sign of life, after which the connection is made anew.
+        recycle_after_timeouts: timeouts in a row, with no sign of life, after which the connection is made anew;
+            twice as many while only late replies come.
         recycle_after_foreign: replies of foreign transactions in a row after which the connection is made anew.
         join: whether requests that are asked for in one turn leave in one segment, and not each by itself.
         single_adu_segments: whether even the requests of `execute_many` leave one by one, as Messaging on TCP/IP

@@ -196,7 +196,11 @@ class FaultyServer:
         return FaultyConversation(session, self.faults, contact, self._handler.functions)
 
     def end(self, connection: "_Connection") -> None:
-        """A connection has ended."""
+        """A connection has ended. It counts until its socket is closed, which comes after this call."""
+        assert self.loop is not None
+        self.loop.call_soon(self._forget, connection)
+
+    def _forget(self, connection: "_Connection") -> None:
         self._connections.discard(connection)
         self.changed()
 

@@ -17,12 +17,19 @@ def _late(delay: float = 1.5) -> Fault:
     return Fault(answered=answered)
 
 
-def _queue_lag(behind: int = 1, stamped: bool = False) -> Fault:
-    """Args: behind: requests that replies lag. stamped: replies carry the identifier of the request they meet."""
+def _queue_lag(behind: int = 1, stamped: bool = False, connections: int | None = None) -> Fault:
+    """Args: behind: requests that replies lag. stamped: replies carry the identifier of the request they meet.
+    connections: how many of them lag, from the first on; None for all."""
     held: WeakKeyDictionary[Contact, deque[Emission]] = WeakKeyDictionary()
+    met: list[None] = []
 
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
-        waiting = held.setdefault(exchange.contact, deque())
+        waiting = held.get(exchange.contact)
+        if waiting is None:
+            if connections is not None and len(met) >= connections:
+                return emissions
+            met.append(None)
+            waiting = held[exchange.contact] = deque()
         waiting.extend(emissions)
         leaving = [waiting.popleft() for _ in range(len(waiting) - behind)]
         return [replace(one, transaction=exchange.transaction) for one in leaving] if stamped else leaving
@@ -73,7 +80,7 @@ LATE = Personality(
 )
 QUEUE_LAG = Personality(
     "queue-lag",
-    "replies run some requests behind; a new connection is in step again",
+    "replies run some requests behind",
     ("Growatt_ModbusTCP#317",),
     "never delivers them, and makes the connection anew",
     _queue_lag,
