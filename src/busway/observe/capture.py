@@ -1,0 +1,227 @@
+"""What goes into a capture file: the bytes of connections, the frames of serial lines.
+
+Knows what Wireshark makes of each kind of packet; knows no driver. A driver hands in what it received and sent.
+
+1. TCP: each receive and send is one TCP segment with the true addresses and ports. Port 502 is decoded as it is;
+   another one where Wireshark's preference says so (``tshark -o mbtcp.tcp.port:502,5020``).
+2. Serial lines: each frame is a packet that Wireshark decodes as Modbus RTU. The master stands at address 0.0.0.0,
+   unit 7 at 0.0.0.7, so that replies are matched with their requests. Requests and replies that are alike (05, 06, 08,
+   22) and some rare functions are told apart where ``mbrtu.tcp.port:1`` is set: port 1 stands for the units.
+3. Wireshark takes no RTU frame of four bytes (07, 11, 12, 17) and no broadcast: those are written as data, with our
+   words for them as comment (and in the list of packets, from Wireshark 4.2 on). An ASCII frame is written in its RTU
+   form, with its characters in the comment: there is no dissector for ASCII.
+4. Damaged bytes are packets too; their comment says what is wrong with them.
+5. Capturing never disturbs the conversation: where the file can not be written any more, it ends there, is said once
+   in the log, and everything else goes on.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from ipaddress import IPv4Address
+from typing import BinaryIO, Final
+
+from ..codes import BROADCAST_UNIT
+from ..framing.received import Damaged, Direction, Received
+from ..framing.rtu import encode_rtu
+from .headers import Node, line_pdu, tcp_packet, udp_packet
+from .pcapng import Flow, LinkType, PcapngWriter
+from .wording import described, in_words
+
+_log = logging.getLogger("busway.capture")
+
+LARGEST_SEGMENT: Final = 32_768
+"""Bytes of one packet; a larger receive becomes several."""
+_MASTER_PORT: Final = 50_000
+_UNIT_PORT: Final = 1
+"""No Modbus server is there in earnest, so that the preference for lines takes nothing away from TCP."""
+_SHORTEST_DISSECTED: Final = 5
+"""Bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
+_HINT: Final = (
+    "Made by busway from payloads; packet headers are synthetic. On serial lines the master is 0.0.0.0 and unit n is"
+    " 0.0.0.n, port 1. Wireshark decodes everything with the preferences mbrtu.tcp.port:1 and, for Modbus/TCP on other"
+    " ports than 502, mbtcp.tcp.port:502,5020."
+)
+
+
+class Capture:
+    """One capture file; a context manager. May be fed from several threads.
+
+    Attributes:
+        failure: why nothing is written any more; empty while all is well.
+    """
+
+    def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
+        """Begin a file in ``stream``, which `close` closes.
+
+        Args:
+            stream: where to write, opened in binary mode.
+            clock: seconds since 1970.
+
+        Raises:
+            OSError: the beginning can not be written.
+        """
+        self.failure = ""
+        self._stream = stream
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._writer = PcapngWriter(stream, comment=_HINT)
+        self._ip_interface: int | None = None
+        self._lines: dict[str, int] = {}
+
+    def __enter__(self) -> "Capture":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def packets(self) -> int:
+        """Packets written so far."""
+        return self._writer.packets
+
+    def stream(self, local: object, peer: object) -> "StreamCapture":
+        """A TCP connection, between what ``getsockname`` and ``getpeername`` gave."""
+        return StreamCapture(self, Node.of(local), Node.of(peer))
+
+    def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
+        """A UDP datagram between two socket addresses."""
+        here, there = Node.of(local), Node.of(peer)
+        source, destination = (here, there) if is_outgoing else (there, here)
+        self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
+
+    def line(self, name: str) -> "LineCapture":
+        """A serial line by the name of its endpoint; one interface of the file, however often it is asked for."""
+        with self._lock:
+            number = self._lines.get(name)
+        if number is None:
+            number = self._guarded(lambda: self._writer.add_interface(LinkType.UPPER_PDU, name, "serial line"))
+            with self._lock:
+                self._lines[name] = number
+        return LineCapture(self, number)
+
+    def close(self) -> None:
+        """End the file. May be called twice; what comes afterwards is not written."""
+        with self._lock:
+            self.failure = self.failure or "closed"
+            self._stream.close()
+
+    # What the connections and lines of this file hand in.
+
+    def ip_packet(self, packet: bytes, *, is_outgoing: bool) -> None:
+        """An IP packet."""
+
+        def write() -> int:
+            if self._ip_interface is None:
+                self._ip_interface = self._writer.add_interface(LinkType.RAW_IP, "ip", "network connections")
+            flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING
+            self._writer.add_packet(self._ip_interface, packet, self._clock(), flow=flow)
+            return 0
+
+        self._guarded(write)
+
+    def line_packet(self, interface: int, packet: bytes, at: float | None, flow: Flow, comment: str) -> None:
+        """A frame of a line, seen at ``at`` (seconds since 1970), now if it is None."""
+
+        def write() -> int:
+            self._writer.add_packet(interface, packet, self._clock() if at is None else at, flow=flow, comment=comment)
+            return 0
+
+        self._guarded(write)
+
+    def _guarded(self, write: Callable[[], int]) -> int:
+        """Write under the lock; the first failure ends the file."""
+        with self._lock:
+            if self.failure:
+                return 0
+            try:
+                return write()
+            except (OSError, ValueError) as error:  # ValueError: the stream was closed by its owner
+                self.failure = getattr(error, "strerror", None) or str(error)
+        _log.warning("the capture file ends here, it can not be written any more: %s", self.failure)
+        return 0
+
+
+class StreamCapture:
+    """One TCP connection in a capture file. Fed by one thread at a time."""
+
+    __slots__ = ("_capture", "_local", "_peer", "_received", "_sent")
+
+    def __init__(self, capture: Capture, local: Node, peer: Node) -> None:
+        self._capture = capture
+        self._local = local
+        self._peer = peer
+        self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
+
+    def received(self, data: bytes) -> None:
+        """Bytes that came in."""
+        for at in range(0, len(data), LARGEST_SEGMENT):
+            piece = data[at : at + LARGEST_SEGMENT]
+            packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
+            self._received += len(piece)
+            self._capture.ip_packet(packet, is_outgoing=False)
+
+    def sent(self, data: bytes) -> None:
+        """Bytes that went out."""
+        for at in range(0, len(data), LARGEST_SEGMENT):
+            piece = data[at : at + LARGEST_SEGMENT]
+            packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
+            self._sent += len(piece)
+            self._capture.ip_packet(packet, is_outgoing=True)
+
+
+class LineCapture:
+    """One serial line in a capture file."""
+
+    __slots__ = ("_capture", "_interface")
+
+    def __init__(self, capture: Capture, interface: int) -> None:
+        self._capture = capture
+        self._interface = interface
+
+    def heard(self, found: Received, *, at: float | None = None, direction: Direction | None = None) -> None:
+        """A frame or damaged chunk that a receiver found.
+
+        Args:
+            found: what it found.
+            at: seconds since 1970 at which it began; None for now.
+            direction: whether it is a request or a reply, where somebody knows better than the receiver.
+        """
+        if isinstance(found, Damaged):
+            info = f"{found.size} damaged bytes: {found.reason.value}"
+            self._write("data", found.raw, 0, Direction.UNKNOWN, at, Flow.INCOMING, info, info=info)
+        else:
+            self._frame(found.unit, found.pdu, found.raw, direction or found.direction, at, Flow.INCOMING)
+
+    def sent(self, unit: int, pdu: bytes, raw: bytes, direction: Direction) -> None:
+        """A frame that went out now: unit and PDU, and ``raw`` as it went."""
+        self._frame(unit, pdu, raw, direction, None, Flow.OUTGOING)
+
+    def _frame(self, unit: int, pdu: bytes, raw: bytes, direction: Direction, at: float | None, flow: Flow) -> None:
+        comment = ""
+        if raw != encode_rtu(unit, pdu):
+            comment = f"ASCII frame {raw.decode('ascii', errors='backslashreplace').rstrip()}"
+            raw = encode_rtu(unit, pdu)
+        if unit == BROADCAST_UNIT or len(raw) < _SHORTEST_DISSECTED:
+            info = f"unit {unit}: {in_words(described(pdu, direction))}"
+            self._write("data", raw, unit, direction, at, flow, comment or info, info=info)
+        else:
+            self._write("mbrtu", raw, unit, direction, at, flow, comment)
+
+    def _write(
+        self,
+        dissector: str,
+        raw: bytes,
+        unit: int,
+        direction: Direction,
+        at: float | None,
+        flow: Flow,
+        comment: str,
+        *,
+        info: str = "",
+    ) -> None:
+        master, device = Node(IPv4Address(0), _MASTER_PORT), Node(IPv4Address(unit), _UNIT_PORT)
+        ends = (device, master) if direction is Direction.REPLY else (master, device)
+        packet = line_pdu(dissector, *ends, raw, info=info)
+        self._capture.line_packet(self._interface, packet, at, flow, comment)

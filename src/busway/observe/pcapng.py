@@ -1,0 +1,99 @@
+"""Capture files in the pcapng format (draft-ietf-opsawg-pcapng), which Wireshark and tshark read.
+
+Knows blocks and options; knows no packet's inside. `busway.observe.capture` decides what is written.
+
+1. Little-endian; times in microseconds. One section.
+2. Nothing is kept: each block is written and flushed at once, so that a file is whole whenever the program ends, and
+   can be looked at while it grows.
+"""
+
+import struct
+from enum import IntEnum
+from typing import BinaryIO, Final
+
+from ..version import __version__
+
+_SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
+_BYTE_ORDER: Final = 0x1A2B3C4D
+_UNKNOWN_LENGTH: Final = -1
+_END_OF_OPTIONS: Final = 0
+_COMMENT: Final = 1
+_NAME, _DESCRIPTION, _TIME_RESOLUTION = 2, 3, 9
+_APPLICATION: Final = 4
+_FLAGS: Final = 2
+_MICROSECONDS: Final = 6
+_LONGEST_TEXT: Final = 4000
+"""Bytes of a comment; the format has room for 65 535, and nobody reads more than this."""
+
+
+class LinkType(IntEnum):
+    """What the packets of an interface begin with."""
+
+    RAW_IP = 101
+    UPPER_PDU = 252
+
+
+class Flow(IntEnum):
+    """Which way a packet went, as seen from here."""
+
+    UNKNOWN = 0
+    INCOMING = 1
+    OUTGOING = 2
+
+
+class PcapngWriter:
+    """Writes one capture file into a binary stream, which stays the caller's. Errors of the stream are `OSError`."""
+
+    __slots__ = ("_interfaces", "_stream", "packets")
+
+    def __init__(self, stream: BinaryIO, *, comment: str = "") -> None:
+        self._stream = stream
+        self._interfaces = 0
+        self.packets = 0
+        options = _text(_COMMENT, comment) + _text(_APPLICATION, f"busway {__version__}")
+        self._write(_SECTION, struct.pack("<IHHq", _BYTE_ORDER, 1, 0, _UNKNOWN_LENGTH), options)
+
+    def add_interface(self, link_type: LinkType, name: str, description: str = "") -> int:
+        """A new interface; its number is what `add_packet` takes."""
+        options = _text(_NAME, name) + _text(_DESCRIPTION, description)
+        options += _option(_TIME_RESOLUTION, bytes((_MICROSECONDS,)))
+        self._write(_INTERFACE, struct.pack("<HHI", link_type, 0, 0), options)
+        self._interfaces += 1
+        return self._interfaces - 1
+
+    def add_packet(
+        self, interface: int, data: bytes, time: float, *, flow: Flow = Flow.UNKNOWN, comment: str = ""
+    ) -> None:
+        """A packet that was seen at ``time`` (seconds since 1970)."""
+        microseconds = max(round(time * 1e6), 0)
+        head = struct.pack("<IIIII", interface, microseconds >> 32, microseconds & 0xFFFF_FFFF, len(data), len(data))
+        options = _text(_COMMENT, comment)
+        if flow is not Flow.UNKNOWN:
+            options += _option(_FLAGS, struct.pack("<I", flow))
+        self._write(_PACKET, head + _padded(data), options)
+        self.packets += 1
+
+    def _write(self, kind: int, body: bytes, options: bytes) -> None:
+        if options:
+            options += _option(_END_OF_OPTIONS, b"")
+        size = 12 + len(body) + len(options)
+        self._stream.write(struct.pack("<II", kind, size) + body + options + struct.pack("<I", size))
+        self._stream.flush()
+
+
+def _text(code: int, text: str) -> bytes:
+    """A text option; nothing where there is no text."""
+    if not text:
+        return b""
+    encoded = text.encode("utf-8")
+    if len(encoded) > _LONGEST_TEXT:
+        encoded = encoded[:_LONGEST_TEXT].decode("utf-8", errors="ignore").encode("utf-8")
+    return _option(code, encoded)
+
+
+def _option(code: int, value: bytes) -> bytes:
+    return struct.pack("<HH", code, len(value)) + _padded(value)
+
+
+def _padded(data: bytes) -> bytes:
+    return data + bytes(-len(data) % 4)

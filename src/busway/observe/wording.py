@@ -1,0 +1,29 @@
+"""A PDU as one line of text, for lists of frames.
+
+Knows the describer of PDUs; knows no frame and no connection.
+"""
+
+from ..framing.received import Direction
+from ..pdu.describe import Description, describe_reply, describe_request
+from ..pdu.functions import STANDARD, FunctionTable
+from ..pdu.message import Message
+
+
+def described(
+    pdu: bytes, direction: Direction, *, request: Message | None = None, functions: FunctionTable = STANDARD
+) -> Description:
+    """The description of a PDU of this direction; ``request``, if it is known, tells what a reply answers."""
+    if direction is Direction.REPLY:
+        return describe_reply(pdu, functions, request=request)
+    return describe_request(pdu, functions)
+
+
+def in_words(description: Description) -> str:
+    """Function, direction and all fields in one line; what is wrong comes last, behind an exclamation mark."""
+    fields = [f"{part.name} {part.text or part.data.hex(' ')}".rstrip() for part in description.parts[1:]]
+    sentence = description.title
+    if fields:
+        sentence += f": {'; '.join(fields)}"
+    if description.problems:
+        sentence += f" ! {'; '.join(description.problems)}"
+    return sentence
