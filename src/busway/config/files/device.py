@@ -128,6 +128,7 @@ class ServerSection(Section):
     max_connections: int | None = Field(default=None, ge=1, le=1_000_000)
     write_buffer: int | None = Field(default=None, ge=1024, le=1 << 30)
     single_adu_segments: bool | None = None
+    frame_timeout: float | None = Field(default=None, ge=0.001, le=3600)
     keepalive: bool | None = None
     keepalive_idle: int | None = None
     keepalive_interval: int | None = None
@@ -300,7 +301,7 @@ class PointSection(Section):
             if place.offset + form.registers > TABLE_SIZE:
                 raise Faults([(("address",), f"{form.registers} registers from {place} on end beyond the last one")])
         if self.access == "read-write" and not self.table.is_writable:
-            raise Faults([(("access",), f"a {self.table.label} can not be written")])
+            raise Faults([(("access",), f"Modbus can not write {self.table.label}s")])
         if self.access == "read" and place.bit is not None:
             raise Faults([(("access",), f"{place} can be written as its register can; give that a range in read_only")])
         if self.value is not None:

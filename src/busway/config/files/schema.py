@@ -103,8 +103,11 @@ def _faults(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: dict[Path, int]) -> Path:
-    """The path without an index that the file does not have: one value may stand for a list of one."""
-    return path[:-1] if path and isinstance(path[-1], int) and path not in lines else path
+    """The path as the file has it: one value may stand for a list of one, and a list for a table with it."""
+    if path in lines:
+        return path
+    shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))
+    return next((each for each in shorter if each in lines and isinstance(path[-1], int)), path)
 
 
 def _written(path: Path) -> str | None:
