@@ -27,6 +27,8 @@ from .limits import raise_open_file_limit
 from .parameters import ListenerParameters
 
 _STOP_SECONDS = 0.5
+_TURNS_TO_SETTLE = 4
+"""Turns of the loop until a connection that is being accepted stands, and until one that was closed has gone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +149,11 @@ class Server:
         """Close all listeners and connections. Replies that are written go out; after half a second nothing waits."""
         listeners, self._listeners = self._listeners, []
         self._bound.clear()
-        for listener in listeners:
-            listener.close()
+        try:
+            await _accept_no_more(listeners)
+        finally:
+            for listener in listeners:
+                listener.close()
         for management in self._managements:
             management.close_all()
         waits = [management.wait_until_empty() for management in self._managements]
@@ -156,8 +161,7 @@ class Server:
             await asyncio.wait_for(asyncio.gather(*waits), _STOP_SECONDS)
         for management in self._managements:
             management.close_all(at_once=True)
-        for _ in range(3):  # connection_lost runs in the next turn of the loop
-            await asyncio.sleep(0)
+        await _settle()
         self._started = 0.0
 
     async def reset(self) -> None:
@@ -202,6 +206,25 @@ class Server:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.stop()
+
+
+async def _accept_no_more(listeners: Sequence[asyncio.Server]) -> None:
+    """Take no newcomer, and let those that are being accepted arrive.
+
+    asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in nobody's
+    hands, until the garbage collection finds it.
+    """
+    loop = asyncio.get_running_loop()
+    for listener in listeners:
+        for bound in listener.sockets:
+            with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness
+                loop.remove_reader(bound.fileno())
+    await _settle()
+
+
+async def _settle() -> None:
+    for _ in range(_TURNS_TO_SETTLE):
+        await asyncio.sleep(0)
 
 
 def _bound_name(scheme: str, bound: socket.socket) -> str:
