@@ -36,7 +36,7 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit
-from .calls import LinkSettings, closed_error, default_unit, demand_for, link_settings
+from .calls import closed_error, default_unit, demand_for
 from .link import Link
 from .operations import (
     CallOptions,
@@ -50,6 +50,7 @@ from .operations import (
     write_values,
 )
 from .pool import LinkPool, pool_of_running_loop
+from .settings import LinkSettings, link_settings
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 

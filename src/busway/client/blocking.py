@@ -35,7 +35,7 @@ from ..session.ledger import ClientCounters
 from ..values import Address, ValueType
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
-from .calls import LinkSettings, closed_error, default_unit, demand_for, link_settings
+from .calls import closed_error, default_unit, demand_for
 from .operations import (
     CallOptions,
     Operation,
@@ -47,6 +47,7 @@ from .operations import (
     read_values,
     write_values,
 )
+from .settings import LinkSettings, link_settings
 
 
 class Unit:

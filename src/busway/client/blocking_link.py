@@ -7,51 +7,72 @@ Knows when to connect, write, wait and look at the clock; knows nothing of what 
    its own demand is complete, the next waiting thread takes over.
 3. Every waiting thread looks after its own time, so nobody depends on how long the leader waits.
 4. Before the first request after a pause the socket is looked at: a peer that closed an idle connection is nothing
-   to report, and a new connection is made.
+   to report, and a new connection is made. On a line, what has come meanwhile is read before each request: it is late,
+   or somebody else's.
 """
 
+import contextlib
 import logging
 import random
 import select
 import socket
 import threading
 import time
+from collections.abc import Callable
+from typing import Final
 
 from ..errors import LinkDown
-from ..observe.trace import TRACE, StreamTrace
+from ..observe.line_trace import Trace, trace_for
+from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
 from ..session.demand import Demand
-from ..session.parameters import ClientParameters
 from ..session.reconnect import ConnectionEvent, Reconnect
+from ..session.serial_client import SerialClientSession
 from ..transport.buffers import RECEIVE_SIZE
+from ..transport.serial.waiting import wait_ready
 from ..transport.tcp import network_reason
-from .connector import Connector
+from .connector import Channel, Connector
+from .conversation import Conversation
+from .settings import LinkSettings
 
 _log = logging.getLogger("busway.client")
 _IDLE_SECONDS = 0.05
 """A connection unused for longer is looked at before it is written to."""
+_LONGEST_WAIT: Final = 0.25
+"""Seconds at a port without a look around: closing it does not wake a thread that waits there."""
+_SPIN: Final = 0.0003
+"""Seconds before a frame that ``precise_timing`` waits for in a loop: a sleeping thread is woken about that late."""
 
 
 class BlockingLink:
     """The blocking driver of one client conversation. Made by `busway.client.blocking_pool`."""
 
-    def __init__(self, connector: Connector, parameters: ClientParameters, *, name: str) -> None:
-        self.name = name
+    def __init__(
+        self, connector: Connector, session: TcpClientSession | SerialClientSession, settings: LinkSettings
+    ) -> None:
+        self.name = settings.endpoint.url
         self._connector = connector
-        # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
-        self.session = TcpClientSession(parameters, endpoint=name, first_transaction=random.getrandbits(16))
+        self._framing = settings.endpoint.framing
+        self.session: Conversation = session
+        self._is_line = isinstance(session, SerialClientSession)
         self.reconnect = Reconnect(random.random)
+        self._spin = 0.0
+        if settings.line is not None and settings.line.port is not None:
+            opening = settings.line.opening
+            self.reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
+            self._spin = _SPIN if opening.precise_timing else 0.0
         self._turn = threading.Condition(threading.Lock())
         self._leading = False
         self._waiting = 0
-        self._socket: socket.socket | None = None
-        self._poll: Poll | None = None
+        self._socket: Channel | None = None
+        self._poll: Poll | ExactPoll | None = None
+        self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
         self._buffer = bytearray(RECEIVE_SIZE)
         self._unsent = b""
         self._last_used = 0.0
         self._closed = False
         self._last_failure: LinkDown | None = None
-        self._trace: StreamTrace | None = None
+        self._trace: Trace | None = None
 
     # What the interface asks.
 
@@ -72,7 +93,9 @@ class BlockingLink:
             self._refuse_while_down(demand, now)
             self.session.submit(demand, now)
             if self._socket is not None:
-                if now - self._last_used > _IDLE_SECONDS and not self.session.in_flight:
+                if self._is_line:
+                    self._look_at_line()
+                elif now - self._last_used > _IDLE_SECONDS and not self.session.in_flight:
                     self._look_at_idle_socket(now)
                 self._transmit(now)
             try:
@@ -115,6 +138,7 @@ class BlockingLink:
             now = time.monotonic()
             if self._socket is not None:
                 self._drop(now, "the link was closed")
+            self._connector.release()
             self.session.unreachable(now, LinkDown("the link was closed"))
             self._done()
             self._turn.notify_all()
@@ -198,7 +222,7 @@ class BlockingLink:
         self._unsent = self._unsent[sent:]
         self._last_used = now
 
-    def _receive(self, connection: socket.socket) -> None:
+    def _receive(self, connection: Channel) -> None:
         now = time.monotonic()
         if self._unsent:
             self._send(now)
@@ -227,6 +251,8 @@ class BlockingLink:
 
     def _tick(self, now: float) -> None:
         timeouts = self.session.counters.timeouts
+        if self._frame_leaves is not None and self.session.in_flight:
+            self._frame_leaves()
         self.session.tick(now)
         if self.session.counters.timeouts != timeouts:
             self.reconnect.move(ConnectionEvent.TIMEOUT, now)
@@ -241,8 +267,17 @@ class BlockingLink:
             if self._waiting:
                 self._turn.notify_all()
 
+    def _look_at_line(self) -> None:
+        """Read what has come while nobody waited, and let the silence since then take effect."""
+        if not self._leading and self._socket is not None:
+            self._receive(self._socket)
+            self._tick(time.monotonic())
+
     def _look_at_idle_socket(self, now: float) -> None:
         assert self._socket is not None
+        if not isinstance(self._socket, socket.socket):
+            self._receive(self._socket)
+            return
         try:
             if not self._socket.recv(1, socket.MSG_PEEK):
                 self._drop(now, "the peer closed it while idle")
@@ -260,9 +295,13 @@ class BlockingLink:
     def _drop(self, now: float, reason: str) -> None:
         """The connection has ended."""
         connection, self._socket = self._socket, None
-        self._poll = None
+        self._poll = self._frame_leaves = None
         self._unsent = b""
         if connection is not None:
+            if isinstance(connection, socket.socket):
+                with contextlib.suppress(OSError):
+                    # Closing alone does not wake a thread that waits at the socket.
+                    connection.shutdown(socket.SHUT_RDWR)
             connection.close()
         self.reconnect.move(ConnectionEvent.LOST, now, had_reply=self.session.valid_reply)
         _log.info("%s: connection ended: %s", self.name, reason)
@@ -282,9 +321,9 @@ class BlockingLink:
                 unit=demand.unit,
             ) from failure
 
-    def _traced(self) -> StreamTrace:
+    def _traced(self) -> Trace:
         if self._trace is None:
-            self._trace = StreamTrace(self.name, is_server=False)
+            self._trace = trace_for(self._framing, self.name, is_server=False)
         return self._trace
 
     # By the leader, without the lock where it waits.
@@ -305,6 +344,10 @@ class BlockingLink:
                 self.session.unreachable(now, error)
                 self._done()
             return error
+        except BaseException:  # an interrupt of the program: the next caller dials again
+            with self._turn:
+                self.reconnect.move(ConnectionEvent.FAILED, time.monotonic())
+            raise
         with self._turn:
             now = time.monotonic()
             self._last_failure = None
@@ -312,7 +355,8 @@ class BlockingLink:
                 connection.close()
                 return LinkDown("the link was closed", endpoint=self.name)
             self._socket = connection
-            self._poll = Poll(connection)
+            self._poll = ExactPoll(self._spin) if self._is_line else Poll(connection)
+            self._frame_leaves = getattr(connection, "still_sending", None)
             self._last_used = now
             self._trace = None
             self.reconnect.move(ConnectionEvent.CONNECTED, now)
@@ -322,16 +366,41 @@ class BlockingLink:
         return None
 
 
+class ExactPoll:
+    """Waits at one port as exactly as the system can, and the last moments in a loop where it is asked to."""
+
+    def __init__(self, spin: float) -> None:
+        self._spin = spin
+
+    def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
+        """As `Poll.wait`."""
+        spins = self._spin > 0 and seconds < _LONGEST_WAIT
+        seconds = min(seconds, _LONGEST_WAIT)
+        until = time.monotonic() + seconds
+        try:
+            descriptor = connection.fileno()
+            writing = [descriptor] if writes else []
+            if wait_ready([descriptor], writing, max(seconds - self._spin * spins, 0.0)):
+                return True
+            if spins:
+                while time.monotonic() < until:
+                    pass
+                return bool(wait_ready([descriptor], writing, 0.0))
+        except (OSError, ValueError):
+            return False  # another thread closed the port while this one was about to wait
+        return False
+
+
 class Poll:
     """Waits at one socket: by ``poll`` where the system has it, which knows no limit of descriptors."""
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: Channel) -> None:
         self._poll = select.poll() if hasattr(select, "poll") else None
         self._writes = False
         if self._poll is not None:
             self._poll.register(connection, select.POLLIN)
 
-    def wait(self, connection: socket.socket, seconds: float, writes: bool) -> bool:
+    def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
         """Whether there is something to receive (or room to send, if ``writes``) within ``seconds``."""
         if self._poll is None:
             readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)

@@ -4,8 +4,10 @@ import threading
 from dataclasses import dataclass
 
 from .blocking_link import BlockingLink
-from .calls import LinkSettings, check_same
+from .calls import check_same
 from .connector import connector_for
+from .conversation import conversation_for
+from .settings import LinkSettings
 
 
 @dataclass(slots=True)
@@ -49,8 +51,9 @@ class BlockingPool:
 
 
 def _make(settings: LinkSettings) -> BlockingLink:
-    connector = connector_for(settings.endpoint, settings.sockets)
-    return BlockingLink(connector, settings.parameters, name=settings.endpoint.url)
+    session = conversation_for(settings)
+    connector = connector_for(settings, session, user="busway.connect")
+    return BlockingLink(connector, session, settings)
 
 
 BLOCKING_POOL = BlockingPool()

@@ -1,76 +1,37 @@
-"""What both interfaces share between a call and a demand: defaults of a link, options of a call, units.
+"""What both interfaces share between a call and a demand: options of a call, units, and who shares a link.
 
 Knows defaults and checks; knows no link and does no IO.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
-from ..codes import TCP_DEVICE_UNIT
-from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, option_names
+from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
+from ..config.endpoints import Endpoint
 from ..errors import ConfigError, InvalidRequest
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
 from ..session.demand import Demand
 from ..session.parameters import ClientParameters
-from ..transport.tcp import SocketParameters
 from .operations import CallOptions
-
-CALL_DEFAULTS = ("timeout", "retries", "deadline")
-"""What each user of a shared link may choose for himself; the rest belongs to the connection."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinkSettings:
-    """Everything that `busway.open` and `busway.connect` were told.
-
-    Attributes:
-        endpoint: where the link leads.
-        parameters: of the conversation.
-        sockets: of the connection.
-    """
-
-    endpoint: Endpoint
-    parameters: ClientParameters
-    sockets: SocketParameters
-
-    def differs(self, other: "LinkSettings") -> str:
-        """The first setting of the connection that differs, or an empty string."""
-        for mine, theirs in ((self.parameters, other.parameters), (self.sockets, other.sockets)):
-            for name in option_names(type(mine)):
-                if name not in CALL_DEFAULTS and getattr(mine, name) != getattr(theirs, name):
-                    return name
-        return ""
-
-
-def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSettings:
-    """Settings from a URL with its options, and from keywords, which go before them. Raises `ConfigError`."""
-    endpoint = parse_endpoint(url)
-    chosen: tuple[dict[str, object], dict[str, object]] = ({}, {})
-    kinds = (ClientParameters, SocketParameters)
-    for name, value in {**endpoint.options, **options}.items():
-        for kind, values in zip(kinds, chosen, strict=True):
-            if name in option_names(kind):
-                values[name] = value
-                break
-        else:
-            known = sorted(name for kind in kinds for name in option_names(kind))
-            raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
-    return LinkSettings(
-        endpoint, build_parameters(ClientParameters, chosen[0]), build_parameters(SocketParameters, chosen[1])
-    )
+from .settings import LinkSettings
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
-    """The unit to ask: 255 where none is named on TCP (Messaging on TCP/IP V1.0b §4.4.1.2). Raises `InvalidRequest`."""
+    """The unit to ask: 255 where none is named on TCP (Messaging on TCP/IP V1.0b §4.4.1.2), else 0…255.
+
+    On a serial line, and where its framing travels over a network, one of 0…247 must be named (Serial Line V1.02 §2.2).
+
+    Raises:
+        InvalidRequest: none is named on a line, or it is out of range. Nothing was sent.
+    """
     if unit is None:
         if endpoint.framing != "mbap":
             raise InvalidRequest("a unit is needed on a serial line: link.unit(1)", endpoint=endpoint.url)
         return TCP_DEVICE_UNIT
-    if not 0 <= as_integer("unit", unit) <= 255:
-        raise InvalidRequest(f"unit must be 0…255, not {unit}", endpoint=endpoint.url)
+    last = 255 if endpoint.framing == "mbap" else LAST_SERIAL_UNIT
+    if not 0 <= as_integer("unit", unit) <= last:
+        raise InvalidRequest(f"unit must be 0…{last}, not {unit}", endpoint=endpoint.url)
     return unit
 
 

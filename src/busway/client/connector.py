@@ -1,6 +1,6 @@
 """How a link gets its connection: the seam between links and transports.
 
-Knows which transport an endpoint needs; knows no conversation.
+Knows which transport an endpoint needs, and hands its bytes to the link; knows no conversation beyond its name.
 """
 
 import contextlib
@@ -10,20 +10,56 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from ..config.endpoints import Endpoint
 from ..errors import ConfigError
+from ..framing.datagram import WHOLE
+from ..session.client import TcpClientSession
+from ..session.serial_client import SerialClientSession
 from ..transport.tcp import SocketParameters, link_down
+from .settings import LinkSettings
 
 if TYPE_CHECKING:
     import asyncio
 
 
+class LinkEnd(Protocol):
+    """The link's end of a connection under asyncio, for transports that are no `asyncio.Transport`."""
+
+    def arrived(self, data: bytes) -> None:
+        """Bytes have come."""
+
+    def arrived_damaged(self, data: bytes, overrun: bool) -> None:
+        """Bytes have come among which the port marks errors, or after which it lost some."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The connection has ended."""
+
+
+class Channel(Protocol):
+    """A connection of a blocking link: a non-blocking socket, or what behaves like one."""
+
+    def fileno(self) -> int:
+        """The descriptor to wait at."""
+
+    def recv_into(self, buffer: bytearray, /) -> int:
+        """Take what has come; 0 where the peer closed. Raises `BlockingIOError` where nothing has, `OSError`."""
+
+    def send(self, data: bytes, /) -> int:
+        """Hand over as many bytes as can be taken. Raises `BlockingIOError`, `OSError`."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
 class Connector(Protocol):
     """Makes connections to one endpoint."""
 
-    async def connect(self, protocol: Callable[[], "asyncio.BaseProtocol"]) -> Any:  # an asyncio.Transport, or alike
+    async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
         """A transport with ``protocol`` behind it. Raises `LinkDown`."""
 
-    def dial(self) -> socket.socket:
-        """A connected, non-blocking socket for a blocking link. Raises `LinkDown`."""
+    def dial(self) -> Channel:
+        """A connection for a blocking link. Raises `LinkDown`."""
+
+    def release(self) -> None:
+        """The link is closed for good."""
 
 
 class TcpConnector:
@@ -64,9 +100,67 @@ class TcpConnector:
         connection.setblocking(False)
         return connection
 
+    def release(self) -> None:
+        """Nothing is held."""
 
-def connector_for(endpoint: Endpoint, sockets: SocketParameters) -> Connector:
-    """The connector of an endpoint. Raises `ConfigError` for a carrier that a client can not use."""
-    if endpoint.scheme == "tcp":
-        return TcpConnector(endpoint, sockets)
+
+class UdpConnector:
+    """UDP, one frame per datagram."""
+
+    def __init__(
+        self, endpoint: Endpoint, sockets: SocketParameters, session: TcpClientSession | SerialClientSession
+    ) -> None:
+        self._endpoint = endpoint
+        self._sockets = sockets
+        self._session = session
+        self._host = endpoint.host or "127.0.0.1"
+        self._is_whole = WHOLE[endpoint.framing]
+
+    async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
+        """An open socket. Raises `LinkDown`."""
+        from ..transport.udp import open_datagram
+
+        return await open_datagram(
+            self._host,
+            self._endpoint.port or 0,
+            self._sockets,
+            endpoint=self._endpoint.url,
+            whole=self._whole,
+            received=protocol().arrived,
+        )
+
+    def dial(self) -> Channel:
+        """An open socket. Raises `LinkDown`."""
+        from ..transport.udp import BlockingDatagramSocket
+
+        return BlockingDatagramSocket(
+            self._host, self._endpoint.port or 0, self._sockets, endpoint=self._endpoint.url, whole=self._whole
+        )
+
+    def release(self) -> None:
+        """Nothing is held."""
+
+    def _whole(self, data: bytes) -> bool:
+        if self._is_whole(data):
+            return True
+        self._session.counters.damaged_frames += 1
+        return False
+
+
+def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClientSession, *, user: str) -> Connector:
+    """The connector of an endpoint; ``user`` says who holds it, where nobody else may.
+
+    Raises:
+        ConfigError: a carrier that a client can not use, or a serial port that this process uses already.
+    """
+    endpoint = settings.endpoint
+    if endpoint.carrier == "tcp":
+        return TcpConnector(endpoint, settings.sockets)
+    if endpoint.carrier == "udp":
+        return UdpConnector(endpoint, settings.sockets, session)
+    if endpoint.carrier == "serial" and settings.line is not None and settings.line.port is not None:
+        from .serial_connector import SerialConnector
+
+        assert isinstance(session, SerialClientSession)
+        return SerialConnector(endpoint, settings.line.port, settings.line.opening, session, user=user)
     raise ConfigError(f"{endpoint}: a client can not use {endpoint.scheme}:// yet")

@@ -5,24 +5,35 @@ Knows when to connect, write and look at the clock; knows nothing of what is ask
 1. It connects at the first need, and again when the connection has gone and something is asked.
 2. One timer, for the next deadline of all; it is moved only where a new one is nearer.
 3. What arrived is worked through in one call; demands that it completes wake their callers.
+4. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
+   are those of ``time.monotonic``, as a port tells them.
 """
 
 import asyncio
 import logging
 import random
-from typing import Any
+import time
+from collections.abc import Callable
+from typing import Any, Final
 
 from ..errors import LinkDown
-from ..observe.trace import TRACE, StreamTrace
+from ..observe.line_trace import Trace, trace_for
+from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
 from ..session.demand import Demand
-from ..session.parameters import ClientParameters
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
+from ..session.serial_client import SerialClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import network_reason
 from .connector import Connector
+from .conversation import Conversation
+from .settings import LinkSettings
 
 _log = logging.getLogger("busway.client")
+
+SPIN: Final = 0.0015
+"""Seconds before a frame that ``precise_timing`` waits for in a loop: the timers of an event loop are up to one
+millisecond late, and a sleeping processor takes its time."""
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
@@ -43,6 +54,12 @@ class _LinkProtocol(asyncio.BufferedProtocol):
     def eof_received(self) -> bool:
         return False
 
+    def arrived(self, data: bytes) -> None:
+        self._link.received(self, data, len(data))
+
+    def arrived_damaged(self, data: bytes, overrun: bool) -> None:
+        self._link.received_damaged(self, data, overrun=overrun)
+
     def connection_lost(self, exc: Exception | None) -> None:
         self._link.lost(self, network_reason(exc) if exc else "the peer closed it")
 
@@ -56,23 +73,33 @@ class _LinkProtocol(asyncio.BufferedProtocol):
 class Link:
     """The asynchronous driver of one client conversation. Made by `busway.client.pool`."""
 
-    def __init__(self, connector: Connector, parameters: ClientParameters, *, name: str) -> None:
-        self.name = name
+    def __init__(
+        self, connector: Connector, session: TcpClientSession | SerialClientSession, settings: LinkSettings
+    ) -> None:
+        self.name = settings.endpoint.url
         self._loop = asyncio.get_running_loop()
         self._connector = connector
-        self._parameters = parameters
-        # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
-        self.session = TcpClientSession(parameters, endpoint=name, first_transaction=random.getrandbits(16))
+        self._parameters = settings.parameters
+        self._framing = settings.endpoint.framing
+        self.session: Conversation = session
+        self._line = session if isinstance(session, SerialClientSession) else None
+        self._clock = self._loop.time if self._line is None else time.monotonic
         self.reconnect = Reconnect(random.random)
+        self._spin = 0.0
+        if settings.line is not None and settings.line.port is not None:
+            opening = settings.line.opening
+            self.reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
+            self._spin = SPIN if opening.precise_timing else 0.0
         self._protocol: _LinkProtocol | None = None
         self._transport: Any = None  # asyncio.Transport, or what a connector gives in its place
         self._connecting: asyncio.Task[None] | None = None
+        self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
         self._paused = False
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at = 0.0
         self._flush_planned = False
         self._outgoing: list[bytes] = []
-        self._trace: StreamTrace | None = None
+        self._trace: Trace | None = None
         self._closed = False
         self._last_failure: LinkDown | None = None
 
@@ -80,7 +107,7 @@ class Link:
 
     def now(self) -> float:
         """The clock of demands."""
-        return self._loop.time()
+        return self._clock()
 
     def start(self, demand: Demand, now: float) -> "asyncio.Future[None]":
         """Begin a demand; the future is done when all its outcomes are in it. Raises `Overloaded`, `LinkDown`.
@@ -101,6 +128,9 @@ class Link:
                 self._traced().sent(adu)
         else:
             self._enqueue(demand, now)
+        if self._line is not None:
+            self._rearm()
+            return future
         soonest = now + demand.timeout
         if demand.deadline is not None and demand.deadline < soonest:
             soonest = demand.deadline
@@ -111,7 +141,7 @@ class Link:
     def give_up(self, demand: Demand) -> None:
         """Nobody waits for a demand any more."""
         self.session.cancel(demand)
-        self._pump(self._loop.time())
+        self._pump(self._clock())
 
     def _enqueue(self, demand: Demand, now: float) -> None:
         if self._transport is None:
@@ -140,10 +170,11 @@ class Link:
             await asyncio.gather(self._connecting, return_exceptions=True)
         transport, protocol = self._transport, self._protocol
         self._transport = self._protocol = None
-        now = self._loop.time()
+        now = self._clock()
         if transport is not None and protocol is not None:
             transport.close()
             self.session.disconnected(now, "the link was closed")
+        self._connector.release()
         self.session.unreachable(now, LinkDown("the link was closed"))
         self._wake()
         # The loop closes the socket in its next turn; whoever closed a link may count on it being closed.
@@ -158,7 +189,7 @@ class Link:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
         if self.is_connected or self._closed:
             return
-        self._ensure_connection(self._loop.time())
+        self._ensure_connection(self._clock())
         if self._connecting is not None:
             await asyncio.shield(self._connecting)
         if not self.is_connected:
@@ -166,11 +197,11 @@ class Link:
 
     # What the connection reports.
 
-    def received(self, protocol: _LinkProtocol, buffer: bytearray, size: int) -> None:
+    def received(self, protocol: _LinkProtocol, buffer: bytes | bytearray, size: int) -> None:
         """Bytes have come."""
         if protocol is not self._protocol:
             return
-        now = self._loop.time()
+        now = self._clock()
         if TRACE.level:
             self._traced().received(bytes(buffer[:size]))
         session = self.session
@@ -181,15 +212,26 @@ class Link:
             self._wake()
         if session.recycle or session.has_demands:
             self._pump(now)
+        if self._line is not None:
+            self._rearm()
+
+    def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
+        """Bytes have come among which the port marks errors."""
+        if protocol is not self._protocol or self._line is None:
+            return
+        if TRACE.level:
+            self._traced().received(data)
+        self._line.receive_damaged(data, self._clock(), overrun=overrun)
+        self._rearm()
 
     def lost(self, protocol: _LinkProtocol, reason: str) -> None:
         """The connection has ended."""
         if protocol is not self._protocol:
             return
-        self._transport = self._protocol = None
+        self._transport = self._protocol = self._frame_leaves = None
         self._outgoing.clear()
         self._paused = False
-        now = self._loop.time()
+        now = self._clock()
         had_reply = self.session.valid_reply
         self.reconnect.move(ConnectionEvent.LOST, now, had_reply=had_reply)
         _log.info("%s: connection ended: %s", self.name, reason)
@@ -203,7 +245,7 @@ class Link:
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
-                self._pump(self._loop.time())
+                self._pump(self._clock())
 
     # Inside.
 
@@ -215,7 +257,7 @@ class Link:
                 self._transport.write(b"".join(outgoing))
             outgoing.clear()
         if self.session.has_demands:
-            self._pump(self._loop.time())
+            self._pump(self._clock())
 
     def _pump(self, now: float) -> None:
         """Send what may be sent; connect where there is no connection; recycle one that is out of step."""
@@ -283,16 +325,17 @@ class Link:
         except LinkDown as error:
             self._connecting = None
             self._last_failure = error
-            now = self._loop.time()
+            now = self._clock()
             self.reconnect.move(ConnectionEvent.FAILED, now)
             _log.info("%s: %s", self.name, error.message)
             self.session.unreachable(now, error)
             self._wake()
             return
         self._connecting = None
-        now = self._loop.time()
+        now = self._clock()
         self._last_failure = None
         self._protocol, self._transport = protocol, transport
+        self._frame_leaves = getattr(transport, "still_sending", None)
         self._trace = None
         self.reconnect.move(ConnectionEvent.CONNECTED, now)
         _log.info("%s: connected", self.name)
@@ -320,6 +363,8 @@ class Link:
         if self._timer is not None:
             self._timer.cancel()
         self._timer_at = when
+        if self._line is not None:  # the loop's clock may be another one
+            when = self._loop.time() + (when - self._clock()) - self._spin
         self._timer = self._loop.call_at(when, self._on_timer)
 
     def _rearm(self) -> None:
@@ -335,7 +380,9 @@ class Link:
 
     def _on_timer(self) -> None:
         self._timer = None
-        now = self._loop.time()
+        now = self._clock()
+        if self._line is not None:
+            now = self._on_line_timer(now)
         timeouts = self.session.counters.timeouts
         self.session.tick(now)
         if self.session.counters.timeouts != timeouts:
@@ -344,7 +391,17 @@ class Link:
         self._pump(now)
         self._rearm()
 
-    def _traced(self) -> StreamTrace:
+    def _on_line_timer(self, now: float) -> float:
+        """Wait out the last moments of a gap, if asked to; and believe no silence while our frame is still leaving."""
+        if self._spin:
+            until = min(self._timer_at, now + 2 * self._spin)
+            while (now := self._clock()) < until:
+                pass
+        if self.session.in_flight and self._frame_leaves is not None:
+            self._frame_leaves()
+        return now
+
+    def _traced(self) -> Trace:
         if self._trace is None:
-            self._trace = StreamTrace(self.name, is_server=False)
+            self._trace = trace_for(self._framing, self.name, is_server=False)
         return self._trace

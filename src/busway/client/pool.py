@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from ..errors import ConfigError
-from .calls import LinkSettings, check_same
+from .calls import check_same
 from .connector import connector_for
+from .conversation import conversation_for
 from .link import Link
+from .settings import LinkSettings
 
 
 @dataclass(slots=True)
@@ -55,8 +57,9 @@ class LinkPool:
 
 
 def _make(settings: LinkSettings) -> Link:
-    connector = connector_for(settings.endpoint, settings.sockets)
-    return Link(connector, settings.parameters, name=settings.endpoint.url)
+    session = conversation_for(settings)
+    connector = connector_for(settings, session, user="busway.open on an event loop")
+    return Link(connector, session, settings)
 
 
 _pools: "WeakKeyDictionary[asyncio.AbstractEventLoop, LinkPool]" = WeakKeyDictionary()

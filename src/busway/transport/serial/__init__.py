@@ -8,12 +8,16 @@ again (`reopen`), and the two ways to use one (`device`): `connection` under asy
 `serialx` opens the ports. It is imported when the first one is opened, so that whoever uses none does not wait for it.
 """
 
-from .blocking import BlockingSerialPort
-from .connection import SerialConnection
-from .counters import LineCounters
-from .ports import FoundPort, list_ports
-from .reopen import ReopenPolicy
-from .settings import Echo, Parity, Rs485, SerialSettings
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .blocking import BlockingSerialPort
+    from .connection import SerialConnection
+    from .counters import LineCounters
+    from .ports import FoundPort, list_ports
+    from .reopen import ReopenPolicy
+    from .settings import Echo, Parity, Rs485, SerialSettings
 
 __all__ = [
     "BlockingSerialPort",
@@ -27,3 +31,23 @@ __all__ = [
     "SerialSettings",
     "list_ports",
 ]
+
+_HOME = {
+    "BlockingSerialPort": "blocking",
+    "Echo": "settings",
+    "FoundPort": "ports",
+    "LineCounters": "counters",
+    "Parity": "settings",
+    "ReopenPolicy": "reopen",
+    "Rs485": "settings",
+    "SerialConnection": "connection",
+    "SerialSettings": "settings",
+    "list_ports": "ports",
+}
+
+
+def __getattr__(name: str) -> Any:  # any public name; imported at need, so that a setting loads no event loop
+    module = _HOME.get(name)
+    if module is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{module}", __name__), name)

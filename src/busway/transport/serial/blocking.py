@@ -93,6 +93,25 @@ class BlockingSerialPort:
         """When the last character written has left, as far as is known (``time.monotonic``)."""
         return self._device.emission.until
 
+    def fileno(self) -> int:
+        """The descriptor to wait at. Raises `LinkDown` where the port is closed or the system has none for ports."""
+        self._opened()
+        if self._descriptor is None:
+            raise LinkDown(f"{self.path} has no descriptor to wait at on this system")
+        return self._descriptor
+
+    def still_sending(self) -> float | None:
+        """Whether the system still holds characters: when the last one leaves at the earliest (``time.monotonic``).
+
+        None where all have left. Raises `LinkDown`.
+        """
+        self._opened()
+        try:
+            held = self._device.held()
+        except OSError as error:
+            raise port_lost(error, port=self.path, sent=True) from error
+        return self._device.emission.still_held(held, time.monotonic()) if held else None
+
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Wait for bytes.
 

@@ -147,6 +147,15 @@ class SerialConnection:
         except OSError as error:
             raise port_lost(error, port=self.path, sent=True) from error
 
+    def still_sending(self) -> float | None:
+        """Whether the system still holds characters: when the last one leaves at the earliest (``time.monotonic``).
+
+        None where all have left. Raises `LinkDown`.
+        """
+        held = self.held()
+        _, device = self._opened()
+        return device.emission.still_held(held, time.monotonic()) if held else None
+
     async def drain(self) -> float:
         """Wait until the last character has left; gives when it did (``time.monotonic``).
 

@@ -7,7 +7,6 @@ Knows how often; the waiting itself is handed in, so that an event loop, a threa
 2. Only what may be different later is tried again: `LinkDown` is, `ConfigError` is not.
 """
 
-import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -56,7 +55,7 @@ async def open_when_there(
     policy: ReopenPolicy,
     *,
     waiting: Callable[[LinkDown, float], None] = _ignore,
-    sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
+    sleep: Callable[[float], Awaitable[object]] | None = None,
 ) -> Port:
     """Open a port, waiting for it as long as the policy says. Cancel it to stop waiting.
 
@@ -70,6 +69,10 @@ async def open_when_there(
         LinkDown: the last failure, when the policy's attempts are used up.
         ConfigError: what waiting does not change.
     """
+    if sleep is None:
+        import asyncio  # here: blocking programs do without it
+
+        sleep = asyncio.sleep
     failures = 0
     while True:
         try:

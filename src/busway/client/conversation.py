@@ -1,0 +1,115 @@
+"""What a link drives: a conversation, whatever its framing.
+
+Knows the shape of a session, and which one an endpoint needs; knows no connection.
+"""
+
+import random
+from typing import Protocol
+
+from ..errors import ModbusError
+from ..framing.conversation import Role
+from ..framing.echo import Echo
+from ..framing.timing import Parity, SerialTiming
+from ..session.client import TcpClientSession
+from ..session.demand import Demand
+from ..session.ledger import ClientCounters
+from ..session.line_framing import line_framing
+from ..session.serial_client import SerialClientSession
+from ..transport.serial.settings import SerialSettings
+from .settings import LineSettings, LinkSettings
+
+
+class Conversation(Protocol):
+    """The client's side of one conversation: `TcpClientSession` or `SerialClientSession`.
+
+    Attributes:
+        counters: what happened.
+        finished: demands that have all their outcomes; the driver empties the list.
+        recycle: why the connection must be made anew; empty while it need not.
+        valid_reply: whether this connection has brought a reply that answers a request.
+    """
+
+    counters: ClientCounters
+    finished: list[Demand]
+    recycle: str
+    valid_reply: bool
+
+    @property
+    def has_demands(self) -> bool:
+        """Whether something waits to be sent."""
+
+    @property
+    def has_gap(self) -> bool:
+        """Whether what waits may be sent only later."""
+
+    @property
+    def in_flight(self) -> int:
+        """Requests whose reply is awaited."""
+
+    def submit(self, demand: Demand, now: float) -> None:
+        """Take a demand. Raises `ModbusError`; nothing was sent then."""
+
+    def send_now(self, demand: Demand, now: float) -> bytes | None:
+        """The frame of a demand that need not queue; None: `submit` it."""
+
+    def cancel(self, demand: Demand) -> None:
+        """Nobody waits for it any more."""
+
+    def connected(self, now: float) -> None:
+        """A connection stands."""
+
+    def disconnected(self, now: float, reason: str) -> None:
+        """It has ended."""
+
+    def unreachable(self, now: float, error: ModbusError) -> None:
+        """None can be had: everything that waits fails."""
+
+    def transmit(self, now: float) -> list[bytes]:
+        """What to send now."""
+
+    def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
+        """Work through what was received."""
+
+    def deadline(self) -> float | None:
+        """When `tick` or `transmit` has something to do."""
+
+    def tick(self, now: float) -> None:
+        """Let time take effect."""
+
+
+def conversation_for(settings: LinkSettings) -> TcpClientSession | SerialClientSession:
+    """The conversation that an endpoint needs, without a connection. Raises `ConfigError`."""
+    name = settings.endpoint.url
+    if settings.line is None:
+        # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
+        return TcpClientSession(settings.parameters, endpoint=name, first_transaction=random.getrandbits(16))
+    line = settings.line
+    port = line.port
+    framing = line_framing(
+        settings.endpoint.framing,
+        Role.MASTER,
+        timing_of(port),
+        line.framing,
+        echo=Echo.OFF if port is None else Echo(port.echo.value),
+        strip_parity=port is not None and port.data_bits == 8,
+    )
+    return SerialClientSession(
+        settings.parameters,
+        framing=framing,
+        jitter=random.random,
+        serial=line.conversation,
+        breaker=line.breaker,
+        endpoint=name,
+    )
+
+
+def timing_of(port: SerialSettings | None) -> SerialTiming:
+    """The times of a line that is set so; of a network where there is none."""
+    if port is None:
+        return SerialTiming.of_network()
+    return SerialTiming.of_line(
+        port.baud, data_bits=port.data_bits, parity=Parity(port.parity.value), stop_bits=port.stop_bits
+    )
+
+
+__all__ = ["Conversation", "LineSettings", "conversation_for", "timing_of"]

@@ -1,0 +1,217 @@
+"""A serial port as the connection of a link: opened when it is there, with the methods of a stream.
+
+Knows ports and the session's wish to know when its last character has left; knows no request.
+
+1. A port that is not there is waited for as long as a request may wait (``port_wait``).
+2. The response timeout counts from the last character: the session is told when it leaves, and again where the system
+   turns out to hold it longer.
+"""
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+from ..config.endpoints import Endpoint
+from ..errors import ConfigError, LinkDown
+from ..session.serial_client import SerialClientSession
+from ..transport.serial.blocking import BlockingSerialPort
+from ..transport.serial.opening import Claim, OpeningParameters
+from ..transport.serial.settings import SerialSettings
+from .connector import Channel, LinkEnd
+
+if TYPE_CHECKING:
+    from ..transport.serial.connection import SerialConnection
+
+HOLDS_AT_MOST: Final = 16
+"""How often a response timeout is put off in a row because the system still holds characters."""
+
+
+class SerialConnector:
+    """Opens one port, again and again."""
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        port: SerialSettings,
+        opening: OpeningParameters,
+        session: SerialClientSession,
+        *,
+        user: str,
+    ) -> None:
+        self._endpoint = endpoint
+        self._port = port
+        self._opening = opening
+        self._session = session
+        self._claim = Claim(endpoint.path, user)
+
+    async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
+        """An open port, waited for. Raises `LinkDown`."""
+        import asyncio
+
+        from ..transport.serial.connection import SerialConnection
+
+        stream = SerialStream(self._session, protocol())
+        waited = _Waited(self._opening)
+        while True:
+            try:
+                connection = await SerialConnection.open(
+                    self._endpoint.path, self._port, received=stream.received, lost=stream.lost
+                )
+                stream.opened(connection)
+                return stream
+            except (LinkDown, ConfigError) as error:
+                pause = waited.pause(self._named(error))
+            await asyncio.sleep(pause)
+
+    def dial(self) -> Channel:
+        """An open port, waited for. Raises `LinkDown`."""
+        waited = _Waited(self._opening)
+        while True:
+            try:
+                return SerialChannel(BlockingSerialPort(self._endpoint.path, self._port), self._session)
+            except (LinkDown, ConfigError) as error:
+                pause = waited.pause(self._named(error))
+            time.sleep(pause)
+
+    def release(self) -> None:
+        """The link is closed for good: the port is free for others."""
+        self._claim.release()
+
+    def _named(self, error: LinkDown | ConfigError) -> LinkDown:
+        """What a link can fail with. A setting that can not be will not be different after a wait."""
+        down = LinkDown(error.message, endpoint=self._endpoint.url)
+        down.__cause__ = error
+        return down
+
+
+class _Waited:
+    """How long a port was waited for."""
+
+    def __init__(self, opening: OpeningParameters) -> None:
+        self._policy = opening.policy()
+        self._until = time.monotonic() + opening.port_wait
+        self._failures = 0
+
+    def pause(self, error: LinkDown) -> float:
+        """Seconds to wait before the next attempt; raises ``error`` when it has been enough."""
+        self._failures += 1
+        left = self._until - time.monotonic()
+        if isinstance(error.__cause__, ConfigError) or left <= 0:
+            raise error
+        return min(self._policy.pause(self._failures) or 0.0, left)
+
+
+class SerialStream:
+    """An open port under asyncio, with the methods of a stream transport."""
+
+    def __init__(self, session: SerialClientSession, end: LinkEnd) -> None:
+        self._session = session
+        self._end = end
+        self._connection: SerialConnection | None = None
+        self._puts_off = 0
+
+    def opened(self, connection: "SerialConnection") -> None:
+        """The port is open."""
+        self._connection = connection
+
+    # What the port tells.
+
+    def received(self, data: bytes, errors: int) -> None:
+        """Bytes, and how many of them are marked as damaged."""
+        if errors:
+            self._end.arrived_damaged(data, overrun=False)
+        else:
+            self._end.arrived(data)
+
+    def lost(self, error: LinkDown) -> None:
+        """The port has vanished."""
+        self._connection = None
+        self._end.connection_lost(error)
+
+    # What a link calls.
+
+    def write(self, data: bytes) -> None:
+        """Send a frame, and tell the session when it will have left."""
+        connection = self._connection
+        if connection is None:
+            return
+        self._puts_off = 0
+        try:
+            self._session.written(connection.write(data))
+        except LinkDown as error:
+            self.abort()
+            import asyncio
+
+            asyncio.get_running_loop().call_soon(self._end.connection_lost, error)
+
+    def still_sending(self) -> None:
+        """Look whether the last character has left, before a response timeout is believed."""
+        if self._connection is None or self._puts_off >= HOLDS_AT_MOST:
+            return
+        try:
+            until = self._connection.still_sending()
+        except LinkDown:
+            return  # the port tells it by itself
+        if until is not None:
+            self._puts_off += 1
+            self._session.still_sending(until)
+
+    def close(self) -> None:
+        """Give the port back."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+    def abort(self) -> None:
+        """Give the port back."""
+        self.close()
+
+    def is_closing(self) -> bool:
+        """Whether it is closed."""
+        return self._connection is None
+
+
+class SerialChannel:
+    """An open port of a blocking link, with the methods of a non-blocking socket."""
+
+    def __init__(self, port: BlockingSerialPort, session: SerialClientSession) -> None:
+        self._port = port
+        self._session = session
+        self._puts_off = 0
+
+    def fileno(self) -> int:
+        """The descriptor to wait at. Raises `OSError` where ports have none."""
+        return self._port.fileno()
+
+    def recv_into(self, buffer: bytearray) -> int:
+        """Take what has come. Raises `BlockingIOError` where nothing usable has, `LinkDown` (an `OSError`)."""
+        data, errors = self._port.read(0)
+        if errors:
+            self._session.receive_damaged(data, time.monotonic())
+            data = b""
+        if not data:
+            raise BlockingIOError
+        buffer[: len(data)] = data
+        return len(data)
+
+    def send(self, data: bytes) -> int:
+        """Send a frame, and tell the session when it will have left. Raises `LinkDown` (an `OSError`)."""
+        self._puts_off = 0
+        self._session.written(self._port.write(data))
+        return len(data)
+
+    def still_sending(self) -> None:
+        """Look whether the last character has left, before a response timeout is believed."""
+        if self._puts_off >= HOLDS_AT_MOST:
+            return
+        try:
+            until = self._port.still_sending()
+        except LinkDown:
+            return  # the next read says so
+        if until is not None:
+            self._puts_off += 1
+            self._session.still_sending(until)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._port.close()

@@ -1,0 +1,46 @@
+"""One frame per datagram: which datagrams are a whole frame and nothing else.
+
+Knows bytes; knows no socket. On UDP there is no stream to come back into step with, so what is not whole is dropped.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from ..codes import ASCII_ADU_LIMIT, RTU_ADU_LIMIT
+from .crc import crc16
+from .lengths import SHORTEST
+from .mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH
+
+_SHORTEST_ASCII: Final = 9
+"""Colon, unit, function code, LRC, CR, delimiter."""
+
+
+def is_whole_mbap(data: bytes) -> bool:
+    """Whether the length field fits the datagram (Messaging on TCP/IP V1.0b §3.1.3)."""
+    if len(data) <= HEADER_SIZE:
+        return False
+    length = data[4] << 8 | data[5]
+    return MIN_LENGTH <= length <= MAX_LENGTH and len(data) == 6 + length
+
+
+def is_whole_rtu(data: bytes) -> bool:
+    """Whether the CRC fits over the whole datagram (Serial Line V1.02 §2.5.1)."""
+    return SHORTEST <= len(data) <= RTU_ADU_LIMIT and crc16(data) == 0
+
+
+def is_whole_ascii(data: bytes) -> bool:
+    """Whether it begins with the only colon, and CR and one character end it (Serial Line V1.02 §2.5.2)."""
+    return (
+        _SHORTEST_ASCII <= len(data) <= ASCII_ADU_LIMIT
+        and data[:1] == b":"
+        and data.rfind(b":") == 0
+        and data[-2:-1] == b"\r"
+    )
+
+
+WHOLE: Final[dict[str, Callable[[bytes], bool]]] = {
+    "mbap": is_whole_mbap,
+    "rtu": is_whole_rtu,
+    "ascii": is_whole_ascii,
+}
+"""The judgement by the name of the framing."""

@@ -1,0 +1,89 @@
+"""How a port is opened, beside what its line is set to; and which ports this process has open.
+
+Knows names of ports; opens none and knows no Modbus.
+
+1. A port belongs to one user in a process: two event loops, or an event loop and a thread, would take each other's
+   bytes. The system's own lock does not help where somebody switched it off.
+2. A claim ends with `Claim.release`, or with whoever held it.
+"""
+
+import os
+import threading
+import weakref
+from dataclasses import dataclass
+
+from ...errors import ConfigError
+from .reopen import ReopenPolicy
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningParameters:
+    """How a port is opened and waited at.
+
+    Attributes:
+        port_wait: seconds that a request waits for a port that is not there, 0…3600; then it fails, and requests fail
+            at once until the port has come.
+        reopen_first, reopen_most: seconds between the attempts to open a port that is not there: the first pause, which
+            doubles, and the longest.
+        precise_timing: whether the last 1.5 ms before a frame are waited for in a loop: frames leave on time where the
+            system's timers do not (they count milliseconds), at the cost of a busy processor.
+    """
+
+    port_wait: float = 1.0
+    reopen_first: float = 0.1
+    reopen_most: float = 2.0
+    precise_timing: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port_wait <= 3600:
+            raise ConfigError(f"must be 0…3600 seconds, not {self.port_wait:g}", key="port_wait")
+        try:
+            self.policy()
+        except ConfigError as error:
+            raise ConfigError(error.message, key=f"reopen_{error.key}") from None
+
+    def policy(self) -> ReopenPolicy:
+        """The pauses, without an end."""
+        return ReopenPolicy(first=self.reopen_first, most=self.reopen_most)
+
+
+class Claim:
+    """One port of this process, held by one user. Keep it as long as the port is used."""
+
+    __slots__ = ("__weakref__", "port", "user")
+
+    def __init__(self, port: str, user: str) -> None:
+        """Claim a port.
+
+        Args:
+            port: its name, as it is opened by.
+            user: who holds it, for the message of the next one.
+
+        Raises:
+            ConfigError: this process has it open already. Nothing was opened.
+        """
+        self.port = _key(port)
+        self.user = user
+        with _lock:
+            holder = _claims.get(self.port)
+            if holder is not None:
+                raise ConfigError(
+                    f"{port} is in use in this process already, by {holder.user}; a serial port has one user",
+                    key="port",
+                )
+            _claims[self.port] = self
+
+    def release(self) -> None:
+        """Give the port up. May be called twice."""
+        with _lock:
+            if _claims.get(self.port) is self:
+                del _claims[self.port]
+
+
+_lock = threading.Lock()
+_claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary()
+
+
+def _key(port: str) -> str:
+    """One name for all the links that lead to a device."""
+    return os.path.realpath(port) if port.startswith("/") and os.path.exists(port) else port

@@ -1,0 +1,159 @@
+"""UDP: datagrams in, datagrams out, under asyncio and without it.
+
+Knows sockets; knows no Modbus. Whoever uses it says which datagrams are whole; what is not is dropped and counted.
+
+1. A datagram that is lost is lost: whoever waits for an answer has a timeout.
+2. That nobody listens at the other end (ICMP) ends nothing: the next datagram may be answered, and anybody can send
+   such a message.
+3. A client takes datagrams from the address it sends to alone.
+"""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from .tcp import SocketParameters, link_down
+
+MAX_DATAGRAM = 2048
+"""More than any frame: what is longer is cut by the system, and is then no whole frame."""
+
+
+class DatagramConnection(asyncio.DatagramProtocol):
+    """A client's end under asyncio, with the methods of a stream transport. Made by `open_datagram`.
+
+    Attributes:
+        dropped: datagrams that were not whole.
+    """
+
+    def __init__(self, whole: Callable[[bytes], bool], received: Callable[[bytes], None]) -> None:
+        self._whole = whole
+        self._received = received
+        self._transport: asyncio.DatagramTransport | None = None
+        self.dropped = 0
+
+    # What asyncio calls.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """It is open."""
+        assert isinstance(transport, asyncio.DatagramTransport)
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
+        """A datagram has come."""
+        if self._whole(data):
+            self._received(data)
+        else:
+            self.dropped += 1
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody listens at the other end, for now (rule 2)."""
+
+    # What a link calls.
+
+    def write(self, data: bytes) -> None:
+        """Send a datagram."""
+        if self._transport is not None:
+            self._transport.sendto(data)
+
+    def close(self) -> None:
+        """Close it."""
+        if self._transport is not None:
+            self._transport.close()
+
+    def abort(self) -> None:
+        """Close it at once."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    def is_closing(self) -> bool:
+        """Whether it is closed."""
+        return self._transport is None or self._transport.is_closing()
+
+
+async def open_datagram(
+    host: str,
+    port: int,
+    parameters: SocketParameters,
+    *,
+    endpoint: str,
+    whole: Callable[[bytes], bool],
+    received: Callable[[bytes], None],
+) -> DatagramConnection:
+    """A client's end towards ``host:port``; ``whole`` judges each datagram, ``received`` gets those that are.
+
+    Raises:
+        LinkDown: the name can not be resolved, or no socket be had. Nothing was sent.
+    """
+    loop = asyncio.get_running_loop()
+    try:
+        async with asyncio.timeout(parameters.connect_timeout):
+            transport, connection = await loop.create_datagram_endpoint(
+                lambda: DatagramConnection(whole, received),
+                remote_addr=(host, port),
+                local_addr=(parameters.local_address, 0) if parameters.local_address else None,
+            )
+    except (OSError, ValueError) as error:
+        raise link_down(error, endpoint=endpoint) from error
+    parameters.apply_buffers(transport.get_extra_info("socket"))
+    return connection
+
+
+class BlockingDatagramSocket:
+    """A client's end for blocking programs, with the methods of a stream socket.
+
+    Attributes:
+        dropped: datagrams that were not whole.
+    """
+
+    def __init__(
+        self, host: str, port: int, parameters: SocketParameters, *, endpoint: str, whole: Callable[[bytes], bool]
+    ) -> None:
+        """Open it; arguments and errors as of `open_datagram`."""
+        self._whole = whole
+        self.dropped = 0
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise link_down(error, endpoint=endpoint) from error
+        try:
+            self._socket.setblocking(False)
+            parameters.apply_buffers(self._socket)
+            if parameters.local_address:
+                self._socket.bind((parameters.local_address, 0))
+            self._socket.connect(address)
+        except (OSError, ValueError) as error:
+            self._socket.close()
+            raise link_down(error, endpoint=endpoint) from error
+
+    def fileno(self) -> int:
+        """The descriptor to wait at."""
+        return self._socket.fileno()
+
+    def recv_into(self, buffer: bytearray) -> int:
+        """Take the next whole datagram. Raises `BlockingIOError` where there is none."""
+        while True:
+            try:
+                data = self._socket.recv(MAX_DATAGRAM)
+            except ConnectionRefusedError:
+                continue
+            if self._whole(data):
+                buffer[: len(data)] = data
+                return len(data)
+            self.dropped += 1
+
+    def send(self, data: bytes) -> int:
+        """Send a datagram."""
+        with contextlib.suppress(ConnectionRefusedError):
+            self._socket.send(data)
+            return len(data)
+        # That was about an earlier one.
+        with contextlib.suppress(ConnectionRefusedError):
+            self._socket.send(data)
+        return len(data)
+
+    def close(self) -> None:
+        """Close it."""
+        self._socket.close()
