@@ -1,0 +1,273 @@
+"""What passes on a line, as a conversation: which reply answers which request, which came not, how long it took.
+
+Knows frames and times; knows no port and no clock. The frames come from a receiver in the role of an observer.
+
+1. A request waits for its reply until the next request is heard, or ``reply_window`` has passed. A broadcast waits for
+   nothing.
+2. A reply of another unit or function than was asked answers nothing, and the request goes on waiting.
+3. Damaged bytes while a request waits are taken for its reply, if no other comes.
+4. Where request and reply are alike (05, 06, 08, 22) nothing in the bytes tells a reply from the same request sent
+   again. Time does: what comes much later than the slowest reply that could be told for sure is another request.
+   Until enough of those were heard, everything within ``reply_window`` is a reply.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+from ..codes import BROADCAST_UNIT
+from ..framing.conversation import REPLY_WINDOW
+from ..framing.received import Damage, Damaged, Direction, Received, SerialFrame
+from ..pdu.functions import STANDARD, FunctionTable
+from ..pdu.malformed import MalformedPdu
+
+SURE_REPLIES: Final = 3
+"""So many replies that could be told for sure make the slowest of them a measure (rule 4)."""
+MUCH_LATER: Final = 3.0
+"""Times the slowest sure reply: hardly a unit needs three times as long for a write as the slowest for a read."""
+NEVER_LATE_BEFORE: Final = 0.1
+"""Seconds within which a frame that is alike is always a reply: masters wait longer before they ask again."""
+
+
+class Kind(Enum):
+    """What was heard."""
+
+    REQUEST = "request"
+    BROADCAST = "broadcast"
+    REPLY = "reply"
+    STRAY = "stray reply"
+    UNANSWERED = "no reply"
+    DAMAGED = "damaged"
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """One thing that was heard, or the silence where a reply was due.
+
+    Attributes:
+        kind: what it is.
+        frame: the frame; of `Kind.UNANSWERED` the request; None for damaged bytes.
+        damaged: the damaged bytes; of `Kind.UNANSWERED` those that came in place of the reply.
+        gap: seconds of silence before it; None for the first frame and for `Kind.UNANSWERED`.
+        request: of a reply, the request that it answers.
+        response_time: of a reply, seconds from the end of the request to its beginning; of `Kind.UNANSWERED`, seconds
+            that were waited.
+        is_repeat: of a request, whether the same was asked just before and not answered.
+    """
+
+    kind: Kind
+    frame: SerialFrame | None = None
+    damaged: Damaged | None = None
+    gap: float | None = None
+    request: SerialFrame | None = None
+    response_time: float | None = None
+    is_repeat: bool = False
+
+    @property
+    def began(self) -> float:
+        """When its first byte began."""
+        found = self.frame if self.frame is not None else self.damaged
+        assert found is not None
+        return found.began
+
+
+@dataclass(slots=True)
+class ResponseTimes:
+    """How long replies took, in seconds."""
+
+    count: int = 0
+    total: float = 0.0
+    fastest: float = 0.0
+    slowest: float = 0.0
+
+    def add(self, seconds: float) -> None:
+        """One more reply."""
+        self.fastest = min(self.fastest, seconds) if self.count else seconds
+        self.slowest = max(self.slowest, seconds)
+        self.total += seconds
+        self.count += 1
+
+    @property
+    def mean(self) -> float:
+        """The mean; 0 without any."""
+        return self.total / self.count if self.count else 0.0
+
+
+@dataclass(slots=True)
+class UnitStatistics:
+    """What was heard of one unit.
+
+    Attributes:
+        requests: asked of it, repeats included.
+        repeats: requests that were asked again because no reply came.
+        replies: that answered a request, exceptions included.
+        exceptions: replies that refused.
+        unanswered: requests without a reply, those with a damaged one included.
+        damaged_replies: requests after which damaged bytes came in place of the reply.
+        stray_replies: replies that nobody had asked for.
+        response_times: of the replies.
+    """
+
+    requests: int = 0
+    repeats: int = 0
+    replies: int = 0
+    exceptions: int = 0
+    unanswered: int = 0
+    damaged_replies: int = 0
+    stray_replies: int = 0
+    response_times: ResponseTimes = field(default_factory=ResponseTimes)
+
+
+@dataclass(slots=True)
+class LineStatistics:
+    """What was heard on a line.
+
+    Attributes:
+        frames: good ones.
+        frame_bytes: in them.
+        broadcasts: frames for unit 0.
+        damaged: disturbances by their reason.
+        damaged_bytes: in them.
+        busy: seconds that frames and disturbances lasted; 0 over a network.
+        units: by number.
+    """
+
+    frames: int = 0
+    frame_bytes: int = 0
+    broadcasts: int = 0
+    damaged: Counter[Damage] = field(default_factory=Counter)
+    damaged_bytes: int = 0
+    busy: float = 0.0
+    units: dict[int, UnitStatistics] = field(default_factory=dict)
+
+    def unit(self, number: int) -> UnitStatistics:
+        """The statistics of a unit 0…255; new ones where it was not heard of."""
+        return self.units.setdefault(number, UnitStatistics())
+
+
+class Pairing:
+    """Follows one line.
+
+    Attributes:
+        statistics: what was heard so far.
+        reply_window: seconds for which a reply is waited for.
+    """
+
+    __slots__ = ("_asked", "_damage", "_functions", "_last_end", "_missed", "_sure", "reply_window", "statistics")
+
+    def __init__(self, reply_window: float = REPLY_WINDOW, *, functions: FunctionTable = STANDARD) -> None:
+        """A line of which nothing was heard; ``reply_window`` in seconds, above 0, as the receiver's."""
+        self.statistics = LineStatistics()
+        self.reply_window = reply_window
+        self._functions = functions
+        self._asked: SerialFrame | None = None
+        self._damage: Damaged | None = None  # what came while `_asked` waits
+        self._missed: SerialFrame | None = None  # the request that stayed unanswered just before
+        self._last_end: float | None = None
+        self._sure = ResponseTimes()
+
+    def heard(self, found: Received) -> list[Heard]:
+        """What a frame or damaged chunk means; before it, what it decides about the request that waits."""
+        events = self.tick(found.began)
+        gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
+        self._last_end = found.ended
+        self.statistics.busy += max(found.ended - found.began, 0.0)
+        if isinstance(found, Damaged):
+            events.append(self._damaged(found, gap))
+        else:
+            self.statistics.frames += 1
+            self.statistics.frame_bytes += len(found.raw)
+            self._frame(found, gap, events)
+        return events
+
+    def tick(self, now: float) -> list[Heard]:
+        """Give up the request whose reply has not come until ``now``."""
+        deadline = self.deadline()
+        return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
+
+    def deadline(self) -> float | None:
+        """When the request that waits is given up."""
+        return None if self._asked is None else self._asked.ended + self.reply_window
+
+    # Inside.
+
+    def _frame(self, frame: SerialFrame, gap: float | None, events: list[Heard]) -> None:
+        asked = self._asked
+        if self._is_reply(frame, asked):
+            if asked is not None and _answers(frame, asked):
+                events.append(self._reply(frame, asked, gap))
+            else:
+                self.statistics.unit(frame.unit).stray_replies += 1
+                events.append(Heard(Kind.STRAY, frame, gap=gap))
+            return
+        if asked is not None:
+            events.append(self._unanswered(frame.began))
+        events.append(self._request(frame, gap))
+
+    def _is_reply(self, frame: SerialFrame, asked: SerialFrame | None) -> bool:
+        if asked is not None and frame.raw == asked.raw:
+            return self._may_reply(frame) and frame.began - asked.ended <= self._reply_limit()
+        if frame.direction is Direction.UNKNOWN:
+            return asked is not None and _answers(frame, asked)
+        return frame.direction is Direction.REPLY
+
+    def _may_reply(self, frame: SerialFrame) -> bool:
+        """Whether the bytes of a request are a right reply too."""
+        try:
+            self._functions.decode_reply(frame.pdu)
+        except MalformedPdu:
+            return False
+        return True
+
+    def _reply_limit(self) -> float:
+        """Seconds within which a frame that is alike is a reply (rule 4)."""
+        if self._sure.count < SURE_REPLIES:
+            return self.reply_window
+        return min(max(MUCH_LATER * self._sure.slowest, NEVER_LATE_BEFORE), self.reply_window)
+
+    def _request(self, frame: SerialFrame, gap: float | None) -> Heard:
+        missed, self._missed = self._missed, None
+        if frame.unit == BROADCAST_UNIT:
+            self.statistics.broadcasts += 1
+            return Heard(Kind.BROADCAST, frame, gap=gap)
+        is_repeat = missed is not None and missed.raw == frame.raw
+        unit = self.statistics.unit(frame.unit)
+        unit.requests += 1
+        unit.repeats += is_repeat
+        self._asked = frame
+        return Heard(Kind.REQUEST, frame, gap=gap, is_repeat=is_repeat)
+
+    def _reply(self, frame: SerialFrame, asked: SerialFrame, gap: float | None) -> Heard:
+        time = max(frame.began - asked.ended, 0.0)
+        unit = self.statistics.unit(frame.unit)
+        unit.replies += 1
+        unit.exceptions += frame.pdu[0] >> 7
+        unit.response_times.add(time)
+        if frame.raw != asked.raw:
+            self._sure.add(time)
+        self._asked = self._damage = self._missed = None
+        return Heard(Kind.REPLY, frame, gap=gap, request=asked, response_time=time)
+
+    def _damaged(self, found: Damaged, gap: float | None) -> Heard:
+        self.statistics.damaged[found.reason] += 1
+        self.statistics.damaged_bytes += found.size
+        if self._asked is not None:
+            self._damage = found
+        return Heard(Kind.DAMAGED, damaged=found, gap=gap)
+
+    def _unanswered(self, until: float) -> Heard:
+        """The request that waits gets no reply any more."""
+        asked, damage = self._asked, self._damage
+        assert asked is not None
+        unit = self.statistics.unit(asked.unit)
+        unit.unanswered += 1
+        unit.damaged_replies += damage is not None
+        self._missed = asked
+        self._asked = self._damage = None
+        return Heard(Kind.UNANSWERED, asked, damage, response_time=max(until - asked.ended, 0.0))
+
+
+def _answers(reply: SerialFrame, asked: SerialFrame) -> bool:
+    """Whether unit and function fit."""
+    return reply.unit == asked.unit and reply.pdu[0] & 0x7F == asked.pdu[0]
