@@ -195,7 +195,7 @@ def _table(rows: Sequence[Row], time: str) -> Any:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    table = RichTable(caption=time or None, caption_justify="left")
+    table = RichTable(caption=time[11:19] or None, caption_justify="left")
     table.add_column("Address")
     table.add_column("Value", justify="right")
     table.add_column("Raw", style="dim")

@@ -1,0 +1,165 @@
+"""`busway read`: values on stdout, what is wrong on stderr, and nothing sent where the arguments can not be."""
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from busway import Device
+
+
+def test_values_are_aligned_lines_of_address_value_and_raw_hex(
+    run: Callable[..., Any], url: str, device: Device
+) -> None:
+    device.holding_registers[9:12] = [7, 65535, 0x1234]
+    result = run("read", url, "4x10", "--count", "3")
+    assert result.code == 0
+    assert result.out.splitlines() == ["4x10  7      0007", "4x11  65535  ffff", "4x12  4660   1234"]
+    assert result.err == ""
+
+
+def test_typed_values_take_several_registers_each(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.write("4x1", [3.1, -0.5], "float32", order="CDAB")
+    result = run("read", url, "40001", "-n", "2", "--type", "float32", "--order", "CDAB")
+    assert result.out.splitlines() == ["4x1  3.1   6666 4046", "4x3  -0.5  0000 bf00"]
+
+
+def test_bits_are_on_and_off(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.coils[0] = True
+    assert run("read", url, "0x1", "-n", "2").out.splitlines() == ["0x1  on   1", "0x2  off  0"]
+
+
+def test_one_bit_of_a_register(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.holding_registers[4] = 0b1000
+    assert run("read", url, "4x5.3", "4x5.2").out.splitlines() == ["4x5.3  on   0008", "4x5.2  off  0008"]
+
+
+def test_json_is_one_object_per_line(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.holding_registers[0] = 42
+    lines = run("read", url, "holding:0", "1x1", "--json").out.splitlines()
+    assert [json.loads(line) for line in lines] == [
+        {"address": "4x1", "table": "holding_registers", "offset": 0, "value": 42, "raw": "002a"},
+        {"address": "1x1", "table": "discrete_inputs", "offset": 0, "value": False, "raw": "00"},
+    ]
+
+
+def test_json_has_a_text_where_it_has_no_number(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.write("4x1", math.inf, "float32")
+    assert json.loads(run("read", url, "4x1", "-t", "f32", "--json").out)["value"] == "inf"
+
+
+def test_csv_has_one_header_line(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.write("4x1", "a,b", "string:4")
+    assert run("read", url, "4x1", "-t", "string:4", "--csv").out == 'address,value,raw\n4x1,"a,b",612c6200\n'
+
+
+def test_an_address_that_the_device_refuses_does_not_hide_the_others(run: Callable[..., Any], url: str) -> None:
+    result = run("read", url, "3x11", "4x1")
+    assert result.code == 4
+    assert result.out == "4x1  0  0000\n"
+    assert "3x11" in result.err
+    assert "exception 02" in result.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["4x1", "-n", "126"], ["4x1", "125", "--split"]),
+        (["4x1", "-n", "63", "-t", "float32"], ["126 holding registers", "--count 62", "--split"]),
+        (["0x1", "-n", "2001"], ["2000", "--split"]),
+        (["4x1", "-n", "0"], ["--count", "1…65536", "'0'"]),
+        (["4x1", "-n", "many"], ["--count", "'many'"]),
+        (["4x0"], ["4x0", "1…65536"]),
+        (["nonsense"], ["nonsense", "4x1"]),
+        (["17"], ["'17'", "4x18"]),
+        (["0x1F"], ["0x1F", "coil:0x1F"]),
+        (["4x1", "-t", "float31"], ["float31", "float32"]),
+        (["4x1", "-t", "float32", "--order", "XYZ"], ["XYZ"]),
+        (["0x1", "-t", "int16"], ["0x1", "no type"]),
+        (["4x1.3", "-t", "int16"], ["4x1.3", "no type"]),
+        (["4x1", "-u", "256"], ["--unit", "0…255", "'256'"]),
+        (["4x1", "--timeout", "soon"], ["--timeout", "'soon'"]),
+        (["4x1", "--timeout", "0"], ["--timeout", "0.001"]),
+        (["4x1", "--retries", "-1"], ["--retries", "'-1'"]),
+        (["4x1", "--watch", "x"], ["--watch", "'x'"]),
+        (["4x1", "--json", "--csv"], ["--csv", "--json"]),
+        (["4x1", "--colour"], ["--colour"]),
+        (["4x1", "-5"], ["-5"]),
+        ([], ["ADDRESS"]),
+    ],
+)
+def test_a_bad_argument_costs_one_sentence_that_names_it_and_nothing_is_sent(
+    run: Callable[..., Any], nobody: str, arguments: list[str], words: list[str]
+) -> None:
+    result = run("read", nobody, *arguments)
+    assert result.code == 2  # a connection to nobody would end as 5
+    assert result.out == ""
+    assert len(result.err.splitlines()) == 1
+    for word in words:
+        assert word in result.err
+
+
+@pytest.mark.parametrize("url", ["10.0.0.5", "tcp://", "http://x", "tcp://host:99999", "tcp://127.0.0.1?speed=3"])
+def test_a_bad_url_costs_one_sentence_that_names_it(run: Callable[..., Any], url: str) -> None:
+    result = run("read", url, "4x1", "--timeout", "50ms", "--retries", "0")
+    assert result.code in (2, 5)  # an empty host is this machine, where nobody may listen on port 502
+    assert len(result.err.splitlines()) == 1
+    assert url.split("?")[0] in result.err
+
+
+def test_split_takes_several_requests(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.holding_registers[0:300] = list(range(300))
+    result = run("read", url, "4x1", "-n", "300", "--split", "--csv")
+    assert result.code == 0
+    assert [line.split(",")[1] for line in result.out.splitlines()[1:]] == [str(number) for number in range(300)]
+
+
+def test_split_reads_bits_over_the_limit_of_one_request(run: Callable[..., Any], url: str, device: Device) -> None:
+    device.coils[2100] = True
+    lines = run("read", url, "0x1", "-n", "2500", "--split").out.splitlines()
+    assert len(lines) == 2500
+    assert [line for line in lines if " on " in line] == ["0x2101  on   1"]
+
+
+def test_the_unit_is_asked_that_is_named(run: Callable[..., Any], url: str) -> None:
+    assert run("read", url, "4x1", "--unit", "1").code == 0
+    result = run("read", url, "4x1", "--unit", "9")
+    assert result.code == 4
+    assert "unit 9" in result.err
+
+
+def test_no_reply_ends_as_3(run: Callable[..., Any], peer: Callable[..., str]) -> None:
+    result = run("read", peer(lambda request: b""), "4x1", "--timeout", "50ms", "--retries", "0")
+    assert result.code == 3
+    assert len(result.err.splitlines()) == 1
+
+
+def test_no_connection_ends_as_5(run: Callable[..., Any], nobody: str) -> None:
+    result = run("read", nobody, "4x1")
+    assert result.code == 5
+    assert nobody in result.err
+
+
+def test_a_broken_reply_ends_as_6(run: Callable[..., Any], peer: Callable[..., str]) -> None:
+    # byte count 2, and four bytes follow
+    answer = bytes.fromhex("0000 0007 ff 03 02 00 01 00 02")
+    result = run("read", peer(lambda request: request[:2] + answer), "4x1", "--retries", "0")
+    assert result.code == 6
+    assert "broken" in result.err
+
+
+@pytest.mark.parametrize(
+    ("flag", "shown"), [("-v", "ReadHoldingRegisters"), ("-vv", "03 00 00 00 01"), ("-vvv", "12 bytes")]
+)
+def test_traffic_is_shown_on_stderr(run: Callable[..., Any], url: str, flag: str, shown: str) -> None:
+    from busway.observe.trace import TRACE, TraceLevel
+
+    try:
+        result = run("read", url, "4x1", flag)
+    finally:
+        TRACE.set(TraceLevel.OFF)
+    assert result.code == 0
+    assert shown in result.err
+    assert result.out == "4x1  0  0000\n"
