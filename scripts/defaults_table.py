@@ -14,7 +14,12 @@ from marked import ROOT, replaced, update
 
 from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
+from busway.session.breaker import BreakerParameters
+from busway.session.line_framing import FramingParameters
 from busway.session.parameters import ClientParameters, ServerParameters
+from busway.session.serial_client import SerialClientParameters
+from busway.transport.serial.opening import OpeningParameters
+from busway.transport.serial.settings import SerialSettings
 from busway.transport.tcp import SocketParameters
 
 TABLES = {
@@ -22,6 +27,11 @@ TABLES = {
     "server": ServerParameters,
     "listener": ListenerParameters,
     "sockets": SocketParameters,
+    "line": SerialClientParameters,
+    "breaker": BreakerParameters,
+    "framing": FramingParameters,
+    "port": SerialSettings,
+    "opening": OpeningParameters,
 }
 """The parts of the page and the class that each shows."""
 
@@ -73,7 +83,7 @@ def numbers(kind: type[Any], name: str) -> str:
     try:
         kind(**{name: -1})
     except ConfigError as error:
-        match = re.fullmatch(r"must be (.+), not -1", error.message)
+        match = re.fullmatch(r"must be (.+?)(?:, not -1)?", error.message)
         if match:
             return match[1]
         raise SystemExit(f"{kind.__name__}.{name}: the refusal does not say its range: {error}") from error

@@ -3,10 +3,12 @@
 import inspect
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import busway
 from busway import errors
 from busway.codes import EXCEPTION_MEANING
 from busway.config.endpoints import SCHEMES
@@ -51,6 +53,28 @@ def test_every_scheme_is_listed_with_its_port() -> None:
         (row,) = [line for line in text.splitlines() if line.startswith(f"| `{name}://")]
         if scheme.default_port is not None:
             assert f"| {scheme.default_port} |" in row
+
+
+def test_who_can_use_a_scheme_is_what_client_and_server_take() -> None:
+    for name, scheme in SCHEMES.items():
+        (row,) = [line for line in page("endpoints.md").splitlines() if line.startswith(f"| `{name}://")]
+        where = f"/dev/not-there-{name}" if scheme.carrier == "serial" else "127.0.0.1:5020"
+        users = [kind for kind, make in USERS.items() if takes(make, f"{name}://{where}")]
+        assert row.endswith(f"| {' and '.join(users) or 'nobody yet'} |")
+
+
+USERS = {
+    "client": lambda url: busway.connect(url).close(),
+    "server": lambda url: busway.serve(url, units={1: busway.Device()}),
+}
+
+
+def takes(make: Callable[[str], object], url: str) -> bool:
+    try:
+        make(url)
+    except busway.ConfigError:
+        return False
+    return True
 
 
 def test_every_type_and_order_is_listed() -> None:
