@@ -10,6 +10,7 @@ Knows when to connect, write and look at the clock; knows nothing of what is ask
 """
 
 import asyncio
+import contextlib
 import logging
 import random
 import time
@@ -31,6 +32,8 @@ from .settings import LinkSettings
 
 _log = logging.getLogger("busway.client")
 
+CLOSING_SECONDS: Final = 2.0
+"""How long closing a link waits for its port."""
 SPIN: Final = 0.0015
 """Seconds before a frame that ``precise_timing`` waits for in a loop: the timers of an event loop are up to one
 millisecond late, and a sleeping processor takes its time."""
@@ -174,11 +177,15 @@ class Link:
         if transport is not None and protocol is not None:
             transport.close()
             self.session.disconnected(now, "the link was closed")
-        self._connector.release()
         self.session.unreachable(now, LinkDown("the link was closed"))
         self._wake()
-        # The loop closes the socket in its next turn; whoever closed a link may count on it being closed.
+        # The loop closes a socket in its next turn, and a thread closes a port; whoever closed a link may count on it.
         await asyncio.sleep(0)
+        wait_closed = getattr(transport, "wait_closed", None)
+        if wait_closed is not None:
+            with contextlib.suppress(TimeoutError):  # a driver that is stuck holds its port as long as it likes
+                await asyncio.wait_for(wait_closed(), CLOSING_SECONDS)
+        self._connector.release()
 
     @property
     def is_connected(self) -> bool:

@@ -108,6 +108,7 @@ class SerialStream:
         self._session = session
         self._end = end
         self._connection: SerialConnection | None = None
+        self._closing: SerialConnection | None = None
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
@@ -160,7 +161,13 @@ class SerialStream:
         """Give the port back."""
         connection, self._connection = self._connection, None
         if connection is not None:
+            self._closing = connection
             connection.close()
+
+    async def wait_closed(self) -> None:
+        """Wait until the system has the port back, after `close`."""
+        if self._closing is not None:
+            await self._closing.wait_closed()
 
     def abort(self) -> None:
         """Give the port back."""
