@@ -1,7 +1,7 @@
 """A Modbus client made of minimalmodbus, for the interop tests: ``minimalmodbus_client.py rtu|ascii DEVICE BAUD UNIT``.
 
 8 data bits, no parity, 2 stop bits. It understands those commands of ``conversation.py`` whose functions the library
-has; ``function_15`` and ``function_16`` write a single value by the function for many. A broadcast is a write to unit 0.
+has; ``function_15`` and ``function_16`` write one value by the function for many. A broadcast is a write to unit 0.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Foreign clients on foreign servers: what passes here is no fault of the line or of the peers where it fails with ours."""
+"""Foreign clients on foreign servers: what fails with ours and passes here is no fault of the line or of the peers."""
 
 from collections.abc import Iterator
 
