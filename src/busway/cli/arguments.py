@@ -30,6 +30,9 @@ RETRIES = typer.Option(None, "--retries", metavar="N", help="Further attempts of
 VERBOSE = typer.Option(
     0, "-v", "--verbose", count=True, help="Show messages on stderr; -vv frames too, -vvv every byte."
 )
+CAPTURE = typer.Option(
+    None, "--capture", metavar="FILE", help="Write all traffic to a capture file for Wireshark: line.pcapng."
+)
 JSON = typer.Option(False, "--json", help="Print one JSON object per line.")
 CSV = typer.Option(False, "--csv", help="Print CSV with a header line.")
 

@@ -1,6 +1,6 @@
-"""Files that people write, read once and whole.
+"""Files that people write, read once and whole; and capture files, written.
 
-Knows paths and encodings; what a file means is known where its schema stands (`busway.config.files`).
+Knows paths and encodings; what a file means is known where its schema stands (`busway.config.files`, `busway.observe`).
 """
 
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError
 
 if TYPE_CHECKING:
+    from ..observe.capture import Capture
     from ..config.files.device import DeviceFile
 
 
@@ -33,3 +34,14 @@ def read_text(name: str) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(f"byte 0x{data[error.start]:02X} is no UTF-8", file=name, line=line) from error
+
+
+def open_capture(name: str) -> "Capture":
+    """A new capture file, which takes the place of an old one. Raises `ConfigError` that names the file."""
+    from ..observe.capture import Capture
+
+    try:
+        return Capture(Path(name).open("wb"))  # noqa: SIM115 - the capture closes it
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=name) from error

@@ -28,6 +28,7 @@ COMMANDS = {
     "write": "Write values to a device.",
     "identify": "Ask a device what it is.",
     "serve": "Be a device.",
+    "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
     "demo": "Run a small plant and poll it.",
 }

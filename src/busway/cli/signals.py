@@ -25,3 +25,21 @@ def stop_event() -> Iterator[asyncio.Event]:
     finally:
         for installed, handler in before.items():
             signal.signal(installed, handler)  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM raise `KeyboardInterrupt`, as Ctrl-C does, in a command that waits without an event loop."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # only the main thread has signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

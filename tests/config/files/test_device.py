@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 from busway.codes import Table
-from busway.config.files.device import DeviceFile, ServerSection, parse_device_file
+from busway.config.files.device import (
+    DeviceFile,
+    FifoSection,
+    FileSection,
+    PointSection,
+    ServerSection,
+    TableSection,
+    UnitSection,
+    parse_device_file,
+)
 from busway.config.files.problems import FileError
 from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
@@ -16,6 +25,7 @@ from busway.session.parameters import ServerParameters
 from busway.simulator.build import build_units
 
 GOOD = (Path(__file__).parent / "good.toml").read_text(encoding="utf-8")
+REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "device-file.md"
 MUTATIONS = 200
 
 UNIT = "[[unit]]\nunit = 1\n"
@@ -238,3 +248,25 @@ def test_a_mutated_file_is_right_or_wrong_at_a_line_but_never_a_surprise(seed: i
         assert problem.line is not None
         assert 1 <= problem.line <= text.count("\n") + 1
         assert "\n" not in str(problem)
+
+
+def test_the_example_of_the_reference_is_right_and_its_mistakes_are_reported_as_it_says() -> None:
+    page = REFERENCE.read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert [point.name for point in parse_device_file(example, "tank.toml").unit[0].point] == [
+        "level",
+        "temperature",
+        "pump",
+    ]
+    with pytest.raises(FileError) as caught:
+        wrong = example.replace('"float32"', '"float"').replace('address = "3x1"', 'adress = "3x1"')
+        parse_device_file(wrong, "tank.toml")
+    for sentence in re.findall(r"^tank\.toml:.*$", page, re.MULTILINE):
+        assert sentence.removesuffix("…") in str(caught.value)
+
+
+def test_the_reference_names_every_key() -> None:
+    page = REFERENCE.read_text(encoding="utf-8")
+    sections = (DeviceFile, ServerSection, UnitSection, TableSection, FileSection, FifoSection, PointSection)
+    missing = {key for section in sections for key in section.model_fields if f"`{key}`" not in page}
+    assert not missing

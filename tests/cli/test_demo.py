@@ -1,0 +1,93 @@
+"""`busway demo`: as a process of its own, where output is no terminal."""
+
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from busway.cli.demo import percentile
+
+PROGRAM = [sys.executable, "-m", "busway"]
+
+
+def test_it_prints_a_block_a_second_and_ends_with_a_summary_and_three_commands() -> None:
+    ended = subprocess.run(
+        [*PROGRAM, "demo", "--seconds", "2.2", "--port", "0"], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == 0
+    assert ended.stderr == ""
+    lines = ended.stdout.splitlines()
+    headings = [line for line in lines if line.startswith("tcp://")]
+    assert [re.findall(r"  (\d+) s  ", heading) for heading in headings] == [["1"], ["2"]]
+    for tag in ("tank.level", "pump.running", "meter.flow"):
+        assert sum(tag in line for line in lines) == 2
+    (summary,) = [line for line in lines if "latency" in line]
+    assert re.fullmatch(r"\d\d+ transactions, 0 errors in 2\.\d s; latency p50 \S+ ms, p95 \S+ ms, p99 \S+ ms", summary)
+    assert len([line for line in lines if line.startswith("  busway ")]) == 3
+
+
+def test_the_three_commands_work_while_it_runs_for_ever() -> None:
+    process = subprocess.Popen(
+        [*PROGRAM, "demo", "--forever", "--port", "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    with process:
+        try:
+            commands: list[str] = []
+            while len(commands) < 3:
+                line = process.stdout.readline()
+                assert line
+                if line.startswith("  busway "):
+                    commands.append(line.strip().removesuffix(" --watch 1s"))
+            for command in commands:
+                ended = subprocess.run(
+                    [*PROGRAM, *shlex.split(command)[1:]], capture_output=True, text=True, timeout=30, check=False
+                )
+                assert (ended.returncode, ended.stderr) == (0, "")
+                assert ended.stdout
+            process.send_signal(signal.SIGINT)
+            rest, said = process.communicate(timeout=10)
+            assert process.returncode == 0
+            assert said == ""
+            assert "latency" in rest
+        finally:
+            process.kill()
+
+
+def test_a_port_that_is_taken_is_replaced_and_that_is_said_in_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as holder:
+        port = holder.getsockname()[1]
+        ended = subprocess.run(
+            [*PROGRAM, "demo", "--seconds", "0.3", "--port", str(port)],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert ended.returncode == 0
+    (sentence,) = ended.stderr.splitlines()
+    assert re.fullmatch(rf"busway: port {port} is taken; the plant is on tcp://127\.0\.0\.1:\d+", sentence)
+    assert f":{port} " not in ended.stdout
+
+
+@pytest.mark.parametrize(("arguments", "name"), [(["--seconds", "x"], "--seconds"), (["--port", "65536"], "--port")])
+def test_a_bad_option_is_named(run: Callable[..., Any], arguments: list[str], name: str) -> None:
+    result = run("demo", *arguments)
+    assert (result.code, result.out) == (2, "")
+    assert name in result.err
+
+
+@pytest.mark.parametrize(
+    ("values", "percent", "expected"),
+    [([], 50, 0.0), ([1.0], 99, 1.0), ([1.0, 2.0, 3.0, 4.0], 50, 2.0), ([float(n) for n in range(1, 101)], 95, 95.0)],
+)
+def test_a_percentile_is_the_value_that_so_many_do_not_exceed(
+    values: list[float], percent: float, expected: float
+) -> None:
+    assert percentile(values, percent) == expected
