@@ -258,8 +258,8 @@ def test_the_example_of_the_reference_is_right_and_its_mistakes_are_reported_as_
         "temperature",
         "pump",
     ]
+    wrong = example.replace('"float32"', '"float"').replace('address = "3x1"', 'adress = "3x1"')
     with pytest.raises(FileError) as caught:
-        wrong = example.replace('"float32"', '"float"').replace('address = "3x1"', 'adress = "3x1"')
         parse_device_file(wrong, "tank.toml")
     for sentence in re.findall(r"^tank\.toml:.*$", page, re.MULTILINE):
         assert sentence.removesuffix("…") in str(caught.value)
