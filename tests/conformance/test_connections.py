@@ -69,7 +69,8 @@ async def test_a_connection_stays_open_between_transactions_and_a_close_by_the_s
 
 
 @pytest.mark.clause("T7")
-async def test_a_blocking_link_also_takes_a_close_by_the_server_quietly() -> None:
+async def test_a_blocking_link_also_takes_a_close_by_the_server_quietly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("busway.client.blocking_link._IDLE_SECONDS", 0.0)  # every pause is long enough to look
     async with ScriptedPeer(close_after=1) as peer:
 
         def work() -> list[int]:
@@ -81,7 +82,6 @@ async def test_a_blocking_link_also_takes_a_close_by_the_server_quietly() -> Non
         closed = threading.Event()
         working = asyncio.create_task(asyncio.to_thread(work))
         await until(lambda: peer.writers and peer.writers[0].is_closing())
-        await asyncio.sleep(0.06)  # longer than a link trusts an idle connection without looking at it
         closed.set()
         assert await working == [1, 2]
     assert len(peer.writers) == 2
