@@ -55,6 +55,7 @@ def test_a_request_is_unanswered_when_its_time_is_over() -> None:
     (event,) = pairing.tick(0.6)
     assert (event.kind, event.frame) == (Kind.UNANSWERED, asked.frame)
     assert event.response_time == pytest.approx(0.5)
+    assert event.at == pytest.approx(0.51)
     assert pairing.tick(2.0) == []
     assert pairing.statistics.units[1].unanswered == 1
 
@@ -110,7 +111,7 @@ def test_damaged_bytes_in_place_of_a_reply_are_told_with_the_silence() -> None:
     pairing.heard(frame(1, READ, REQUEST, 0.0))
     chunk = Damaged(b"\x01\x03\x02", Damage.CHECKSUM, 3, 0.05, 0.06)
     (damaged,) = pairing.heard(chunk)
-    assert (damaged.kind, damaged.damaged, damaged.began) == (Kind.DAMAGED, chunk, 0.05)
+    assert (damaged.kind, damaged.damaged, damaged.at) == (Kind.DAMAGED, chunk, 0.05)
     (unanswered,) = pairing.tick(5.0)
     assert unanswered.damaged is chunk
     assert pairing.statistics.units[1].damaged_replies == 1

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError
 
 if TYPE_CHECKING:
-    from ..observe.capture import Capture
     from ..config.files.device import DeviceFile
+    from ..observe.capture import Capture
 
 
 def read_device_file(name: str) -> "DeviceFile":
@@ -41,7 +41,7 @@ def open_capture(name: str) -> "Capture":
     from ..observe.capture import Capture
 
     try:
-        return Capture(Path(name).open("wb"))  # noqa: SIM115 - the capture closes it
+        return Capture(Path(name).open("wb"))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=name) from error

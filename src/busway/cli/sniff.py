@@ -110,7 +110,7 @@ class _Sniffing:
         for event in events:
             if self._capture is not None:
                 self._keep(event)
-            when = datetime.fromtimestamp(self._wall + event.began).astimezone()
+            when = datetime.fromtimestamp(self._wall + event.at).astimezone()
             if self._as_json:
                 print_json(_as_json(event, when.isoformat(timespec="microseconds")))
             else:
@@ -130,10 +130,12 @@ class _Sniffing:
         self._capture.heard(found, at=self._wall + found.began, direction=direction)
 
     def _print(self, event: "Heard", when: str) -> None:
+        from ..observe.pairing import Kind
+
         gap = "" if event.gap is None else f"{event.gap * 1000:.1f}"
         print(f"{when}  {gap:>9}  {_sentence(event)}")
         found = event.frame if event.frame is not None else event.damaged
-        if self._raw and event.gap is not None and found is not None:
+        if self._raw and event.kind is not Kind.UNANSWERED and found is not None:
             print(f"{'':{len(when)}}  {'':>9}  {_bytes(found.raw)}")
 
     def _conclude(self, lasted: float) -> None:

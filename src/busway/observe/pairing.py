@@ -65,8 +65,10 @@ class Heard:
     is_repeat: bool = False
 
     @property
-    def began(self) -> float:
-        """When its first byte began."""
+    def at(self) -> float:
+        """When its first byte began; of `Kind.UNANSWERED`, when the waiting ended."""
+        if self.kind is Kind.UNANSWERED and self.frame is not None and self.response_time is not None:
+            return self.frame.ended + self.response_time
         found = self.frame if self.frame is not None else self.damaged
         assert found is not None
         return found.began

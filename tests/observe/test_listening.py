@@ -1,0 +1,130 @@
+"""Ears on a paced line and at a device server."""
+
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from busway.errors import ConfigError, LinkDown
+from busway.framing.ascii import encode_ascii
+from busway.framing.rtu import encode_rtu
+from busway.framing.timing import FIXED_T3_5, SerialTiming
+from busway.observe.listening import Listening, line_to_hear
+from busway.observe.pairing import Heard, Kind
+from busway.testing.line import PacedLine
+from busway.transport.serial import BlockingSerialPort
+
+REQUEST, REPLY = bytes.fromhex("03 006b 0001"), bytes.fromhex("03 02 022b")
+LIMIT = 10.0
+
+
+def heard(listening: Listening, count: int) -> list[Heard]:
+    """The next so many events."""
+    events: list[Heard] = []
+    limit = time.monotonic() + LIMIT
+    while len(events) < count:
+        assert time.monotonic() < limit, events
+        events += listening.hear(limit)
+    return events
+
+
+@pytest.fixture
+def line() -> Iterator[PacedLine]:
+    with PacedLine(ports=2, baud=19_200) as line:
+        yield line
+
+
+@pytest.mark.parametrize(("scheme", "encode"), [("rtu", encode_rtu), ("ascii", encode_ascii)])
+def test_a_conversation_on_a_port_is_heard_in_pairs(line: PacedLine, scheme: str, encode: type) -> None:
+    url = f"{scheme}://{line.paths[1]}?baud=19200"
+    with (
+        Listening(line_to_hear(url)) as listening,
+        BlockingSerialPort(line.paths[0], line.settings) as talker,
+    ):
+        talker.write(encode(1, REQUEST))
+        (asked,) = heard(listening, 1)
+        talker.write(encode(1, REPLY))
+        (answered,) = heard(listening, 1)
+        assert (asked.kind, answered.kind) == (Kind.REQUEST, Kind.REPLY)
+        assert asked.frame is not None
+        assert asked.frame.pdu == REQUEST
+        assert answered.request is asked.frame
+        assert listening.bytes_heard == len(encode(1, REQUEST)) + len(encode(1, REPLY))
+    assert {byte.port for byte in line.tap} == {0}  # the listener has sent nothing
+
+
+def test_what_is_unfinished_at_the_end_is_told(line: PacedLine) -> None:
+    with Listening(line_to_hear(f"ascii://{line.paths[1]}")) as listening:
+        line.inject(b":0103")
+        limit = time.monotonic() + LIMIT
+        while listening.bytes_heard < 5:
+            assert time.monotonic() < limit
+            assert listening.hear(limit) == []
+        assert [event.kind for event in listening.finish()] == [Kind.DAMAGED]
+
+
+def test_a_line_that_vanishes_ends_the_listening(line: PacedLine) -> None:
+    with Listening(line_to_hear(f"rtu://{line.paths[1]}")) as listening:
+        line.unplug(1)
+        with pytest.raises(LinkDown):
+            heard(listening, 1)
+
+
+def test_a_port_that_this_process_uses_is_refused(line: PacedLine) -> None:
+    heard_line = line_to_hear(f"rtu://{line.paths[1]}")
+    with Listening(heard_line), pytest.raises(ConfigError, match="somebody who listens"):
+        Listening(heard_line)
+    Listening(heard_line).close()
+
+
+def test_a_device_server_that_mirrors_a_line_is_heard() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        with Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}")) as listening:
+            peer, _ = listener.accept()
+            with peer:
+                peer.sendall(encode_rtu(1, REQUEST) + encode_rtu(1, REPLY))
+                assert [event.kind for event in heard(listening, 2)] == [Kind.REQUEST, Kind.REPLY]
+            with pytest.raises(LinkDown, match="closed"):
+                heard(listening, 1)
+
+
+def test_a_server_that_is_not_there_is_no_connection() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(LinkDown):
+        Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}"))
+
+
+def test_nothing_is_heard_in_silence() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        with Listening(line_to_hear(f"ascii+tcp://127.0.0.1:{port}")) as listening:
+            assert listening.hear(time.monotonic() + 0.01) == []
+
+
+def test_the_times_of_a_line_are_those_of_its_settings() -> None:
+    line = line_to_hear("rtu:///dev/ttyS0?baud=115200&parity=none")
+    assert line.timing.t3_5 == FIXED_T3_5
+    assert line.timing.character == pytest.approx(11 / 115_200)
+    assert line_to_hear("rtu+tcp://host:1").timing == SerialTiming.of_network()
+    ascii_line = line_to_hear("ascii:///dev/ttyS0")
+    assert ascii_line.port is not None
+    assert ascii_line.port.data_bits == 7
+
+
+@pytest.mark.parametrize(
+    ("url", "complaint"),
+    [
+        ("tcp://10.0.0.5", "only a line"),
+        ("rtu+udp://10.0.0.5:4001", "only a line"),
+        ("rtu:///dev/ttyS0?baud=12", "baud"),
+        ("rtu:///dev/ttyS0?timeout=2", "timeout: unknown option"),
+        ("rtu+tcp://10.0.0.5:4001?baud=9600", "baud: unknown option"),
+        ("rtu:///dev/ttyS0?data_bits=7", "data_bits"),
+    ],
+)
+def test_a_line_that_can_not_be_heard_is_refused(url: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        line_to_hear(url)
