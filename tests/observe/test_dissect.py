@@ -1,5 +1,8 @@
 """Frames out of nowhere: framing and direction found out, conversations paired, broken frames explained."""
 
+import json
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -137,3 +140,19 @@ def test_whatever_the_bytes_are_nothing_raises(framing: Framing | None, data: by
         assert found
         if framing is not Framing.ASCII and not (start + data).startswith(b":"):
             assert b"".join(part.data for each in found for part in each.parts) == start + data
+
+
+def vectors() -> list[dict[str, str]]:
+    """The published frames."""
+    file = Path(__file__).parents[1] / "vectors" / "vectors.json"
+    found: list[dict[str, str]] = json.loads(file.read_text(encoding="utf-8"))
+    return found
+
+
+@pytest.mark.parametrize("vector", vectors(), ids=lambda vector: f"{vector['id']} {vector['name']}")
+def test_framing_and_direction_of_every_published_frame_are_found_out(vector: dict[str, str]) -> None:
+    text = vector["hex"]
+    found = one(text.encode("ascii") if text.startswith(":") else bytes.fromhex(text))
+    assert found.framing.value == vector["framing"].replace("tcp", "mbap")
+    assert found.direction.value in (vector["direction"].replace("response", "reply"), "request or reply")
+    assert found.problems == ()
