@@ -67,7 +67,7 @@ def test_request_and_reply_on_a_line_go_between_the_master_and_the_unit() -> Non
     file = io.BytesIO()
     line = Capture(file).line("rtu:///dev/ttyS0")
     request, reply = encode_rtu(7, b"\x06\x00\x01\x00\x03"), encode_rtu(7, b"\x06\x00\x01\x00\x03")
-    line.sent(7, request[1:-2], request, Direction.REQUEST)
+    line.heard(SerialFrame(7, request[1:-2], request, Direction.REQUEST, 0.9, 1.0), is_outgoing=True)
     line.heard(SerialFrame(7, reply[1:-2], reply, Direction.REPLY, 1.0, 1.1), at=5.0)
     assert packets(file) == [
         (line_pdu("mbrtu", MASTER, unit(7), request), ""),

@@ -323,7 +323,7 @@ class BlockingLink:
 
     def _traced(self) -> Trace:
         if self._trace is None:
-            self._trace = trace_for(self._framing, self.name, is_server=False)
+            self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._socket)
         return self._trace
 
     # By the leader, without the lock where it waits.

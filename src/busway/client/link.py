@@ -410,5 +410,5 @@ class Link:
 
     def _traced(self) -> Trace:
         if self._trace is None:
-            self._trace = trace_for(self._framing, self.name, is_server=False)
+            self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._transport)
         return self._trace

@@ -25,6 +25,7 @@ from typing import BinaryIO, Final
 from ..codes import BROADCAST_UNIT
 from ..framing.received import Damaged, Direction, Received
 from ..framing.rtu import encode_rtu
+from .ends import Ends
 from .headers import Node, line_pdu, tcp_packet, udp_packet
 from .pcapng import Flow, LinkType, PcapngWriter
 from .wording import described, in_words
@@ -84,6 +85,10 @@ class Capture:
     def stream(self, local: object, peer: object) -> "StreamCapture":
         """A TCP connection, between what ``getsockname`` and ``getpeername`` gave."""
         return StreamCapture(self, Node.of(local), Node.of(peer))
+
+    def connection(self, ends: Ends) -> "StreamCapture | DatagramCapture":
+        """A connection, TCP or UDP, between these ends."""
+        return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
         """A UDP datagram between two socket addresses."""
@@ -171,6 +176,24 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=True)
 
 
+class DatagramCapture:
+    """The datagrams between two ends in a capture file."""
+
+    __slots__ = ("_capture", "_ends")
+
+    def __init__(self, capture: Capture, ends: Ends) -> None:
+        self._capture = capture
+        self._ends = ends
+
+    def received(self, data: bytes) -> None:
+        """A datagram that came in."""
+        self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
+
+    def sent(self, data: bytes) -> None:
+        """A datagram that went out."""
+        self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
+
+
 class LineCapture:
     """One serial line in a capture file."""
 
@@ -180,23 +203,28 @@ class LineCapture:
         self._capture = capture
         self._interface = interface
 
-    def heard(self, found: Received, *, at: float | None = None, direction: Direction | None = None) -> None:
+    def heard(
+        self,
+        found: Received,
+        *,
+        at: float | None = None,
+        direction: Direction | None = None,
+        is_outgoing: bool = False,
+    ) -> None:
         """A frame or damaged chunk that a receiver found.
 
         Args:
             found: what it found.
             at: seconds since 1970 at which it began; None for now.
             direction: whether it is a request or a reply, where somebody knows better than the receiver.
+            is_outgoing: whether it was sent from here.
         """
+        flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING
         if isinstance(found, Damaged):
             info = f"{found.size} damaged bytes: {found.reason.value}"
-            self._write("data", found.raw, 0, Direction.UNKNOWN, at, Flow.INCOMING, info, info=info)
+            self._write("data", found.raw, 0, Direction.UNKNOWN, at, flow, info, info=info)
         else:
-            self._frame(found.unit, found.pdu, found.raw, direction or found.direction, at, Flow.INCOMING)
-
-    def sent(self, unit: int, pdu: bytes, raw: bytes, direction: Direction) -> None:
-        """A frame that went out now: unit and PDU, and ``raw`` as it went."""
-        self._frame(unit, pdu, raw, direction, None, Flow.OUTGOING)
+            self._frame(found.unit, found.pdu, found.raw, direction or found.direction, at, flow)
 
     def _frame(self, unit: int, pdu: bytes, raw: bytes, direction: Direction, at: float | None, flow: Flow) -> None:
         comment = ""

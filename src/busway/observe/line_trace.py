@@ -1,4 +1,4 @@
-"""Traffic of RTU and ASCII lines as log lines; the levels are those of `busway.observe.trace`.
+"""Traffic of RTU and ASCII lines as log lines, and into a capture file; the levels are those of `busway.observe.trace`.
 
 Knows frames and messages; knows no port: a driver hands it what it received and sent. It follows the line as an
 observer does, so frames of others are shown too.
@@ -29,17 +29,23 @@ class Trace(Protocol):
         """Show what went out."""
 
 
-def trace_for(framing: str, name: str, *, is_server: bool) -> Trace:
-    """The trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``."""
-    return StreamTrace(name, is_server=is_server) if framing == "mbap" else LineTrace(framing, name)
+def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> Trace:
+    """The trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
+
+    ``carrier`` is its socket or transport, from which a capture file has its addresses.
+    """
+    if framing == "mbap":
+        return StreamTrace(name, is_server=is_server, carrier=carrier)
+    return LineTrace(framing, name)
 
 
 class LineTrace:
     """Shows one line."""
 
-    __slots__ = ("_functions", "_name", "_receiver")
+    __slots__ = ("_capture", "_functions", "_name", "_receiver")
 
     def __init__(self, framing: str, name: str, functions: FunctionTable = STANDARD) -> None:
+        self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
         self._name = name
         self._functions = functions
         self._receiver = line_framing(framing, Role.OBSERVER, SerialTiming.of_network(), functions=functions).receiver
@@ -55,8 +61,12 @@ class LineTrace:
     def _take(self, arrow: str, data: bytes) -> None:
         if TRACE.level >= TraceLevel.BYTES:
             _log.debug("%s %s %d bytes: %s", self._name, arrow, len(data), data.hex(" "))
-        for found in self._receiver.receive(data, time.monotonic()):
-            self._show(arrow, found)
+        now = time.monotonic()
+        for found in self._receiver.receive(data, now):
+            if self._capture is not None:
+                self._capture.heard(found, at=time.time() - (now - found.began), is_outgoing=arrow == ">")
+            if TRACE.level >= TraceLevel.MESSAGE:
+                self._show(arrow, found)
 
     def _show(self, arrow: str, found: Received) -> None:
         if isinstance(found, Damaged):

@@ -1,19 +1,24 @@
-"""Traffic as log lines, at three levels that can be switched while the program runs.
+"""Traffic as log lines, at three levels that can be switched while the program runs; and into a capture file.
 
 Knows frames and messages; knows no connection: a driver hands it what it received and sent.
 
 1. ``message``: each request and reply with its fields. ``frame``: the ADU in hexadecimal too. ``bytes``: what each
    receive and send carried, however it was cut.
-2. Off costs a driver one attribute test (``TRACE.level``).
+2. Off costs a driver one attribute test (``TRACE.level``). A capture file switches it on too, without log lines.
 3. Lines go to the logger ``busway.trace`` at level DEBUG, lazily formatted.
 """
 
 import logging
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from ..framing.mbap import FrameKind, MbapFrame, MbapReceiver
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
+from .ends import ends_of
+
+if TYPE_CHECKING:
+    from .capture import Capture
 
 _log = logging.getLogger("busway.trace")
 
@@ -21,6 +26,8 @@ _log = logging.getLogger("busway.trace")
 class TraceLevel(IntEnum):
     """How much is shown."""
 
+    CAPTURE = -1
+    """Nothing, but what passes goes into a capture file."""
     OFF = 0
     MESSAGE = 1
     FRAME = 2
@@ -28,29 +35,45 @@ class TraceLevel(IntEnum):
 
 
 class Trace:
-    """The switch. One for the process: `TRACE`."""
+    """The switch. One for the process: `TRACE`.
 
-    __slots__ = ("level",)
+    Attributes:
+        level: how much is shown; what drivers test.
+        capture: the file that traffic goes into, or None.
+    """
+
+    __slots__ = ("capture", "level")
 
     def __init__(self) -> None:
         self.level = TraceLevel.OFF
+        self.capture: Capture | None = None
 
     def set(self, level: TraceLevel) -> None:
         """Show traffic from now on; the logger ``busway.trace`` must let DEBUG pass."""
+        if level is TraceLevel.OFF and self.capture is not None:
+            level = TraceLevel.CAPTURE
         self.level = level
-        if level:
+        if level > TraceLevel.OFF:
             _log.setLevel(logging.DEBUG)
+
+    def capture_into(self, capture: "Capture | None") -> None:
+        """Write the traffic of connections that are made from now on into this file; None ends it."""
+        self.capture = capture
+        self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
 
 
 TRACE = Trace()
 
 
 class StreamTrace:
-    """Shows one MBAP connection."""
+    """Shows one MBAP connection; ``carrier`` is what `ends_of` can tell its addresses from."""
 
-    __slots__ = ("_functions", "_incoming", "_is_server", "_name", "_outgoing")
+    __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
-    def __init__(self, name: str, *, is_server: bool, functions: FunctionTable = STANDARD) -> None:
+    def __init__(
+        self, name: str, *, is_server: bool, functions: FunctionTable = STANDARD, carrier: object = None
+    ) -> None:
+        self._capture = None if TRACE.capture is None else TRACE.capture.connection(ends_of(carrier))
         self._name = name
         self._is_server = is_server
         self._functions = functions
@@ -59,6 +82,10 @@ class StreamTrace:
 
     def received(self, data: bytes) -> None:
         """Show what came in."""
+        if self._capture is not None:
+            self._capture.received(data)
+        if TRACE.level < TraceLevel.MESSAGE:
+            return
         if TRACE.level >= TraceLevel.BYTES:
             _log.debug("%s < %d bytes: %s", self._name, len(data), data.hex(" "))
         for frame in self._incoming.receive(data):
@@ -66,6 +93,10 @@ class StreamTrace:
 
     def sent(self, data: bytes) -> None:
         """Show what went out."""
+        if self._capture is not None:
+            self._capture.sent(data)
+        if TRACE.level < TraceLevel.MESSAGE:
+            return
         if TRACE.level >= TraceLevel.BYTES:
             _log.debug("%s > %d bytes: %s", self._name, len(data), data.hex(" "))
         for frame in self._outgoing.receive(data):

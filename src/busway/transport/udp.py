@@ -67,6 +67,10 @@ class DatagramConnection(asyncio.DatagramProtocol):
         if self._transport is not None:
             self._transport.abort()
 
+    def get_extra_info(self, name: str) -> Any:  # Any: as the transport has it
+        """What the transport knows of itself, as its socket."""
+        return None if self._transport is None else self._transport.get_extra_info(name)
+
     def is_closing(self) -> bool:
         """Whether it is closed."""
         return self._transport is None or self._transport.is_closing()

@@ -1,0 +1,34 @@
+"""Which two addresses a connection runs between, for packets of a capture file.
+
+Knows sockets, and what stands for them; knows no Modbus.
+"""
+
+import contextlib
+import os
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Both ends of a connection, as ``getsockname`` and ``getpeername`` give them; None where there is no telling."""
+
+    local: object = None
+    peer: object = None
+    is_datagram: bool = False
+
+
+def ends_of(carrier: object) -> Ends:
+    """The ends of a socket, of a transport of asyncio, or of what has the descriptor of a socket."""
+    if isinstance(carrier, Ends):
+        return carrier
+    ask = getattr(carrier, "get_extra_info", None)
+    asked: Any = ask("socket") if ask is not None else carrier  # sockets of asyncio share no base with the others
+    with contextlib.suppress(OSError):
+        if hasattr(asked, "getpeername"):
+            return Ends(asked.getsockname(), asked.getpeername(), asked.type == socket.SOCK_DGRAM)
+        if hasattr(asked, "fileno"):
+            with socket.socket(fileno=os.dup(asked.fileno())) as own:
+                return Ends(own.getsockname(), own.getpeername(), own.type == socket.SOCK_DGRAM)
+    return Ends()
