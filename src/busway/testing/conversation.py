@@ -15,6 +15,8 @@ from ..pdu.functions import FunctionTable
 from ..session.server import TcpServerSession
 from .faults import Contact, Emission, Exchange, Faults
 
+_HIGHEST_FUNCTION = 0x7F
+"""Beyond it a frame would be a reply: every server discards it, and no fault has anything to say about it."""
 _SAME_MOMENT = 1e-6
 """Seconds. Sums of times that mean the same moment differ in their last bits."""
 
@@ -55,7 +57,7 @@ class FaultyConversation:
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes of the client."""
         for frame in self._receiver.receive(data):
-            if frame.kind is FrameKind.FRAME:
+            if frame.kind is FrameKind.FRAME and frame.pdu[0] <= _HIGHEST_FUNCTION:
                 self._take(frame, now)
             elif frame.kind is FrameKind.BROKEN:
                 self._plan(Emission(0, 0, closes=True), now)
