@@ -51,15 +51,10 @@ def demand_for(
     idempotent = False
     if call:
         timeout, retries, deadline, idempotent = _checked(call, timeout, retries, deadline)
-    is_write = False
-    for request in requests:
-        if request.is_write:
-            is_write = True
-            break
     return Demand(
         unit,
         requests,
-        is_write=is_write,
+        is_write=requests[0].is_write if len(requests) == 1 else any(request.is_write for request in requests),
         timeout=timeout,
         retries=retries,
         idempotent=idempotent,

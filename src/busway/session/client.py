@@ -30,6 +30,7 @@ from .ledger import Ledger
 from .parameters import ClientParameters, MismatchPolicy
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
+_FIRST = (0,)
 _EXPIRED_LIMIT = 4096
 _LATE_FACTOR = 2
 """A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
@@ -231,7 +232,8 @@ class TcpClientSession:
         ):
             return None
         self._ledger.begin(demand, now)
-        return self._launch(demand, demand.take(1), now)[0]
+        demand.next = 1
+        return self._launch(demand, _FIRST, now)[0]
 
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
