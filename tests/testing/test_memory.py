@@ -4,7 +4,14 @@ import asyncio
 
 import pytest
 
-from busway.testing import MemoryPair, Passage
+from busway.server.connection import ServerConnection
+from busway.server.connections import ConnectionManagement, ServerCounters
+from busway.server.local import LocalHandler
+from busway.server.parameters import ListenerParameters
+from busway.session.parameters import ServerParameters
+from busway.session.server import TransactionSlots
+from busway.testing import MemoryPair, Passage, golden_adu, known_device
+from busway.transport.tcp import SocketParameters
 
 
 class Notes(asyncio.Protocol):
@@ -157,3 +164,30 @@ async def test_with_a_schedule_it_arrives_by_itself() -> None:
     await asyncio.sleep(0)
     assert (first.lost, second.lost) == (1, 1)
     assert pair.first.get_extra_info("peername") == ("memory", 1)
+
+
+@pytest.mark.parametrize("split", [0, 1, 5, 7, 12])
+@pytest.mark.parametrize("merge", [False, True])
+async def test_server_connection_in_memory_answers_whatever_the_segments(split: int, merge: bool) -> None:
+    management = ConnectionManagement(
+        asyncio.get_running_loop(),
+        LocalHandler({1: known_device()}),
+        listener="memory",
+        parameters=ListenerParameters(),
+        session_parameters=ServerParameters(),
+        sockets=SocketParameters(),
+        counters=ServerCounters(),
+        slots=TransactionSlots(1),
+    )
+    client = Notes()
+    pair = MemoryPair(client, ServerConnection(management), forth=Passage(split=split, merge=merge))
+    pair.open()
+    for one in range(1, 4):
+        pair.first.write(golden_adu(bytes((3, 0, one, 0, 1)), transaction=one))
+    pair.deliver()
+    expected = b"".join(golden_adu(bytes((3, 2, 0, one)), transaction=one) for one in range(1, 4))
+    assert b"".join(client.received) == expected
+    assert len(management) == 1
+    pair.first.close()
+    pair.deliver()
+    assert len(management) == 0
