@@ -82,6 +82,7 @@ async def test_a_blocking_link_also_takes_a_close_by_the_server_quietly(monkeypa
         closed = threading.Event()
         working = asyncio.create_task(asyncio.to_thread(work))
         await until(lambda: peer.writers and peer.writers[0].is_closing())
+        await peer.writers[0].wait_closed()
         closed.set()
         assert await working == [1, 2]
     assert len(peer.writers) == 2
