@@ -1,0 +1,29 @@
+"""The way of a late reply: once, to whoever asked."""
+
+from busway.pdu.general import ExceptionResponse
+from busway.pdu.message import Message
+from busway.session.diagnostics import CommunicationState
+from busway.session.handler import SILENCE, Deferral, RequestContext
+
+
+def test_a_late_reply_goes_its_way_once() -> None:
+    gone: list[tuple[int, Message | Deferral]] = []
+    context = RequestContext(
+        unit=1,
+        function=3,
+        diagnostics=CommunicationState(),
+        transaction=7,
+        finish=lambda who, reply: gone.append((who.transaction, reply)),
+    )
+    assert not context.replied
+    context.refuse(6)
+    context.refuse(4)
+    context.reply(SILENCE)
+    assert context.replied
+    assert gone == [(7, ExceptionResponse(3, 6))]
+
+
+def test_a_context_without_a_way_back_takes_replies_and_does_nothing() -> None:
+    context = RequestContext(unit=1, function=3, diagnostics=CommunicationState())
+    assert context.replied
+    context.refuse(6)

@@ -1,0 +1,166 @@
+"""Who is served next: round robin over callers, writes before reads to other units, nobody past himself."""
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from busway.errors import Overloaded
+from busway.pdu.read_items import ReadHoldingRegisters
+from busway.pdu.write_items import WriteSingleRegister
+from busway.session.demand import Demand
+from busway.session.queue import RequestQueue
+
+
+def demand(caller: object = "a", unit: int = 1, *, write: bool = False, requests: int = 1) -> Demand:
+    request = WriteSingleRegister(0, 1) if write else ReadHoldingRegisters(0, 1)
+    return Demand(unit, [request] * requests, is_write=write, timeout=1.0, retries=0, caller=caller)
+
+
+def serve(queue: RequestQueue, eligible: Callable[[Demand], bool] | None = None) -> list[Demand]:
+    """Take one request at a time until nothing is left that may be sent."""
+    order = []
+    while (picked := queue.pick(eligible)) is not None:
+        picked.take(1)
+        order.append(picked)
+        if not picked.has_more:
+            queue.remove(picked)
+    return order
+
+
+def filled(*demands: Demand) -> RequestQueue:
+    queue = RequestQueue(64)
+    for one in demands:
+        queue.add(one)
+    return queue
+
+
+def test_callers_take_turns_whatever_each_has_asked() -> None:
+    busy = [demand("busy") for _ in range(4)]
+    quiet, other = demand("quiet"), demand("other")
+    assert serve(filled(*busy, quiet, other)) == [busy[0], quiet, other, *busy[1:]]
+
+
+def test_a_batch_takes_turns_request_by_request() -> None:
+    batch, one = demand("a", requests=3), demand("b")
+    assert serve(filled(batch, one)) == [batch, one, batch, batch]
+
+
+def test_demands_of_one_caller_to_one_unit_keep_their_order_whatever_they_are() -> None:
+    demands = [demand(write=position % 2 == 1) for position in range(6)]
+    assert serve(filled(*demands)) == demands
+
+
+def test_a_callers_writes_go_before_its_reads_to_other_units() -> None:
+    first, second, write = demand(unit=1), demand(unit=2), demand(unit=3, write=True)
+    assert serve(filled(first, second, write)) == [write, first, second]
+
+
+def test_a_write_does_not_pass_an_earlier_read_of_the_same_unit() -> None:
+    other, read, write = demand(unit=2), demand(unit=1), demand(unit=1, write=True)
+    assert serve(filled(other, read, write)) == [other, read, write]
+    # Once the read is gone, the write goes before the reads to other units.
+    read, first, second, write = demand(unit=1), demand(unit=2), demand(unit=2), demand(unit=1, write=True)
+    assert serve(filled(read, first, second, write)) == [read, write, first, second]
+
+
+def test_the_writes_of_one_caller_do_not_pass_the_reads_of_another() -> None:
+    reads = [demand("reader", unit=1) for _ in range(2)]
+    writes = [demand("writer", unit=2, write=True) for _ in range(2)]
+    assert serve(filled(*reads, *writes)) == [reads[0], writes[0], reads[1], writes[1]]
+
+
+def test_a_unit_that_must_not_be_asked_holds_up_its_own_requests_only() -> None:
+    held, free, held_too, later = demand(unit=1), demand(unit=2), demand("b", unit=1), demand(unit=3)
+    queue = filled(held, free, held_too, later)
+    assert serve(queue, lambda one: one.unit != 1) == [free, later]
+    assert list(queue) == [held, held_too] or list(queue) == [held_too, held]
+    assert queue.size == 2
+
+
+def test_of_a_unit_that_is_held_up_no_later_request_goes_first() -> None:
+    held, write = demand(unit=1), demand(unit=1, write=True)
+    assert serve(filled(held, write), lambda one: one is not held) == []
+
+
+def test_what_is_repeated_goes_before_the_others_of_its_caller() -> None:
+    first, second = demand(), demand()
+    queue = filled(second)
+    queue.add_again(first)
+    assert serve(queue) == [first, second]
+
+
+def test_what_is_repeated_and_still_waits_is_there_once() -> None:
+    batch = demand(requests=2)
+    queue = filled(batch)
+    queue.add_again(batch)
+    assert (queue.size, list(queue)) == (1, [batch])
+
+
+@pytest.mark.clause("T23")
+@pytest.mark.parametrize("limit", [1, 3])
+def test_a_full_queue_refuses_one_more_but_takes_back_what_is_repeated(limit: int) -> None:
+    queue = RequestQueue(limit)
+    for caller in range(limit):
+        queue.add(demand(caller))
+    refused = demand("late")
+    with pytest.raises(Overloaded, match=f"{limit} calls wait on this link already; nothing was sent"):
+        queue.add(refused)
+    assert queue.size == limit
+    queue.add_again(refused)
+    assert queue.size == limit + 1
+
+
+def test_what_is_taken_out_is_gone_and_what_is_not_in_is_not_taken_out() -> None:
+    one, other = demand("a", write=True), demand("b")
+    queue = filled(one, other)
+    assert queue.remove(one)
+    assert not queue.remove(one)
+    assert not queue.remove(demand("c"))
+    assert not queue.remove(demand("b"))
+    assert (queue.size, queue.sole_caller, list(queue)) == (1, True, [other])
+    assert serve(queue) == [other]
+    assert queue.pick() is None
+
+
+def test_a_look_ahead_gives_what_comes_next_and_changes_nothing() -> None:
+    one, other = demand("a"), demand("b")
+    queue = filled(one, other)
+    assert queue.peek() is one
+    assert queue.peek() is one
+    assert queue.peek(lambda each: each is other) is other
+    assert serve(queue) == [one, other]
+    assert queue.peek() is None
+
+
+DEMANDS = st.lists(
+    st.builds(demand, st.sampled_from("abc"), st.integers(1, 3), write=st.booleans(), requests=st.integers(1, 3)),
+    max_size=20,
+)
+
+
+@given(DEMANDS)
+@settings(max_examples=200)
+def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(demands: list[Demand]) -> None:
+    order = serve(filled(*demands))
+    assert len(order) == sum(len(one.requests) for one in demands)
+    for caller in "abc":
+        for unit in (1, 2, 3):
+            asked = [one for one in demands if (one.caller, one.unit) == (caller, unit) for _ in one.requests]
+            assert [one for one in order if (one.caller, one.unit) == (caller, unit)] == asked
+
+
+@given(DEMANDS)
+@settings(max_examples=200)
+def test_nobody_is_passed_twice_while_he_waits(demands: list[Demand]) -> None:
+    waiting = {caller: sum(len(one.requests) for one in demands if one.caller == caller) for caller in "abc"}
+    since: dict[str, set[object]] = {caller: set() for caller in "abc"}
+    for one in serve(filled(*demands)):
+        caller = str(one.caller)
+        for other in "abc":
+            if other != caller and waiting[other]:
+                assert caller not in since[other], "one turn each"
+                since[other].add(caller)
+        since[caller] = set()
+        waiting[caller] -= 1
