@@ -19,6 +19,7 @@ from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS
 from ..errors import ConfigError, InvalidRequest, LinkDown, ModbusError
 from ..values import Address, ValueType, parse_address, value_type
 from .arguments import (
+    CAPTURE,
     CSV,
     JSON,
     ORDER,
@@ -33,6 +34,7 @@ from .arguments import (
     whole_number,
 )
 from .exits import ExitCode, exit_code_of
+from .files import capturing
 from .output import Row, Writer, choose_writer, say, value_rows
 
 if TYPE_CHECKING:
@@ -75,13 +77,17 @@ def read(
     as_csv: bool = CSV,
     timeout: str | None = TIMEOUT,
     retries: str | None = RETRIES,
+    capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
     """Read values from a device."""
     number = whole_number(count, "--count", 1, 65_536)
     period = None if watch is None else seconds(watch, "--watch", low=0.01)
     wanted = [_wanted(address, kind, order, number, split=split) for address in addresses]
-    with opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked:
+    with (
+        capturing(capture),
+        opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked,
+    ):
         writer = choose_writer(as_json=as_json, as_csv=as_csv, repeats=period is not None)
         with closing(writer):
             if period is None:

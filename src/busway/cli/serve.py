@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from .arguments import VERBOSE, show_traffic
+from .arguments import CAPTURE, VERBOSE, show_traffic
 from .exits import ExitCode
-from .files import read_device_file
+from .files import capturing, read_device_file
 from .output import say
 from .signals import stop_event
 
@@ -36,12 +36,14 @@ def serve(
     listen: list[str] | None = typer.Option(
         None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
     ),
+    capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
     """Be a device."""
     server = _server(file, listen or [])
     show_traffic(verbose)
-    asyncio.run(_serve(server, file))
+    with capturing(capture):
+        asyncio.run(_serve(server, file))
     return ExitCode.DONE
 
 

@@ -1,0 +1,47 @@
+"""``--capture`` of ``read`` and ``serve``."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from capture_file import blocks
+from program import Busway
+
+
+def payloads(file: Path) -> list[bytes]:
+    """What the TCP segments in a capture file carry."""
+    return [
+        body[60 : 20 + int.from_bytes(body[12:16], "little")] for kind, body in blocks(file.read_bytes()) if kind == 6
+    ]
+
+
+def test_what_a_read_sends_and_receives_is_captured(run: Callable[..., Any], url: str, tmp_path: Path) -> None:
+    file = tmp_path / "read.pcapng"
+    # The server of the test is in the same process, and captured with it.
+    assert run("read", url, "4x1", "--unit", "1", "--capture", str(file)).code == 0
+    asked, *_, answered = sorted(payloads(file), key=len, reverse=True)
+    assert asked[7:] == bytes.fromhex("03 0000 0001")
+    assert answered[7:] == bytes.fromhex("03 02 0000")
+
+
+def test_a_server_captures_each_connection_until_it_is_stopped(run: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "served.pcapng"
+    with Busway("serve", "--listen", "tcp://127.0.0.1:0", "--capture", str(file)) as server:
+        assert server.process.stdout is not None
+        url = server.process.stdout.readline().decode().strip()
+        assert re.fullmatch(r"tcp://127\.0\.0\.1:\d+", url)
+        for _ in range(2):
+            assert run("read", url, "4x1").code == 0
+        server.stop()
+    assert [payload[7:].hex() for payload in payloads(file)] == ["0300000001", "03020000"] * 2
+
+
+@pytest.mark.parametrize("command", [["read", "tcp://127.0.0.1:1", "4x1"], ["serve"]])
+def test_a_file_that_can_not_be_written_is_named_and_nothing_is_done(
+    run: Callable[..., Any], command: list[str]
+) -> None:
+    result = run(*command, "--capture", "/there/is/no/such/folder")
+    assert result.code == 2
+    assert result.err == "/there/is/no/such/folder: can not be written: no such file or directory\n"
