@@ -4,14 +4,10 @@ import asyncio
 
 import pytest
 
-from busway.server.connection import ServerConnection
-from busway.server.connections import ConnectionManagement, ServerCounters
 from busway.server.local import LocalHandler
-from busway.server.parameters import ListenerParameters
-from busway.session.parameters import ServerParameters
-from busway.session.server import TransactionSlots
+from busway.session.diagnostics import CommunicationState
+from busway.session.server import TcpServerSession, TransactionSlots
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
-from busway.transport.tcp import SocketParameters
 
 
 class Notes(asyncio.Protocol):
@@ -166,28 +162,34 @@ async def test_with_a_schedule_it_arrives_by_itself() -> None:
     assert pair.first.get_extra_info("peername") == ("memory", 1)
 
 
+class Answering(asyncio.Protocol):
+    """A known device behind a server session."""
+
+    def __init__(self) -> None:
+        self.session = TcpServerSession(
+            LocalHandler({1: known_device()}),
+            diagnostics=CommunicationState(),
+            slots=TransactionSlots(1),
+            deliver=lambda adu: None,
+        )
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        for adu in self.session.receive(data, len(data)):
+            self.transport.write(adu)
+
+
 @pytest.mark.parametrize("split", [0, 1, 5, 7, 12])
 @pytest.mark.parametrize("merge", [False, True])
-async def test_server_connection_in_memory_answers_whatever_the_segments(split: int, merge: bool) -> None:
-    management = ConnectionManagement(
-        asyncio.get_running_loop(),
-        LocalHandler({1: known_device()}),
-        listener="memory",
-        parameters=ListenerParameters(),
-        session_parameters=ServerParameters(),
-        sockets=SocketParameters(),
-        counters=ServerCounters(),
-        slots=TransactionSlots(1),
-    )
+def test_server_session_in_memory_answers_whatever_the_segments(split: int, merge: bool) -> None:
     client = Notes()
-    pair = MemoryPair(client, ServerConnection(management), forth=Passage(split=split, merge=merge))
+    pair = MemoryPair(client, Answering(), forth=Passage(split=split, merge=merge))
     pair.open()
     for one in range(1, 4):
         pair.first.write(golden_adu(bytes((3, 0, one, 0, 1)), transaction=one))
     pair.deliver()
     expected = b"".join(golden_adu(bytes((3, 2, 0, one)), transaction=one) for one in range(1, 4))
     assert b"".join(client.received) == expected
-    assert len(management) == 1
-    pair.first.close()
-    pair.deliver()
-    assert len(management) == 0
