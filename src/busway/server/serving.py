@@ -16,6 +16,7 @@ from ..session.parameters import ServerParameters
 from ..transport.tcp import SocketParameters
 from .device import Device
 from .local import LocalHandler, UnitPolicy, UnlistedUnit
+from .loops import run as run_on_new_loop
 from .parameters import ListenerParameters
 from .server import Server, ServerStatus
 
@@ -104,7 +105,7 @@ def serve_forever(
             await asyncio.get_running_loop().create_future()
 
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(run())
+        run_on_new_loop(run())
 
 
 class ServerThread:
@@ -161,7 +162,7 @@ def serve_in_thread(*endpoints: str | Endpoint, **options: Any) -> Iterator[Serv
         await stop.wait()
         await server.stop()
 
-    thread = threading.Thread(target=lambda: asyncio.run(run()), name="busway server", daemon=True)
+    thread = threading.Thread(target=lambda: run_on_new_loop(run()), name="busway server", daemon=True)
     thread.start()
     ready.event.wait()
     if ready.error is not None:

@@ -1,0 +1,24 @@
+"""The event loop of programs that this library starts itself: uvloop where it is installed, asyncio's own elsewhere.
+
+A program that runs its own loop chooses itself; nothing is switched behind its back.
+"""
+
+import asyncio
+from collections.abc import Coroutine
+from importlib import import_module
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+def run(main: Coroutine[Any, Any, Result]) -> Result:
+    """Run a coroutine to its end on a new event loop."""
+    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+        return runner.run(main)
+
+
+def _loop_factory() -> Any:  # a callable that makes an event loop, or None
+    try:
+        return import_module("uvloop").new_event_loop
+    except ImportError:
+        return None
