@@ -27,6 +27,7 @@ COMMANDS = {
     "read": "Read values from a device.",
     "write": "Write values to a device.",
     "identify": "Ask a device what it is.",
+    "counters": "Read what a device counts of its communication.",
     "serve": "Be a device.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
