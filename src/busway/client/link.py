@@ -3,7 +3,8 @@
 Knows when to connect, write and look at the clock; knows nothing of what is asked.
 
 1. It connects at the first need, and again when the connection has gone and something is asked.
-2. One timer, for the next deadline of all; it is moved only where a new one is nearer.
+2. One timer, for the next deadline of all; it is moved only where a new one is nearer. On a serial port it is an
+   `Alarm`, because the silence before a frame is shorter than what the loop's timers are late.
 3. What arrived is worked through in one call; demands that it completes wake their callers.
 4. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
    are those of ``time.monotonic``, as a port tells them.
@@ -15,7 +16,7 @@ import logging
 import random
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import LinkDown
 from ..observe.line_trace import Trace, trace_for
@@ -30,13 +31,17 @@ from .connector import Connector
 from .conversation import Conversation
 from .settings import LinkSettings
 
+if TYPE_CHECKING:
+    from ..transport.serial.alarm import Alarm
+
 _log = logging.getLogger("busway.client")
 
 CLOSING_SECONDS: Final = 2.0
 """How long closing a link waits for its port."""
-SPIN: Final = 0.0015
-"""Seconds before a frame that ``precise_timing`` waits for in a loop: the timers of an event loop are up to one
-millisecond late, and a sleeping processor takes its time."""
+SPIN: Final = 0.0003
+"""Seconds before a frame that ``precise_timing`` waits for in a loop: a sleeping processor is woken about that late."""
+COARSE_SPIN: Final = 0.0015
+"""The same where only the timers of the event loop are there, which are up to one millisecond late."""
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
@@ -89,16 +94,19 @@ class Link:
         self._clock = self._loop.time if self._line is None else time.monotonic
         self.reconnect = Reconnect(random.random)
         self._spin = 0.0
+        self._alarm: Alarm | None = None  # where a silence before each frame is kept: on a serial port
         if settings.line is not None and settings.line.port is not None:
             opening = settings.line.opening
             self.reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
-            self._spin = SPIN if opening.precise_timing else 0.0
+            self._alarm = _new_alarm(self._on_timer)
+            if opening.precise_timing:
+                self._spin = SPIN if self._alarm.exact else COARSE_SPIN
         self._protocol: _LinkProtocol | None = None
         self._transport: Any = None  # asyncio.Transport, or what a connector gives in its place
         self._connecting: asyncio.Task[None] | None = None
         self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
         self._paused = False
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.TimerHandle | Alarm | None = None
         self._timer_at = 0.0
         self._flush_planned = False
         self._outgoing: list[bytes] = []
@@ -185,6 +193,8 @@ class Link:
         if wait_closed is not None:
             with contextlib.suppress(TimeoutError):  # a driver that is stuck holds its port as long as it likes
                 await asyncio.wait_for(wait_closed(), CLOSING_SECONDS)
+        if self._alarm is not None:
+            self._alarm.close()
         self._connector.release()
 
     @property
@@ -367,11 +377,15 @@ class Link:
                 future.set_result(None)
 
     def _arm(self, when: float) -> None:
+        self._timer_at = when
+        if self._alarm is not None:
+            self._alarm.set(when - self._spin)
+            self._timer = self._alarm
+            return
         if self._timer is not None:
             self._timer.cancel()
-        self._timer_at = when
         if self._line is not None:  # the loop's clock may be another one
-            when = self._loop.time() + (when - self._clock()) - self._spin
+            when = self._loop.time() + (when - self._clock())
         self._timer = self._loop.call_at(when, self._on_timer)
 
     def _rearm(self) -> None:
@@ -387,10 +401,10 @@ class Link:
 
     def _on_timer(self) -> None:
         self._timer = None
+        timeouts = self.session.counters.timeouts
         now = self._clock()
         if self._line is not None:
             now = self._on_line_timer(now)
-        timeouts = self.session.counters.timeouts
         self.session.tick(now)
         if self.session.counters.timeouts != timeouts:
             self.reconnect.move(ConnectionEvent.TIMEOUT, now)
@@ -401,9 +415,11 @@ class Link:
     def _on_line_timer(self, now: float) -> float:
         """Wait out the last moments of a gap, if asked to; and believe no silence while our frame is still leaving."""
         if self._spin:
+            self.session.tick(now)  # what takes time and can be done before the gap is over
             until = min(self._timer_at, now + 2 * self._spin)
             while (now := self._clock()) < until:
                 pass
+            self._pump(now)
         if self.session.in_flight and self._frame_leaves is not None:
             self._frame_leaves()
         return now
@@ -412,3 +428,9 @@ class Link:
         if self._trace is None:
             self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._transport)
         return self._trace
+
+
+def _new_alarm(ring: Callable[[], None]) -> "Alarm":
+    from ..transport.serial.alarm import Alarm  # here: links to networks do without it
+
+    return Alarm(ring)
