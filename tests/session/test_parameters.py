@@ -35,7 +35,7 @@ def test_the_defaults_of_a_server_are_those_of_the_documentation() -> None:
     assert dataclasses.asdict(ServerParameters()) == {
         "max_transactions": 16,
         "scope": Scope.CONNECTION,
-        "diagnostics_changes": False,
+        "diagnostics_changes": None,
     }
 
 
