@@ -8,7 +8,6 @@ from serial_peers import DeviceUnit, Pair, our_pair
 from test_server_with_every_client import (  # noqa: F401 - the same questions
     test_a_single_coil_is_written_on_and_off,
     test_a_single_register_is_written,
-    test_many_coils_are_written_and_their_neighbours_are_not,
     test_many_registers_are_written_and_their_neighbours_are_not,
     test_reading_a_table_gives_its_content,
     test_reading_hundreds_of_bits_gives_them_all,
@@ -29,6 +28,14 @@ def client(pair: Pair) -> foreign.Program:
 @pytest.fixture
 def unit(pair: Pair) -> DeviceUnit:
     return DeviceUnit(pair.device)
+
+
+@pytest.mark.parametrize("count", [1, 8, 13, 125])
+def test_many_coils_are_written_and_their_neighbours_are_not(pair: Pair, count: int) -> None:
+    pattern = [index % 2 == 0 for index in range(count)]  # 125 at most: it counts coils as registers
+    pair.device.coils[520 + count] = True
+    assert pair.ask(f"write_multiple_coils 520 {' '.join(str(int(bit)) for bit in pattern)}")["ok"]
+    assert list(pair.device.coils[520 : 520 + count + 1]) == [*pattern, True]
 
 
 def test_single_values_are_written_by_the_functions_for_many(pair: Pair) -> None:

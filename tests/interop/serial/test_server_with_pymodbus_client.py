@@ -7,7 +7,6 @@ import pytest
 from serial_peers import DeviceUnit, Pair, our_pair
 from test_server_with_pymodbus_client import (  # noqa: F401 - the same questions
     test_a_counter_is_read,
-    test_a_queue_is_read_in_order,
     test_an_identification_object_that_is_not_there_is_refused_with_code_2,
     test_file_records_are_written_and_read,
     test_identification_objects_of_a_level,
@@ -66,3 +65,9 @@ def test_a_restart_is_answered_and_clears_the_counters(pair: Pair) -> None:
 def test_the_ascii_delimiter_is_changed_and_changed_back_without_a_word_lost(pair: Pair) -> None:
     assert pair.ask("diagnostics 3 0x0A00") == {"ok": True, "data": 0x0A00}
     assert pair.ask("read_coils 0 1")["ok"]
+
+
+def test_a_queue_is_read_in_order() -> None:
+    # ASCII alone: on RTU this client takes the reply for two bytes shorter than it is.
+    with our_pair("pymodbus-ascii") as pair:
+        assert pair.ask("read_fifo_queue 40") == {"ok": True, "values": [440, 4740]}
