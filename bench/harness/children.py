@@ -2,7 +2,8 @@
 
 Rules:
 1. A child is ended through its own handle, never by name; leaving the `with` block of a server ends it.
-2. A server announces itself by `port N` on its first line; it has START seconds for that.
+2. A server announces itself by a word and what it has to tell on its first line, `port N` for one on TCP; it has START
+   seconds for that.
 3. What a child says on stderr is kept and shown only when it fails.
 """
 
@@ -30,10 +31,14 @@ class ChildFailed(Exception):
 
 @dataclass(slots=True)
 class Server:
-    """A running server: its process and the port it told."""
+    """A running server: its process and what it told."""
 
     process: subprocess.Popen[bytes]
-    port: int
+    told: list[str]
+
+    @property
+    def port(self) -> int:
+        return int(self.told[0])
 
     @property
     def pid(self) -> int:
@@ -41,23 +46,27 @@ class Server:
 
     def ask(self, number: signal.Signals, word: str) -> float:
         """Sends a signal and returns the number in the server's next line, which reads `<word> <number>`."""
+        return float(self.answer(number, word)[0])
+
+    def answer(self, number: signal.Signals, word: str) -> list[str]:
+        """Sends a signal and returns what stands behind `<word>` in the server's next line."""
         self.process.send_signal(number)
         line = _line(self.process, START)
         if not line.startswith(word):
             raise ChildFailed(f"process {self.pid} said {line!r} where '{word} …' was expected")
-        return float(line.split()[1])
+        return line.split()[1:]
 
 
 @contextmanager
-def server(command: Sequence[str | Path], core: int | None) -> Iterator[Server]:
+def server(command: Sequence[str | Path], core: int | None, word: str = "port") -> Iterator[Server]:
     """Runs a server pinned to `core` (None: wherever) for the length of the block."""
     with tempfile.TemporaryFile() as complaints:
         process = _start(command, core, complaints)
         try:
             first = _line(process, START)
-            if not first.startswith("port "):
-                raise ChildFailed(_failure(command, f"did not tell its port but {first!r}", complaints))
-            yield Server(process, int(first.split()[1]))
+            if not first.startswith(f"{word} "):
+                raise ChildFailed(_failure(command, f"did not tell its {word} but {first!r}", complaints))
+            yield Server(process, first.split()[1:])
         finally:
             _stop(process)
 

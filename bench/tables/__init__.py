@@ -3,6 +3,7 @@
 TABLES = {
     "server": "tables.server",
     "client": "tables.client",
+    "line": "tables.line",
     "memory": "tables.memory",
     "startup": "tables.startup",
 }

@@ -1,0 +1,171 @@
+"""A serial line: how close reads come to what its characters and silences allow.
+
+100 reads of 10 registers by RTU, 8E1, from one server of ours, on a paced line. Line, server and client are processes
+of their own; the line has one core, the other two, which are never busy at the same time, share the other one.
+
+The least that a read can take is its 8 + 25 characters and two silences of t3.5, one before the request and one before
+the reply; the server gets no time of its own on top. The table shows the silences as the line saw them. A client whose
+silence is shorter than t3.5 gains time that the specification does not give.
+"""
+
+import statistics
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from signal import SIGUSR1, SIGUSR2
+
+from harness import children
+from harness.bench import Bench, Command
+from harness.children import ChildFailed
+from harness.measure import spread
+from harness.report import Bar, Table
+
+READS = 100
+REGISTERS = 10
+CHARACTERS = 8 + 5 + 2 * REGISTERS
+CHARACTER_BITS = 11
+RATES = (9_600, 19_200, 115_200)
+
+AWAIT, BLOCKING = "busway, await", "busway, blocking"
+PRECISE = ", precise_timing"
+COLUMNS = (
+    "",
+    "seconds",
+    "at least",
+    "excess %",
+    "± %",
+    "before reply ms",
+    "before request ms",
+    "t3.5 ms",
+    "CPU ms each",
+)
+
+
+@dataclass(slots=True)
+class Contender:
+    """A client, the server it asks, and what its rounds took."""
+
+    client: Callable[[str, int], Command]
+    server_options: str = ""
+    seconds: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    replies: list[float] = field(default_factory=list)
+    requests: list[float] = field(default_factory=list)
+    missing: str = ""
+
+
+def run(bench: Bench) -> Table:
+    reads = READS // 4 if bench.quick else READS
+    table = Table(f"A serial line: {reads} x FC03 x {REGISTERS} registers, RTU 8E1", COLUMNS)
+    excess: dict[tuple[int, str], float | None] = {}
+    for baud in RATES:
+        contenders = _contenders(bench, baud, reads)
+        for number in range(1 if bench.quick else 3):
+            for name, contender in contenders.items():
+                _measure(bench, baud, reads, name, contender, number)
+        for name, contender in contenders.items():
+            excess[baud, name] = _add(table, baud, reads, name, contender)
+    table.bars = [
+        Bar(f"{baud} baud: {name}, above the least", excess.get((baud, name)), "<=", limit, "%")
+        for baud, name, limit in _limits()
+    ]
+    return table
+
+
+def _limits() -> list[tuple[int, str, float]]:
+    usual = [(baud, name, 10.0 if baud == 115_200 else 5.0) for baud in RATES for name in (AWAIT, BLOCKING)]
+    return [*usual, *((115_200, name + PRECISE, 5.0) for name in (AWAIT, BLOCKING))]
+
+
+def _t3_5(baud: int) -> float:
+    return 0.00175 if baud > 19_200 else 3.5 * CHARACTER_BITS / baud
+
+
+def _least(baud: int) -> float:
+    """Seconds that one read takes at least."""
+    return CHARACTERS * CHARACTER_BITS / baud + 2 * _t3_5(baud)
+
+
+def _contenders(bench: Bench, baud: int, reads: int) -> dict[str, Contender]:
+    def ours(kind: str, options: str = "") -> Contender:
+        def client(path: str, baud: int) -> Command:
+            url = f"rtu://{path}?baud={baud}{options}"
+            return bench.ours("clients.busway_line", kind, url, reads, REGISTERS)
+
+        return Contender(client, options)
+
+    def peer(module: str, *words: str) -> Contender:
+        return Contender(lambda path, baud: bench.peer(f"peers.{module}", *words, path, baud, reads, REGISTERS))
+
+    contenders = {
+        "minimalmodbus": peer("minimalmodbus_line_client"),
+        "pymodbus, blocking": peer("pymodbus_line_client", "blocking"),
+        "pymodbus, await": peer("pymodbus_line_client", "await"),
+        BLOCKING: ours("blocking"),
+        AWAIT: ours("await"),
+    }
+    if baud == 115_200:
+        contenders[BLOCKING + PRECISE] = ours("blocking", "&precise_timing=on")
+        contenders[AWAIT + PRECISE] = ours("await", "&precise_timing=on")
+    return contenders
+
+
+def _measure(bench: Bench, baud: int, reads: int, name: str, contender: Contender, number: int) -> None:
+    if contender.missing:
+        return
+    try:
+        with children.server(bench.ours("servers.paced_line", baud), bench.server_core, "line") as line:
+            master, serving = line.told
+            url = f"rtu://{serving}?baud={baud}{contender.server_options}"
+            with children.server(bench.ours("servers.busway_line_server", url), bench.load_core, "serving"):
+                command = contender.client(master, baud)
+                line.answer(SIGUSR1, "forgotten")
+                result = children.run(command, bench.load_core, reads * _least(baud) * 3)
+                before_reply, before_request, _ = map(float, line.answer(SIGUSR2, "silences"))
+    except ChildFailed as failure:
+        contender.missing = str(failure)
+        bench.say(f"{baud} baud, {name} is left out: {failure}")
+        return
+    contender.seconds.append(result["seconds"])
+    contender.cpu.append(result["cpu"] / reads)
+    contender.replies.append(before_reply)
+    contender.requests.append(before_request)
+    bench.say(f"round {number + 1}  {baud:>6} baud  {name:<34} {result['seconds']:.3f} s")
+
+
+def _add(table: Table, baud: int, reads: int, name: str, contender: Contender) -> float | None:
+    """Add a row; gives the excess in per cent."""
+    label = f"{baud:>6} baud  {name}"
+    if contender.missing or not contender.seconds:
+        table.rows.append((label, "–", *[""] * (len(COLUMNS) - 2)))
+        table.figures.append({"baud": baud, "name": name, "missing": contender.missing})
+        return None
+    least = reads * _least(baud)
+    seconds = statistics.median(contender.seconds)
+    excess = (seconds / least - 1) * 100
+    before_reply, before_request = (statistics.median(one) for one in (contender.replies, contender.requests))
+    table.rows.append(
+        (
+            label,
+            f"{seconds:.3f}",
+            f"{least:.3f}",
+            f"{excess:.1f}",
+            f"{spread(contender.seconds) or 0:.1f}",
+            f"{before_reply * 1e3:.2f}",
+            f"{before_request * 1e3:.2f}",
+            f"{_t3_5(baud) * 1e3:.2f}",
+            f"{statistics.median(contender.cpu) * 1e3:.2f}",
+        )
+    )
+    table.figures.append(
+        {
+            "baud": baud,
+            "name": name,
+            "least": least,
+            "excess_percent": excess,
+            "rounds": contender.seconds,
+            "before_reply": before_reply,
+            "before_request": before_request,
+            "cpu": statistics.median(contender.cpu),
+        }
+    )
+    return excess
