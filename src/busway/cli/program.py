@@ -27,6 +27,7 @@ COMMANDS = {
     "read": "Read values from a device.",
     "write": "Write values to a device.",
     "identify": "Ask a device what it is.",
+    "scan": "Find the units that answer on a line or behind an address.",
     "counters": "Read what a device counts of its communication.",
     "serve": "Be a device.",
     "sniff": "Listen to a line, never send.",
