@@ -11,18 +11,21 @@ Knows when bytes come and go; knows nothing of what they say.
 import asyncio
 import logging
 import time
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from ..codes import ExceptionCode
 from ..errors import ModbusError
-from ..observe.trace import TRACE, StreamTrace
+from ..observe.line_trace import Trace, trace_for
+from ..observe.trace import TRACE
 from ..pdu.message import Message
 from ..session.handler import Refusal
-from ..session.server import Deferred, TcpServerSession
+from ..session.server import Deferred, HandlerFailure, TcpServerSession
 from ..transport.buffers import receive_buffer
 
 if TYPE_CHECKING:
     from .connections import ConnectionManagement
+    from .framed import FramedSession
 
 _log = logging.getLogger("busway.server")
 
@@ -59,9 +62,9 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._buffer = receive_buffer(management.loop)
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
         self._tasks: set[asyncio.Task[None]] | None = None
-        self._trace: StreamTrace | None = None
+        self._trace: Trace | None = None
         self._half_closed = False
-        self.session: TcpServerSession | None = None
+        self.session: TcpServerSession | FramedSession | None = None
         self.peer = ""
         self.opened = self.last_used = 0.0
         self.received = self.sent = 0
@@ -167,34 +170,48 @@ class ServerConnection(asyncio.BufferedProtocol):
         if TRACE.level:
             self._traced().sent(b"".join(replies))
 
-    def _traced(self) -> StreamTrace:
+    def _traced(self) -> Trace:
         if self._trace is None:
-            self._trace = StreamTrace(self.peer, is_server=True)
+            self._trace = trace_for(self._management.framing, self.peer, is_server=True, carrier=self._transport)
         return self._trace
 
-    def _start_waiting(self, session: TcpServerSession) -> None:
+    def attend(self) -> None:
+        """The session has come to something by itself, after a silence."""
+        session = self.session
+        if session is not None and session.deferred:
+            self._start_waiting(session)
+        if session is not None and session.failures:
+            self._report(session)
+
+    def _start_waiting(self, session: "TcpServerSession | FramedSession") -> None:
         deferred, session.deferred = session.deferred, []
         if self._tasks is None:
             self._tasks = set()
         for one in deferred:
-            task = self._management.loop.create_task(_answer_later(one))
+            task = self._management.loop.create_task(answer_later(one))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
-    def _report(self, session: TcpServerSession) -> None:
+    def _report(self, session: "TcpServerSession | FramedSession") -> None:
         failures, session.failures = session.failures, []
-        for failure in failures:
-            self._management.counters.handler_failures += 1
-            _log.error(
-                "%s: unit %s, function %s: the handler failed and the client was answered 04",
-                self.peer,
-                failure.context.unit,
-                failure.context.function,
-                exc_info=failure.error,
-            )
+        self._management.counters.handler_failures += len(failures)
+        self._management.diagnosis.internal_fault = time.monotonic()
+        report_failures(self.peer, failures)
 
 
-async def _answer_later(deferred: Deferred) -> None:
+def report_failures(peer: str, failures: Iterable[HandlerFailure]) -> None:
+    """Log what handlers raised."""
+    for failure in failures:
+        _log.error(
+            "%s: unit %s, function %s: the handler failed and the client was answered 04",
+            peer,
+            failure.context.unit,
+            failure.context.function,
+            exc_info=failure.error,
+        )
+
+
+async def answer_later(deferred: Deferred) -> None:
     """Await what a handler promised, and reply."""
     context = deferred.context
     try:

@@ -11,7 +11,8 @@ Knows connections and their limits; knows no request.
 import asyncio
 import logging
 import time
-from dataclasses import dataclass
+from collections.abc import Container
+from dataclasses import dataclass, replace
 
 from ..session.diagnostics import CommunicationState
 from ..session.handler import Handler
@@ -19,7 +20,11 @@ from ..session.parameters import Scope, ServerParameters
 from ..session.server import TcpServerSession, TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
 from .connection import ServerConnection
+from .diagnosis import Diagnosis
+from .framed import FramedSession
+from .listener_settings import ListenerSettings
 from .parameters import ListenerParameters
+from .status import ListenerStatus
 
 _log = logging.getLogger("busway.server")
 
@@ -61,7 +66,9 @@ class ConnectionManagement:
         loop: the event loop they live on.
         listener: URL of the listener, as it is bound.
         counters: shared by all listeners of a server.
+        framing: ``mbap``, ``rtu`` or ``ascii``.
         diagnostics: communication counters of the listener (functions 08, 11, 12).
+        diagnosis: for the lamps.
     """
 
     def __init__(
@@ -75,12 +82,19 @@ class ConnectionManagement:
         sockets: SocketParameters,
         counters: ServerCounters,
         slots: TransactionSlots,
+        settings: ListenerSettings,
+        units: Container[int] = (),
     ) -> None:
         self.loop = loop
         self.listener = listener
         self.parameters = parameters
         self.counters = counters
-        self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes)
+        self.framing = settings.endpoint.framing
+        self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes is True)
+        self.diagnostics.ascii_delimiter = settings.framing.delimiter
+        self.diagnosis = Diagnosis()
+        self._settings = settings
+        self._units = units
         self._handler = handler
         self._session_parameters = session_parameters
         self._sockets = sockets
@@ -93,7 +107,7 @@ class ConnectionManagement:
     def __len__(self) -> int:
         return len(self._connections)
 
-    def admit(self, connection: ServerConnection, transport: asyncio.BaseTransport) -> TcpServerSession:
+    def admit(self, connection: ServerConnection, transport: asyncio.BaseTransport) -> TcpServerSession | FramedSession:
         """Give a newcomer its session, and a place."""
         while len(self._connections) >= self.parameters.max_connections:
             self._evict()
@@ -102,6 +116,18 @@ class ConnectionManagement:
         socket = transport.get_extra_info("socket")
         if socket is not None:
             self._sockets.apply(socket)
+        if self.framing != "mbap":
+            return FramedSession(
+                self.loop,
+                self._handler,
+                self._units,
+                framing=self._settings.line_framing(self._units, self._handler.functions),
+                diagnostics=self.diagnostics,
+                deliver=connection.deliver,
+                attend=connection.attend,
+                peer=connection.peer,
+                listener=self.listener,
+            )
         slots = self._server_slots
         if self._session_parameters.scope is Scope.CONNECTION:
             slots = TransactionSlots(self._session_parameters.max_transactions)
@@ -114,7 +140,9 @@ class ConnectionManagement:
             listener=self.listener,
         )
 
-    def leave(self, connection: ServerConnection, session: TcpServerSession, error: Exception | None) -> None:
+    def leave(
+        self, connection: ServerConnection, session: TcpServerSession | FramedSession, error: Exception | None
+    ) -> None:
         """A connection has ended."""
         self._connections.pop(connection, None)
         self._begun.pop(connection, None)
@@ -183,7 +211,21 @@ class ConnectionManagement:
             for one in self._connections
         ]
 
-    def sessions(self) -> list[TcpServerSession]:
+    def listener_status(self) -> ListenerStatus:
+        """The listener itself."""
+        now = time.monotonic()
+        self.diagnosis.traffic = max((one.last_used for one in self._connections), default=self.diagnosis.traffic)
+        return ListenerStatus(
+            endpoint=self.listener,
+            is_open=self.diagnosis.is_open,
+            lamps=self.diagnosis.lamps(now, listen_only=self.diagnostics.listen_only),
+            counters=replace(self.diagnostics.counters),
+            event_count=self.diagnostics.event_count,
+            listen_only=self.diagnostics.listen_only,
+            requests=self.diagnostics.counters.server_message_count,
+        )
+
+    def sessions(self) -> list[TcpServerSession | FramedSession]:
         """The conversations of the living connections."""
         return [one.session for one in self._connections if one.session is not None]
 

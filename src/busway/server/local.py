@@ -4,7 +4,8 @@ Knows devices and the rules of units on TCP; knows no connection.
 
 1. ``listed``: a unit that is not listed is answered 0B (or not at all), because a client must learn that nobody is
    there. ``any``: the sole device answers whatever unit it is asked with, as much hardware does.
-2. 0 and 255 address the device of a server that has exactly one (Messaging on TCP/IP V1.0b §4.4.1.2).
+2. 0 and 255 address the device of a server that has exactly one (Messaging on TCP/IP V1.0b §4.4.1.2). On a serial line
+   they do not: only the units listed are its own there, since others answer for themselves.
 3. Function not offered → 01, before its lengths are judged (Application Protocol V1.1b3 figure 9).
 4. A request is executed under the device's lock: 22 and 23 read and write in one step, for every thread.
 """
@@ -12,7 +13,7 @@ Knows devices and the rules of units on TCP; knows no connection.
 from collections.abc import Mapping
 from enum import Enum
 
-from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
+from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
 from ..pdu.direct import Answer, ReadPlan
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
@@ -61,6 +62,7 @@ class LocalHandler:
             raise ConfigError("at least one unit is needed", key="units")
         distinct = {id(device): device for device in units.values()}
         self._units = dict(units)
+        self._serial_units = frozenset(unit for unit in units if 1 <= unit <= LAST_SERIAL_UNIT)
         self._sole = next(iter(distinct.values())) if len(distinct) == 1 else None
         if unit_policy is UnitPolicy.ANY and self._sole is None:
             raise ConfigError("unit policy any needs exactly one device", key="unit_policy")
@@ -78,6 +80,11 @@ class LocalHandler:
         self._answers.clear()
         self._plans = {}
         self.generation += 1
+
+    @property
+    def serial_units(self) -> frozenset[int]:
+        """The units that are answered on a serial line: those listed, whatever the policy (Serial Line V1.02 §2.2)."""
+        return self._serial_units
 
     def find(self, unit: int) -> Device | None:
         """The device that answers for ``unit``."""

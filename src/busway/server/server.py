@@ -10,21 +10,26 @@ import asyncio
 import contextlib
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
+from ..codes import LAST_SERIAL_UNIT
 from ..config.endpoints import Endpoint, parse_endpoint
-from ..errors import ConfigError, LinkDown
-from ..session.handler import Handler
+from ..errors import ConfigError, LinkDown, ModbusError
+from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
 from ..session.server import TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
 from .connection import ServerConnection
 from .connections import ConnectionManagement, ConnectionStatus, ServerCounters
 from .limits import raise_open_file_limit
+from .line import SerialListener
+from .listener_settings import ListenerSettings, listener_settings
 from .parameters import ListenerParameters
+from .status import ListenerStatus
+from .udp import UdpListener
 
 _STOP_SECONDS = 0.5
 _TURNS_TO_SETTLE = 4
@@ -41,6 +46,7 @@ class ServerStatus:
         endpoints: URLs of the listeners as they are bound.
         connections: the connections, the oldest first.
         counters: what happened since the server was made or reset.
+        listeners: the listeners, with their lamps and diagnostic counters.
     """
 
     running: bool
@@ -48,6 +54,7 @@ class ServerStatus:
     endpoints: tuple[str, ...]
     connections: tuple[ConnectionStatus, ...]
     counters: ServerCounters
+    listeners: tuple[ListenerStatus, ...] = ()
 
 
 class Server:
@@ -77,16 +84,19 @@ class Server:
         self._wanted = [parse_endpoint(one) for one in endpoints]
         if not self._wanted:
             raise ConfigError("at least one endpoint to listen on is needed", key="endpoints")
-        for endpoint in self._wanted:
-            if endpoint.scheme != "tcp":
-                raise ConfigError(f"{endpoint}: a server can not listen on {endpoint.scheme}:// yet")
-            if endpoint.options:
-                raise ConfigError(f"{endpoint}: unknown option {next(iter(endpoint.options))}")
+        self._settings = [listener_settings(endpoint) for endpoint in self._wanted]
+        for settings in self._settings:
+            if settings.endpoint.carrier not in ("tcp", "udp", "serial"):
+                raise ConfigError(f"{settings.endpoint}: a server can not listen on {settings.endpoint.scheme}:// yet")
+            if settings.endpoint.framing != "mbap":
+                settings.line_framing(_serial_units(handler, settings.endpoint), handler.functions)
         self._handler = handler
         self._parameters = parameters or ServerParameters()
         self._listener = listener or ListenerParameters()
         self._sockets = sockets or SocketParameters()
         self._listeners: list[asyncio.Server] = []
+        self._datagrams: list[UdpListener] = []
+        self._lines: list[SerialListener] = []
         self._managements: list[ConnectionManagement] = []
         self._bound: list[str] = []
         self._started = 0.0
@@ -100,26 +110,76 @@ class Server:
     @property
     def is_running(self) -> bool:
         """Whether it answers."""
-        return bool(self._listeners)
+        return bool(self._listeners or self._datagrams or self._lines)
 
     async def start(self) -> None:
-        """Open all listeners. Raises `LinkDown` that names the one that can not be had; then none is open."""
-        if self._listeners:
+        """Open all listeners. A serial port that is not there is waited for.
+
+        Raises:
+            LinkDown, ConfigError: a listener can not be had; then none is open.
+        """
+        if self.is_running:
             return
         raise_open_file_limit()
         loop = asyncio.get_running_loop()
         slots = TransactionSlots(self._parameters.max_transactions)
         self._managements.clear()
         try:
-            for endpoint in self._wanted:
-                await self._open(loop, endpoint, slots)
+            for settings in self._settings:
+                endpoint = settings.endpoint
+                if endpoint.carrier == "serial":
+                    await self._open_line(loop, settings)
+                elif endpoint.carrier == "udp":
+                    await self._open_datagram(loop, settings, slots)
+                else:
+                    await self._open(loop, settings, slots)
+        except ModbusError as error:
+            await self.stop()
+            raise error.at(endpoint=endpoint.url) from error.__cause__
         except OSError as error:
             await self.stop()
             down = LinkDown(f"can not listen: {network_reason(error)}", endpoint=endpoint.url)
             raise down from error
         self._started = time.monotonic()
 
-    async def _open(self, loop: asyncio.AbstractEventLoop, endpoint: Endpoint, slots: TransactionSlots) -> None:
+    async def _open_line(self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings) -> None:
+        line = SerialListener(
+            loop,
+            settings,
+            self._handler,
+            _serial_units(self._handler, settings.endpoint),
+            counters=self.counters,
+            changes_allowed=self._parameters.diagnostics_changes is not False,
+        )
+        await line.open()
+        self._lines.append(line)
+        self._bound.append(line.name)
+
+    async def _open_datagram(
+        self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings, slots: TransactionSlots
+    ) -> None:
+        endpoint = settings.endpoint
+        listener = UdpListener(
+            loop,
+            settings,
+            self._handler,
+            () if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
+            parameters=self._listener,
+            session_parameters=self._parameters,
+            counters=self.counters,
+            slots=slots,
+        )
+        transport, _ = await loop.create_datagram_endpoint(
+            lambda: listener, local_addr=(endpoint.host or "0.0.0.0", endpoint.port or 0)
+        )
+        self._datagrams.append(listener)
+        bound = transport.get_extra_info("socket")
+        self._sockets.apply_buffers(bound)
+        listener.listener = _bound_name(endpoint.scheme, bound)
+        self._bound.append(listener.listener)
+
+    async def _open(self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings, slots: TransactionSlots) -> None:
+        endpoint = settings.endpoint
         management = ConnectionManagement(
             loop,
             self._handler,
@@ -129,6 +189,8 @@ class Server:
             sockets=self._sockets,
             counters=self.counters,
             slots=slots,
+            settings=settings,
+            units=() if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
         )
         listener = await loop.create_server(
             lambda: ServerConnection(management),
@@ -143,6 +205,7 @@ class Server:
             self._sockets.apply_buffers(bound)
         names = [_bound_name(endpoint.scheme, one) for one in listener.sockets]
         management.listener = names[0]
+        management.diagnosis.is_open = True
         self._bound += names
 
     async def stop(self) -> None:
@@ -156,7 +219,16 @@ class Server:
                 listener.close()
         for management in self._managements:
             management.close_all()
+        for management in self._managements:
+            management.diagnosis.is_open = False
+        datagrams, self._datagrams = self._datagrams, []
+        for each in datagrams:
+            each.close()
+        lines, self._lines = self._lines, []
         waits = [management.wait_until_empty() for management in self._managements]
+        waits += [each.wait_closed() for each in datagrams]
+        waits += [line.close() for line in lines]
+        self.counters.requests += sum(line.requests for line in lines)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(asyncio.gather(*waits), _STOP_SECONDS)
         for management in self._managements:
@@ -184,16 +256,26 @@ class Server:
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self._bound),
-            connections=tuple(one for management in self._managements for one in management.status()),
+            connections=tuple(one for listener in self._with_peers() for one in listener.status()),
             counters=self._counters_now(),
+            listeners=(
+                *(management.listener_status() for management in self._managements),
+                *(listener.listener_status() for listener in self._datagrams),
+                *(line.status() for line in self._lines),
+            ),
         )
+
+    def _with_peers(self) -> "list[ConnectionManagement | UdpListener]":
+        return [*self._managements, *self._datagrams]
 
     def _counters_now(self) -> ServerCounters:
         """The counters, with what the living connections have not handed over yet."""
-        living = [session for management in self._managements for session in management.sessions()]
+        living = [one for listener in self._with_peers() for one in listener.sessions()]
         return replace(
             self.counters,
-            requests=self.counters.requests + sum(session.requests for session in living),
+            requests=self.counters.requests
+            + sum(session.requests for session in living)
+            + sum(line.requests for line in self._lines),
             discarded_frames=self.counters.discarded_frames + sum(session.discarded for session in living),
             refused_busy=self.counters.refused_busy + sum(session.refused_busy for session in living),
         )
@@ -225,6 +307,15 @@ async def _accept_no_more(listeners: Sequence[asyncio.Server]) -> None:
 async def _settle() -> None:
     for _ in range(_TURNS_TO_SETTLE):
         await asyncio.sleep(0)
+
+
+def _serial_units(handler: Handler, endpoint: Endpoint) -> Container[int]:
+    """The units that a handler answers for on a line. Raises `ConfigError` where it does not say, or has none."""
+    if not isinstance(handler, UnitHolder):
+        raise ConfigError(f"{endpoint.url}: on a line this handler must say its units (serial_units)", key="handler")
+    if not any(unit in handler.serial_units for unit in range(1, LAST_SERIAL_UNIT + 1)):
+        raise ConfigError(f"{endpoint.url}: at least one unit 1…{LAST_SERIAL_UNIT} is needed on a line", key="units")
+    return handler.serial_units
 
 
 def _bound_name(scheme: str, bound: socket.socket) -> str:

@@ -8,7 +8,7 @@ Knows the shape of a handler; knows no device, policy or gateway. Those are hand
    long road. ``generation`` changes whenever an offer made earlier is no longer right.
 """
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Container, Mapping
 from enum import Enum
 from typing import Final, Protocol, runtime_checkable
 
@@ -114,4 +114,23 @@ class ReadPlanner(Protocol):
         """The plan of a read that was just answered by the short road, or None."""
 
 
-__all__ = ["LATER", "SILENCE", "Deferral", "Handler", "Outcome", "ReadPlanner", "Refusal", "RequestContext"]
+@runtime_checkable
+class UnitHolder(Protocol):
+    """A handler that says which units it answers for: what a serial line needs, where nobody speaks for others."""
+
+    @property
+    def serial_units(self) -> Container[int]:
+        """The units 1…247 that are its own; a live view is welcome."""
+
+
+__all__ = [
+    "LATER",
+    "SILENCE",
+    "Deferral",
+    "Handler",
+    "Outcome",
+    "ReadPlanner",
+    "Refusal",
+    "RequestContext",
+    "UnitHolder",
+]

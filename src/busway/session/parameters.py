@@ -98,12 +98,13 @@ class ServerParameters:
     Attributes:
         max_transactions: NumberMaxOfServerTransaction, 1…16 requests that may be waiting for a slow handler.
         scope: whether the server or each connection has that many.
-        diagnostics_changes: whether sub-functions of 08 that change the listener (01, 03, 04, 0A, 14) are offered.
+        diagnostics_changes: whether sub-functions of 08 that change the listener (01, 03, 04, 0A, 14) are offered;
+            None: on serial lines, and not over a network, where one packet could mute the server for everybody.
     """
 
     max_transactions: int = 16
     scope: Scope = Scope.CONNECTION
-    diagnostics_changes: bool = False
+    diagnostics_changes: bool | None = None
 
     def __post_init__(self) -> None:
         _within("max_transactions", self.max_transactions, 1, 16)

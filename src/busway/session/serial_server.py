@@ -60,6 +60,7 @@ class SerialServerSession:
         "_handler",
         "_last_byte",
         "_line",
+        "_listener",
         "_receiver",
         "_units",
         "_waiting",
@@ -80,6 +81,7 @@ class SerialServerSession:
         diagnostics: CommunicationState,
         deliver: Callable[[Emission], None],
         line: str = "",
+        listener: str = "",
     ) -> None:
         """A session that has heard nothing yet.
 
@@ -89,11 +91,13 @@ class SerialServerSession:
             framing: in the role of a server with the same units.
             diagnostics: counters and mode of the line.
             deliver: takes late answers.
-            line: name of the line, for contexts.
+            line: name of the line or of the peer, for contexts.
+            listener: URL of the listener, for contexts.
         """
         self._handler = handler
         self._units = units
         self._line = line
+        self._listener = listener or line
         self._framing = framing
         self._receiver = framing.receiver
         self._diagnostics = diagnostics
@@ -251,7 +255,7 @@ class SerialServerSession:
             function=function,
             diagnostics=self._diagnostics,
             peer=self._line,
-            listener=self._line,
+            listener=self._listener,
             finish=self._finish,
         )
 

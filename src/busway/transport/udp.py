@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from .tcp import SocketParameters, link_down
 
@@ -37,8 +37,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """It is open."""
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._transport = transport
+        self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
         """A datagram has come."""

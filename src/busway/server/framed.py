@@ -1,0 +1,131 @@
+"""A conversation in RTU or ASCII over a network, with the face of one on TCP.
+
+Knows a session and a clock; knows no connection: `ServerConnection` drives it like `TcpServerSession`.
+
+1. Answers leave at once: the silences on a wire are the business of whoever stands at it.
+2. Where silence decides about a frame (Serial Line V1.02 §2.5.1.1), a timer of its own does it.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Container
+
+from ..session.diagnostics import CommunicationState
+from ..session.handler import Handler
+from ..session.line_framing import LineFraming
+from ..session.serial_server import Emission, SerialServerSession
+from ..session.server import Deferred, HandlerFailure
+
+
+class FramedSession:
+    """One connection's conversation.
+
+    Attributes:
+        broken: always empty: a line has no end, the next frame may be good.
+        refused_busy: always 0: a line has one transaction at a time.
+    """
+
+    __slots__ = ("_attend", "_deliver", "_loop", "_session", "_timer", "broken", "refused_busy")
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        handler: Handler,
+        units: Container[int],
+        *,
+        framing: LineFraming,
+        diagnostics: CommunicationState,
+        deliver: Callable[[bytes], None],
+        attend: Callable[[], None],
+        peer: str,
+        listener: str,
+    ) -> None:
+        """As `SerialServerSession`; ``attend`` is called when `deferred` or `failures` may hold something new."""
+        self._loop = loop
+        self._deliver = deliver
+        self._attend = attend
+        self._session = SerialServerSession(
+            handler,
+            units,
+            framing=framing,
+            diagnostics=diagnostics,
+            deliver=self._late,
+            line=peer,
+            listener=listener,
+        )
+        self._timer: asyncio.TimerHandle | None = None
+        self.broken = ""
+        self.refused_busy = 0
+
+    # What a driver asks, as of `TcpServerSession`.
+
+    @property
+    def waiting(self) -> int:
+        """Requests whose reply is still to come."""
+        return self._session.waiting
+
+    @property
+    def unfinished(self) -> int:
+        """0: a frame that does not end is given up by the receiver."""
+        return 0
+
+    @property
+    def requests(self) -> int:
+        """Requests for own units so far."""
+        return self._session.requests
+
+    @property
+    def discarded(self) -> int:
+        """Frames of others and disturbances so far."""
+        return self._session.foreign + self._session.damaged_frames
+
+    @property
+    def deferred(self) -> list[Deferred]:
+        """What the driver has to await."""
+        return self._session.deferred
+
+    @deferred.setter
+    def deferred(self, value: list[Deferred]) -> None:
+        self._session.deferred = value
+
+    @property
+    def failures(self) -> list[HandlerFailure]:
+        """Failures of handlers to log."""
+        return self._session.failures
+
+    @failures.setter
+    def failures(self, value: list[HandlerFailure]) -> None:
+        self._session.failures = value
+
+    def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
+        """Work through the first ``size`` bytes of ``buffer``; the frames to send, in order."""
+        emissions = self._session.receive(bytes(memoryview(buffer)[:size]), time.monotonic())
+        self._rearm()
+        return [one.frame for one in emissions]
+
+    def close(self) -> None:
+        """The connection has ended."""
+        self._stop_timer()
+        self._session.close()
+
+    # Inside.
+
+    def _late(self, emission: Emission) -> None:
+        self._deliver(emission.frame)
+
+    def _rearm(self) -> None:
+        self._stop_timer()
+        deadline = self._session.deadline()
+        if deadline is not None:
+            self._timer = self._loop.call_later(max(deadline - time.monotonic(), 0.0), self._on_timer)
+
+    def _on_timer(self) -> None:
+        for emission in self._session.tick(time.monotonic()):
+            self._deliver(emission.frame)
+        self._attend()
+        self._rearm()
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None

@@ -1,0 +1,326 @@
+"""A serial port as a listener: the only place where the servers of a line meet their port.
+
+Knows when bytes come and go; knows nothing of what they say.
+
+1. A port that is not there, or vanishes, is waited for and opened again; the listener stays.
+2. An answer leaves when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If somebody
+   speaks before, it does not leave any more: the line is not ours.
+3. Times are those of ``time.monotonic``, as the port tells them.
+"""
+
+import asyncio
+import errno
+import logging
+import time
+from collections.abc import Container
+from dataclasses import replace
+from typing import Final
+
+from ..errors import LinkDown
+from ..observe.line_trace import Trace, trace_for
+from ..observe.trace import TRACE
+from ..session.diagnostics import CommunicationState
+from ..session.handler import Handler
+from ..session.serial_server import Emission, SerialServerSession
+from ..transport.serial.alarm import Alarm
+from ..transport.serial.connection import SerialConnection
+from ..transport.serial.opening import Claim
+from ..transport.serial.reopen import open_when_there
+from .connection import answer_later, report_failures
+from .connections import ServerCounters
+from .diagnosis import Diagnosis
+from .listener_settings import ListenerSettings
+from .status import ListenerStatus
+
+_log = logging.getLogger("busway.server")
+
+SPIN: Final = 0.0003
+"""Seconds before an answer that ``precise_timing`` waits for in a loop: a sleeping processor is woken so late."""
+COARSE_SPIN: Final = 0.0015
+"""The same where only the timers of the event loop are there, which are up to one millisecond late."""
+
+_NOT_THERE: Final = frozenset({errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO})
+
+
+class SerialListener:
+    """The servers on one port.
+
+    Attributes:
+        name: URL of the endpoint.
+        diagnostics: counters and mode of the line.
+        diagnosis: for the lamps.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        settings: ListenerSettings,
+        handler: Handler,
+        units: Container[int],
+        *,
+        counters: ServerCounters,
+        changes_allowed: bool,
+    ) -> None:
+        assert settings.port is not None
+        self.name = settings.endpoint.url
+        self.diagnostics = CommunicationState(changes_allowed=changes_allowed)
+        self.diagnostics.ascii_delimiter = settings.framing.delimiter
+        self.diagnosis = Diagnosis()
+        self._loop = loop
+        self._settings = settings
+        self._port = settings.port
+        self._counters = counters
+        self._session = SerialServerSession(
+            handler,
+            units,
+            framing=settings.line_framing(units, handler.functions, started=time.monotonic()),
+            diagnostics=self.diagnostics,
+            deliver=self._late_answer,
+            line=self.name,
+            listener=self.name,
+        )
+        self._connection: SerialConnection | None = None
+        self._claim: Claim | None = None
+        self._opening: asyncio.Task[None] | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._pending: Emission | None = None
+        self._emission_alarm: Alarm | None = None
+        self._silence_timer: asyncio.TimerHandle | None = None
+        self._spin = 0.0
+        self._overruns: int | None = None
+        self._trace: Trace | None = None
+
+    # Life.
+
+    async def open(self) -> None:
+        """Open the port; one that is not there is waited for in the background.
+
+        Raises:
+            LinkDown: it is taken (the message names the holder), or not for this user.
+            ConfigError: it is no serial port, can not be set so, or is in use in this process.
+        """
+        self._claim = Claim(self._settings.endpoint.path, "busway.serve")
+        self._emission_alarm = Alarm(self._emit)
+        if self._settings.opening.precise_timing:
+            self._spin = SPIN if self._emission_alarm.exact else COARSE_SPIN
+        try:
+            await self._open_once()
+        except LinkDown as error:
+            if not _may_come(error):
+                self._release()
+                raise
+            _log.warning("%s: %s; waiting for it", self.name, error.message)
+            self._reopen()
+        except BaseException:
+            self._release()
+            raise
+
+    async def close(self) -> None:
+        """Give the port back. What is still in work gets no answer."""
+        if self._opening is not None:
+            self._opening.cancel()
+            await asyncio.gather(self._opening, return_exceptions=True)
+            self._opening = None
+        connection, self._connection = self._connection, None
+        self._ended()
+        if connection is not None:
+            connection.close()
+            await connection.wait_closed()
+        self._release()
+
+    def _release(self) -> None:
+        if self._emission_alarm is not None:
+            self._emission_alarm.close()
+            self._emission_alarm = None
+        if self._claim is not None:
+            self._claim.release()
+            self._claim = None
+
+    def status(self) -> ListenerStatus:
+        """How it stands now."""
+        diagnostics, session = self.diagnostics, self._session
+        return ListenerStatus(
+            endpoint=self.name,
+            is_open=self.diagnosis.is_open,
+            lamps=self.diagnosis.lamps(time.monotonic(), listen_only=diagnostics.listen_only),
+            counters=replace(diagnostics.counters),
+            event_count=diagnostics.event_count,
+            listen_only=diagnostics.listen_only,
+            requests=session.requests,
+            foreign=session.foreign,
+            damaged=session.damaged_frames,
+            abandoned=session.abandoned,
+        )
+
+    @property
+    def requests(self) -> int:
+        """Requests for own units so far."""
+        return self._session.requests
+
+    # The port.
+
+    async def _open_once(self) -> None:
+        connection = await SerialConnection.open(
+            self._settings.endpoint.path, self._port, received=self._received, lost=self._lost
+        )
+        self._connection = connection
+        self.diagnosis.is_open = True
+        counted = connection.counters()
+        self._overruns = None if counted is None else counted.overruns + counted.buffer_overruns
+        _log.info("%s: open", self.name)
+
+    def _reopen(self) -> None:
+        self._opening = self._loop.create_task(self._open_when_there())
+
+    async def _open_when_there(self) -> None:
+        try:
+            await open_when_there(self._open_once, self._settings.opening.policy(), waiting=self._still_waiting)
+        except Exception as error:
+            # A setting that the new port does not take: nothing to wait for, but the other listeners go on.
+            _log.error("%s: given up: %s", self.name, error)
+
+    def _still_waiting(self, error: LinkDown, pause: float) -> None:
+        _log.debug("%s: %s; tried again in %.1f s", self.name, error.message, pause)
+
+    def _lost(self, error: LinkDown) -> None:
+        self._connection = None
+        _log.warning("%s: %s; waiting for it", self.name, error.message)
+        self._ended()
+        self._reopen()
+
+    def _ended(self) -> None:
+        self.diagnosis.is_open = False
+        if self._emission_alarm is not None:
+            self._emission_alarm.cancel()
+        if self._silence_timer is not None:
+            self._silence_timer.cancel()
+            self._silence_timer = None
+        self._pending = None
+        for task in self._tasks:
+            task.cancel()
+        self._session.close()
+
+    # Bytes.
+
+    def _received(self, data: bytes, errors: int) -> None:
+        now = time.monotonic()
+        session = self._session
+        self.diagnosis.traffic = now
+        if TRACE.level:
+            self._traced().received(data)
+        heard = session.requests + session.foreign + session.damaged_frames
+        damaged = session.damaged_frames
+        overrun = self._overran()
+        emissions: list[Emission] = []
+        if errors or overrun:
+            session.receive_damaged(data, now, overrun=overrun)
+        else:
+            emissions = session.receive(data, now)
+        if session.damaged_frames != damaged:
+            self.diagnosis.communication_fault = now
+        if self._pending is not None:
+            if session.requests + session.foreign + session.damaged_frames != heard:
+                self._drop_pending()
+            else:
+                self._schedule(replace(self._pending, not_before=session.clear_at()))
+        self._follow(emissions)
+
+    def _overran(self) -> bool:
+        """Whether the port has lost characters since the last look, where its driver counts them."""
+        if self._overruns is None or self._connection is None:
+            return False
+        try:
+            counted = self._connection.counters()
+        except LinkDown:
+            return False  # the port tells it by itself
+        if counted is None:
+            return False
+        before, self._overruns = self._overruns, counted.overruns + counted.buffer_overruns
+        return self._overruns > before
+
+    def _follow(self, emissions: list[Emission]) -> None:
+        """Do what the session asks for: answer, wait for handlers, report, look at the clock again."""
+        session = self._session
+        if emissions:
+            # Who sends a second request has given up the first.
+            session.abandoned += len(emissions) - 1
+            self._schedule(emissions[-1])
+        if session.deferred:
+            deferred, session.deferred = session.deferred, []
+            for one in deferred:
+                task = self._loop.create_task(answer_later(one))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+        if session.failures:
+            failures, session.failures = session.failures, []
+            self.diagnosis.internal_fault = time.monotonic()
+            self._counters.handler_failures += len(failures)
+            report_failures(self.name, failures)
+        self._watch_silence()
+
+    def _watch_silence(self) -> None:
+        if self._silence_timer is not None:
+            self._silence_timer.cancel()
+            self._silence_timer = None
+        deadline = self._session.deadline()
+        if deadline is not None:
+            self._silence_timer = self._loop.call_later(max(deadline - time.monotonic(), 0.0), self._silent)
+
+    def _silent(self) -> None:
+        self._silence_timer = None
+        damaged = self._session.damaged_frames
+        now = time.monotonic()
+        emissions = self._session.tick(now)
+        if self._session.damaged_frames != damaged:
+            self.diagnosis.communication_fault = now
+        self._follow(emissions)
+
+    # Answers.
+
+    def _late_answer(self, emission: Emission) -> None:
+        """A handler that needed time has its answer."""
+        self._schedule(emission)
+        self._watch_silence()
+
+    def _schedule(self, emission: Emission) -> None:
+        self._pending = emission
+        leaves = emission.not_before - self._spin
+        if self._emission_alarm is not None and leaves > time.monotonic():
+            self._emission_alarm.set(leaves)
+        else:
+            self._emit()
+
+    def _drop_pending(self) -> None:
+        """Somebody has spoken before our answer left."""
+        self._pending = None
+        self._session.abandoned += 1
+        if self._emission_alarm is not None:
+            self._emission_alarm.cancel()
+
+    def _emit(self) -> None:
+        emission, self._pending = self._pending, None
+        connection = self._connection
+        if emission is None or connection is None:
+            return
+        while (now := time.monotonic()) < emission.not_before:
+            pass  # at most SPIN, or what the loop's clock is coarser than ours
+        try:
+            until = connection.write(emission.frame)
+        except LinkDown:
+            return  # the port tells it by itself
+        self._follow(self._session.tick(now))  # the silence before it; not sooner, the frame is due
+        self._session.sent(emission.frame, until)
+        self.diagnosis.traffic = now
+        if TRACE.level:
+            self._traced().sent(emission.frame)
+
+    def _traced(self) -> Trace:
+        if self._trace is None:
+            self._trace = trace_for(self._settings.endpoint.framing, self.name, is_server=True)
+        return self._trace
+
+
+def _may_come(error: LinkDown) -> bool:
+    """Whether the port is merely not there: without a foreign cause, a USB identity that is not plugged in."""
+    cause = error.__cause__
+    return cause is None or getattr(cause, "errno", None) in _NOT_THERE

@@ -1,0 +1,98 @@
+"""What a URL to listen on can say beside the address, scheme by scheme.
+
+Knows which parameter classes go with which scheme; each class knows what its fields mean. An option that has no effect
+with a scheme is refused there.
+"""
+
+from collections.abc import Container
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ..config.endpoints import Endpoint
+from ..config.options import build_parameters, option_names
+from ..errors import ConfigError
+from ..framing.conversation import Role
+from ..framing.echo import Echo
+from ..framing.timing import Parity, SerialTiming
+from ..pdu.functions import FunctionTable
+from ..session.line_framing import FramingParameters, LineFraming, line_framing
+from ..transport.serial.opening import OpeningParameters
+from ..transport.serial.settings import SerialSettings
+
+_ONLY_RTU: Final = frozenset({"strict_timing", "gap_limit"})
+_ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_only"})
+_OF_CLIENTS: Final = frozenset({"port_wait"})
+
+
+@dataclass(frozen=True, slots=True)
+class ListenerSettings:
+    """An endpoint to listen on, with its options.
+
+    Attributes:
+        endpoint: where.
+        framing: how frames are found, where the framing is RTU or ASCII.
+        port: what the line is set to; None over a network.
+        opening: how the port is opened.
+    """
+
+    endpoint: Endpoint
+    framing: FramingParameters
+    port: SerialSettings | None
+    opening: OpeningParameters
+
+    def line_framing(
+        self, units: Container[int], functions: FunctionTable, *, started: float | None = None
+    ) -> LineFraming:
+        """A framing in the role of a server with ``units``, for one port or connection. Raises `ConfigError`."""
+        port = self.port
+        timing = SerialTiming.of_network()
+        if port is not None:
+            timing = SerialTiming.of_line(
+                port.baud, data_bits=port.data_bits, parity=Parity(port.parity.value), stop_bits=port.stop_bits
+            )
+        return line_framing(
+            self.endpoint.framing,
+            Role.SERVER,
+            timing,
+            self.framing,
+            functions=functions,
+            units=units,
+            echo=Echo.OFF if port is None else Echo(port.echo.value),
+            strip_parity=port is not None and port.data_bits == 8,
+            started=started,
+        )
+
+
+def listener_settings(endpoint: Endpoint) -> ListenerSettings:
+    """The settings of a parsed URL. Raises `ConfigError` that lists the options of its scheme."""
+    offered = _offered(endpoint)
+    chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
+    for name, value in endpoint.options.items():
+        kind = next((kind for kind, names in offered.items() if name in names), None)
+        if kind is None:
+            known = ", ".join(sorted(name for names in offered.values() for name in names)) or "none"
+            raise ConfigError(f"unknown option of a listener on {endpoint.url}; there are {known}", key=name)
+        chosen[kind][name] = value
+    port = None
+    if endpoint.carrier == "serial":
+        port = SerialSettings.from_options(chosen[SerialSettings], binary=endpoint.framing == "rtu")
+    return ListenerSettings(
+        endpoint,
+        build_parameters(FramingParameters, chosen.get(FramingParameters, {})),
+        port,
+        build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
+    )
+
+
+def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
+    """The options of a scheme, by the class that takes them."""
+    kinds: list[type[Any]] = []
+    without = _OF_CLIENTS
+    if endpoint.framing != "mbap":
+        kinds.append(FramingParameters)
+        without |= _ONLY_ASCII if endpoint.framing == "rtu" else _ONLY_RTU
+        if endpoint.carrier == "serial":
+            kinds += [SerialSettings, OpeningParameters]
+        else:
+            without |= {"strict_timing"}
+    return {kind: [name for name in option_names(kind) if name not in without] for kind in kinds}
