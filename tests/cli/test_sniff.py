@@ -10,6 +10,7 @@ import pytest
 from capture_file import blocks
 from program import Busway
 
+import busway
 from busway.framing.rtu import encode_rtu
 from busway.testing.line import PacedLine
 from busway.transport.serial import BlockingSerialPort
@@ -64,6 +65,34 @@ def test_a_conversation_is_explained_and_summed_up(line: PacedLine, talker: Call
     assert first[:5] == ["1", "2", "2", "1", "0"]
     assert second[:5] == ["2", "1", "0", "0", "1"]
     assert {byte.port for byte in line.tap} <= {0, -1}  # the listener has sent nothing
+
+
+def test_a_master_and_a_server_of_ours_are_heard_by_a_third_port(run: Callable[..., Any]) -> None:
+    device = busway.Device(holding_registers=10)
+    with (
+        PacedLine(ports=3, baud=19_200) as line,
+        busway.serve_in_thread(f"rtu://{line.paths[0]}?baud=19200", units={1: device}),
+        Busway("sniff", url(line), "--json") as listener,
+    ):
+        listener.wait_for("listening")
+        with busway.connect(f"rtu://{line.paths[2]}?baud=19200", timeout=0.3, retries=0) as link:
+            link.unit(1).write_single_register(2, 7)
+            assert link.unit(1).read_holding_registers(0, count=10)[2] == 7
+            with pytest.raises(busway.NoReply):
+                link.unit(9).read_coils(0, count=1)
+            with pytest.raises(busway.ExceptionReply):
+                link.unit(1).read_coils(0, count=1)
+        line.wait_quiet(0.05)
+        out, _ = listener.stop()
+    *events, statistics = map(json.loads, out.splitlines())
+    assert [event["kind"] for event in events] == [
+        *("request", "reply") * 2,
+        *("request", "no reply"),
+        *("request", "reply"),
+    ]
+    assert statistics["units"]["1"]["replies"] == statistics["units"]["1"]["requests"] == 3
+    assert statistics["units"]["9"]["unanswered"] == 1
+    assert not statistics["damaged"]
 
 
 def test_json_has_every_field_and_the_statistics_last(line: PacedLine, talker: Callable[..., None]) -> None:

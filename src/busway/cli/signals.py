@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import signal
+import threading
 from collections.abc import Iterator
+from typing import Any
 
 
 @contextlib.contextmanager
@@ -28,18 +30,23 @@ def stop_event() -> Iterator[asyncio.Event]:
 
 
 @contextlib.contextmanager
-def terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM raise `KeyboardInterrupt`, as Ctrl-C does, in a command that waits without an event loop."""
+def stop_flag() -> Iterator[threading.Event]:
+    """A flag that Ctrl-C and SIGTERM set, for a command without an event loop; a second Ctrl-C interrupts as usual.
+
+    Nothing is interrupted where it stands: what was received is not lost.
+    """
+    flag = threading.Event()
+    before: dict[int, Any] = {}  # what signal.signal gave
 
     def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
+        flag.set()
+        signal.signal(number, before[number])
 
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(ValueError):  # only the main thread has signals
+            before[number] = signal.signal(number, stop)
     try:
-        before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # only the main thread has signals
-        yield
-        return
-    try:
-        yield
+        yield flag
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for installed, handler in before.items():
+            signal.signal(installed, handler)

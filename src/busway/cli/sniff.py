@@ -17,9 +17,11 @@ from .arguments import CAPTURE, JSON, seconds
 from .exits import ExitCode
 from .files import open_capture
 from .output import print_aligned, print_json, say
-from .signals import terminated_like_interrupted
+from .signals import stop_flag
 
 if TYPE_CHECKING:
+    from threading import Event
+
     from ..observe.capture import LineCapture
     from ..observe.listening import Listening
     from ..observe.pairing import Heard, LineStatistics
@@ -67,9 +69,9 @@ def sniff(
             as_json=as_json,
             raw=raw,
         )
-        stack.enter_context(terminated_like_interrupted())
+        stop = stack.enter_context(stop_flag())
         say(f"listening to {line.endpoint.url}{f', {line.port}' if line.port is not None else ''}")
-        return sniffing.run(lasting)
+        return sniffing.run(lasting, stop)
 
 
 class _Sniffing:
@@ -92,15 +94,12 @@ class _Sniffing:
         self._began = time.monotonic()
         self._wall = time.time() - self._began  # added to the clock of the frames it gives the time of day
 
-    def run(self, lasting: float | None) -> int:
+    def run(self, lasting: float | None, stop: "Event") -> int:
         """Listen until the time is over or somebody ends it; then the statistics."""
         until = float("inf") if lasting is None else self._began + lasting
         try:
-            try:
-                while time.monotonic() < until:
-                    self._show(self._listening.hear(until))
-            except KeyboardInterrupt:  # this is how listening ends
-                pass
+            while time.monotonic() < until and not stop.is_set():
+                self._show(self._listening.hear(until))
             self._show(self._listening.finish())
         finally:
             self._conclude(time.monotonic() - self._began)
@@ -260,7 +259,7 @@ def _print_statistics(statistics: "LineStatistics", lasted: float, *, is_wire: b
         print(f"{statistics.broadcasts} of them for all units")
     if damaged:
         reasons = ", ".join(f"{reason.value}: {count}" for reason, count in statistics.damaged.most_common())
-        print(f"{damaged} times damaged bytes, {statistics.damaged_bytes} in all ({reasons})")
+        print(f"{damaged} disturbances, {statistics.damaged_bytes} bytes in all ({reasons})")
     if not statistics.units:
         return
     heading = _HEADING.split(", ")

@@ -27,8 +27,11 @@ from ..transport.tcp import SocketParameters, link_down, network_reason
 from .pairing import Heard, Pairing
 
 _READ_SIZE: Final = 65_536
-_LONGEST_WAIT: Final = 1.0
-"""Seconds of one wait, so that Ctrl-C and the end of a duration are noticed where a system does not wake us."""
+_LONGEST_WAIT: Final = 0.2
+"""Seconds of one wait, so that whoever listens can look at other things between."""
+
+_LAST_READS: Final = 64
+"""Reads at the end, far more than a line needs: a peer that sends without end must not keep us."""
 
 
 class Ear(Protocol):
@@ -205,9 +208,20 @@ class Listening:
         return self._understand(data, damaged, now)
 
     def finish(self) -> list[Heard]:
-        """What is made of bytes that are still undecided, at the end."""
+        """At the end: what has come and was not read yet, and what is made of bytes that are still undecided.
+
+        Raises:
+            LinkDown: the port vanished, or the connection ended.
+        """
+        events: list[Heard] = []
+        for _ in range(_LAST_READS):
+            data, damaged = self._ear.read(0.0)
+            self.bytes_heard += len(data)
+            if not data:
+                break
+            events += self._understand(data, damaged, self._clock())
         found = self._receiver.flush(self._clock())
-        return [event for each in found for event in self.pairing.heard(each)]
+        return events + [event for each in found for event in self.pairing.heard(each)]
 
     def close(self) -> None:
         """Stop listening. May be called twice."""
