@@ -1,4 +1,5 @@
-"""The command line: ``busway read``, ``write``, ``identify``, ``serve``, ``decode``, ``demo``.
+"""The command line: ``busway read``, ``write``, ``identify``, ``scan``, ``counters``, ``serve``, ``sniff``, ``decode``,
+``demo``.
 
 One file per command. Only here are files and the environment read, and only here is anything printed.
 

@@ -259,7 +259,8 @@ def _print_statistics(statistics: "LineStatistics", lasted: float, *, is_wire: b
         print(f"{statistics.broadcasts} of them for all units")
     if damaged:
         reasons = ", ".join(f"{reason.value}: {count}" for reason, count in statistics.damaged.most_common())
-        print(f"{damaged} disturbances, {statistics.damaged_bytes} bytes in all ({reasons})")
+        several = "disturbance" if damaged == 1 else "disturbances"
+        print(f"{damaged} {several}, {statistics.damaged_bytes} bytes in all ({reasons})")
     if not statistics.units:
         return
     heading = _HEADING.split(", ")
