@@ -76,6 +76,11 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._transport = transport
         self.peer = peer_name(transport.get_extra_info("peername"))
         self.opened = self.last_used = time.monotonic()
+        if not self._management.authorise(host_of(transport.get_extra_info("peername"))):
+            self._management.counters.unauthorised += 1
+            _log.warning("%s: closed before anything was read: it is not authorised", self.peer)
+            self._transport.abort()
+            return
         self._transport.set_write_buffer_limits(high=self._parameters.write_buffer)
         self.session = self._management.admit(self, transport)
 
@@ -230,6 +235,11 @@ async def answer_later(deferred: Deferred) -> None:
         context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
     else:
         context.reply(reply)
+
+
+def host_of(address: object) -> str:
+    """The host of a socket address, without port; the text of anything else."""
+    return str(address[0]) if isinstance(address, tuple) and address else str(address or "")
 
 
 def peer_name(address: object) -> str:

@@ -19,6 +19,7 @@ from ..session.handler import Handler
 from ..session.parameters import Scope, ServerParameters
 from ..session.server import TcpServerSession, TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
+from .authorisation import Authorise, everybody
 from .connection import ServerConnection
 from .diagnosis import Diagnosis
 from .framed import FramedSession
@@ -34,6 +35,7 @@ class ServerCounters:
     """What happened on a server since it was made; ``requests`` and what follows is complete when a connection ends."""
 
     accepted: int = 0
+    unauthorised: int = 0
     closed: int = 0
     evicted: int = 0
     broken_streams: int = 0
@@ -69,6 +71,7 @@ class ConnectionManagement:
         framing: ``mbap``, ``rtu`` or ``ascii``.
         diagnostics: communication counters of the listener (functions 08, 11, 12).
         diagnosis: for the lamps.
+        authorise: whether a host may connect.
     """
 
     def __init__(
@@ -84,6 +87,7 @@ class ConnectionManagement:
         slots: TransactionSlots,
         settings: ListenerSettings,
         units: Container[int] = (),
+        authorise: Authorise = everybody,
     ) -> None:
         self.loop = loop
         self.listener = listener
@@ -93,6 +97,7 @@ class ConnectionManagement:
         self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes is True)
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
         self.diagnosis = Diagnosis()
+        self.authorise = authorise
         self._settings = settings
         self._units = units
         self._handler = handler

@@ -22,6 +22,7 @@ from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
 from ..session.server import TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
+from .authorisation import Authorise, everybody
 from .connection import ServerConnection
 from .connections import ConnectionManagement, ConnectionStatus, ServerCounters
 from .limits import raise_open_file_limit
@@ -45,6 +46,7 @@ class ServerStatus:
         uptime: seconds since the start; 0 while stopped.
         endpoints: URLs of the listeners as they are bound.
         connections: the connections, the oldest first.
+        supported_connections: how many there may be, all listeners together.
         counters: what happened since the server was made or reset.
         listeners: the listeners, with their lamps and diagnostic counters.
     """
@@ -53,6 +55,7 @@ class ServerStatus:
     uptime: float
     endpoints: tuple[str, ...]
     connections: tuple[ConnectionStatus, ...]
+    supported_connections: int
     counters: ServerCounters
     listeners: tuple[ListenerStatus, ...] = ()
 
@@ -67,6 +70,7 @@ class Server:
         parameters: of the conversation, `ServerParameters`.
         listener: of connections, `ListenerParameters`.
         sockets: of sockets, `SocketParameters`.
+        authorise: asked with a client's host before anything of it is read; False closes the connection.
 
     Raises:
         ConfigError: an endpoint that can not be listened on.
@@ -80,6 +84,7 @@ class Server:
         parameters: ServerParameters | None = None,
         listener: ListenerParameters | None = None,
         sockets: SocketParameters | None = None,
+        authorise: Authorise = everybody,
     ) -> None:
         self._wanted = [parse_endpoint(one) for one in endpoints]
         if not self._wanted:
@@ -90,6 +95,7 @@ class Server:
                 raise ConfigError(f"{settings.endpoint}: a server can not listen on {settings.endpoint.scheme}:// yet")
             if settings.endpoint.framing != "mbap":
                 settings.line_framing(_serial_units(handler, settings.endpoint), handler.functions)
+        self.authorise = authorise
         self._handler = handler
         self._parameters = parameters or ServerParameters()
         self._listener = listener or ListenerParameters()
@@ -168,6 +174,7 @@ class Server:
             session_parameters=self._parameters,
             counters=self.counters,
             slots=slots,
+            authorise=self.authorise,
         )
         transport, _ = await loop.create_datagram_endpoint(
             lambda: listener, local_addr=(endpoint.host or "0.0.0.0", endpoint.port or 0)
@@ -191,6 +198,7 @@ class Server:
             slots=slots,
             settings=settings,
             units=() if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
+            authorise=self.authorise,
         )
         listener = await loop.create_server(
             lambda: ServerConnection(management),
@@ -257,6 +265,7 @@ class Server:
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self._bound),
             connections=tuple(one for listener in self._with_peers() for one in listener.status()),
+            supported_connections=len(self._managements) * self._listener.max_connections,
             counters=self._counters_now(),
             listeners=(
                 *(management.listener_status() for management in self._managements),

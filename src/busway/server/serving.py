@@ -14,6 +14,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 from ..session.handler import Handler
 from ..session.parameters import ServerParameters
 from ..transport.tcp import SocketParameters
+from .authorisation import Authorise, everybody
 from .device import Device
 from .local import LocalHandler, UnitPolicy, UnlistedUnit
 from .loops import run as run_on_new_loop
@@ -32,6 +33,7 @@ def serve(
     unit_policy: UnitPolicy | str = UnitPolicy.LISTED,
     unlisted: UnlistedUnit | str = UnlistedUnit.EXCEPTION,
     functions: FunctionTable = STANDARD,
+    authorise: Authorise = everybody,
     **options: Any,  # fields of the three parameter classes, checked by them
 ) -> Server:
     """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
@@ -43,6 +45,8 @@ def serve(
         unit_policy: ``listed`` (others get exception 0B) or ``any`` (the sole device answers every unit).
         unlisted: what a unit that is not listed gets: ``exception`` (0B) or ``silence``.
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
+        authorise: asked with the host of each newcomer (``"10.0.0.7"``), before a byte of it is parsed; where it gives
+            False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name.
 
     Raises:
@@ -76,6 +80,7 @@ def serve(
         parameters=build_parameters(ServerParameters, chosen[0]),
         listener=build_parameters(ListenerParameters, chosen[1]),
         sockets=build_parameters(SocketParameters, chosen[2]),
+        authorise=authorise,
     )
 
 

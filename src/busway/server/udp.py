@@ -23,7 +23,8 @@ from ..session.diagnostics import CommunicationState
 from ..session.handler import Handler
 from ..session.parameters import Scope, ServerParameters
 from ..session.server import TcpServerSession, TransactionSlots
-from .connection import answer_later, peer_name, report_failures
+from .authorisation import Authorise, everybody
+from .connection import answer_later, host_of, peer_name, report_failures
 from .connections import ConnectionStatus, ServerCounters
 from .diagnosis import Diagnosis
 from .framed import FramedSession
@@ -54,12 +55,14 @@ class UdpListener(asyncio.DatagramProtocol):
         session_parameters: ServerParameters,
         counters: ServerCounters,
         slots: TransactionSlots,
+        authorise: Authorise = everybody,
     ) -> None:
         self.listener = settings.endpoint.url
         self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes is True)
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
         self.diagnosis = Diagnosis()
         self._loop = loop
+        self._authorise = authorise
         self._settings = settings
         self._framing = settings.endpoint.framing
         self._is_whole = WHOLE[self._framing]
@@ -85,6 +88,9 @@ class UdpListener(asyncio.DatagramProtocol):
         """A datagram has come: answer it."""
         now = time.monotonic()
         self.diagnosis.traffic = now
+        if not self._authorise(host_of(addr)):
+            self._counters.unauthorised += 1
+            return
         if not self._is_whole(data):
             self._dropped += 1
             self._counters.discarded_frames += 1

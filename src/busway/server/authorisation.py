@@ -1,0 +1,14 @@
+"""Whether a client may connect at all: a question that is asked before a byte of it is parsed.
+
+Knows hosts; knows no request (Messaging on TCP/IP V1.0b §4.2.3, "IsConnectionAuthorized").
+"""
+
+from collections.abc import Callable
+
+Authorise = Callable[[str], bool]
+"""Takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``, and says whether it may connect."""
+
+
+def everybody(host: str) -> bool:
+    """Nobody is refused."""
+    return True
