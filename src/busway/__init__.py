@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         UnitSuspended,
         WriteOutcomeUnknown,
     )
+    from .observe.trace import TRACE, TraceLevel
     from .pdu.diagnostics import (
         GetCommEventCounter,
         GetCommEventLog,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         ReturnQueryData,
     )
     from .pdu.encapsulated import CanopenGeneralReference, ReadDeviceIdentification
+    from .pdu.fields import repeated, rest, rest_length, u8, u16
     from .pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
     from .pdu.functions import STANDARD, FunctionTable
     from .pdu.general import OpaqueRequest
@@ -59,9 +61,12 @@ if TYPE_CHECKING:
         WriteSingleCoil,
         WriteSingleRegister,
     )
+    from .server.cells import Cells
     from .server.device import Device
+    from .server.hooks import Access, Change
     from .server.server import Server
-    from .server.serving import serve, serve_forever, serve_in_thread
+    from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
+    from .server.single_block import SingleBlock
     from .session.handler import LATER, SILENCE, RequestContext
     from .values import Address, ValueType, parse_address, value_type
 
@@ -82,6 +87,7 @@ _HOME = {
         "UnitSuspended",
         "WriteOutcomeUnknown",
     ),
+    "observe.trace": ("TRACE", "TraceLevel"),
     "pdu.diagnostics": (
         "GetCommEventCounter",
         "GetCommEventLog",
@@ -90,6 +96,7 @@ _HOME = {
         "ReturnQueryData",
     ),
     "pdu.encapsulated": ("CanopenGeneralReference", "ReadDeviceIdentification"),
+    "pdu.fields": ("repeated", "rest", "rest_length", "u8", "u16"),
     "pdu.file_records": ("FileReference", "ReadFileRecord", "WriteFileRecord"),
     "pdu.functions": ("STANDARD", "FunctionTable"),
     "pdu.general": ("OpaqueRequest",),
@@ -110,9 +117,12 @@ _HOME = {
         "WriteSingleCoil",
         "WriteSingleRegister",
     ),
+    "server.cells": ("Cells",),
     "server.device": ("Device",),
+    "server.hooks": ("Access", "Change"),
     "server.server": ("Server",),
-    "server.serving": ("serve", "serve_forever", "serve_in_thread"),
+    "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
+    "server.single_block": ("SingleBlock",),
     "session.handler": ("LATER", "SILENCE", "RequestContext"),
     "values": ("Address", "ValueType", "parse_address", "value_type"),
 }
@@ -123,11 +133,15 @@ __all__ = [
     "LATER",
     "SILENCE",
     "STANDARD",
+    "TRACE",
+    "Access",
     "Address",
     "AsyncLink",
     "AsyncUnit",
     "BadReply",
     "CanopenGeneralReference",
+    "Cells",
+    "Change",
     "ConfigError",
     "Device",
     "DiagnosticCode",
@@ -164,8 +178,11 @@ __all__ = [
     "RequestContext",
     "ReturnQueryData",
     "Server",
+    "ServerThread",
+    "SingleBlock",
     "Table",
     "Touch",
+    "TraceLevel",
     "Unit",
     "UnitSuspended",
     "ValueType",
@@ -180,9 +197,14 @@ __all__ = [
     "open",
     "parse_address",
     "parse_endpoint",
+    "repeated",
+    "rest",
+    "rest_length",
     "serve",
     "serve_forever",
     "serve_in_thread",
+    "u8",
+    "u16",
     "value_type",
 ]
 
