@@ -42,8 +42,11 @@ GRANULARITY = 0.0005
 """Seconds. Waking two programs for every character of 115 200 baud would take more than a processor; this is below
 1.5 characters at every rate, where the specification holds that silence at 750 µs."""
 
-SPIN = 0.00006
-"""Seconds before each handing over that are waited for in a loop: about how late a sleeping thread is woken."""
+SPIN = 0.0001
+"""Seconds before each handing over at which the thread wakes up: a sleeping one is woken some 50 µs late, and finding
+out what to hand over takes as long. What is left is waited for in a loop."""
+ROUNDING = 1e-9
+"""Seconds, above what subtracting and adding a transit may lose."""
 
 TRANSIT_SAMPLES = 11
 TIME_TO_FALL_ASLEEP = 0.002
@@ -279,7 +282,8 @@ class PacedLine:
             for port, pty in enumerate(self._ptys):
                 if pty is not None and pty.near in ready:
                     self._take(port, pty, written_at)
-            self._hand_over(self._line.advance(now + self._transit), now)
+            at = now if ready or wake_at is None else max(now, wake_at)
+            self._hand_over(self._line.advance(at + self._transit + ROUNDING), at)
             if self._bell_read in ready:
                 self._obey()
             if self._listeners:
@@ -300,11 +304,7 @@ class PacedLine:
             if pty is not None and port.backlog < LARGEST_BACKLOG:
                 watched.append(pty.near)
         timeout = None if wake_at is None else max(wake_at - SPIN - time.monotonic(), 0.0)
-        ready = wait_ready(watched, [], timeout)
-        if not ready and wake_at is not None:
-            while time.monotonic() < wake_at:
-                pass
-        return ready
+        return wait_ready(watched, [], timeout)
 
     def _take(self, port: int, pty: _Pty, written_at: float) -> None:
         """What a program has written starts on its way."""
@@ -315,14 +315,17 @@ class PacedLine:
         self._line.ports[port].write(data, written_at)
         self._last_sound = written_at
 
-    def _hand_over(self, passed: list[LineByte], now: float) -> None:
+    def _hand_over(self, passed: list[LineByte], at: float) -> None:
+        """Give the programs what has passed, not before ``at``."""
         if not passed:
             return
-        self._handed_over_at = self._last_sound = now
+        self._handed_over_at = self._last_sound = at
         arrived: dict[int, bytearray] = {}
         for byte in passed:
             for port in byte.heard_by:
                 arrived.setdefault(port, bytearray()).append(byte.value)
+        while time.monotonic() < at:
+            pass
         for port, data in arrived.items():
             self._line.ports[port].read()  # the pty takes them instead
             pty = self._ptys[port]
