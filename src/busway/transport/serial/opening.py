@@ -25,8 +25,8 @@ class OpeningParameters:
             at once until the port has come.
         reopen_first, reopen_most: seconds between the attempts to open a port that is not there: the first pause, which
             doubles, and the longest.
-        precise_timing: whether the last 1.5 ms before a frame are waited for in a loop: frames leave on time where the
-            system's timers do not (they count milliseconds), at the cost of a busy processor.
+        precise_timing: whether the last moments before a frame are waited for in a loop, which keeps a processor busy:
+            0.3 ms, or 1.5 ms where the system has no timers that are exact to microseconds.
     """
 
     port_wait: float = 1.0
