@@ -11,138 +11,95 @@ from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel, Refusal
 
 
-class ReadCoils(Request):
+class ReadBits(Request):
+    """What 01 and 02 share; a subclass names its code and its table."""
+
+    address: int = u16()
+    count: int = u16(1, MAX_READ_BITS)
+
+    class Reply(ReplyMessage):
+        """The items, packed: the first in the lowest bit of the first byte."""
+
+        byte_count = rest_length(1, 1, MAX_READ_BITS // 8)
+        data: bytes = rest(1, MAX_READ_BITS // 8)
+
+        def bits(self, count: int) -> list[bool]:
+            """The first ``count`` items."""
+            return unpack_bits(self.data, count)
+
+    def reply_shape(self) -> tuple[int, bytes]:
+        length = (self.count + 7) >> 3
+        return 2 + length, bytes((self.code, length))
+
+    def apply(self, model: DataModel, context: Context) -> Message:
+        return self.Reply(_read(model, _table(type(self)), self.address, self.count, context))
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = model.plain_block(_table(cls), writes=False)
+        return None if block is None else read_bits(cls.code, MAX_READ_BITS, block)
+
+
+class ReadCoils(ReadBits):
     """01 Read Coils: ``count`` 1…2000 coils from ``address`` (MODBUS Application Protocol V1.1b3 §6.1)."""
 
     code = FunctionCode.READ_COILS
     reads = Touch(Table.COILS)
-    address: int = u16()
-    count: int = u16(1, MAX_READ_BITS)
-
-    class Reply(ReplyMessage):
-        """The coils, packed: the first in the lowest bit of the first byte."""
-
-        byte_count = rest_length(1, 1, MAX_READ_BITS // 8)
-        data: bytes = rest(1, MAX_READ_BITS // 8)
-
-        def bits(self, count: int) -> list[bool]:
-            """The first ``count`` coils."""
-            return unpack_bits(self.data, count)
-
-    def reply_shape(self) -> tuple[int, bytes]:
-        length = (self.count + 7) >> 3
-        return 2 + length, bytes((self.code, length))
-
-    def apply(self, model: DataModel, context: Context) -> Message:
-        return self.Reply(_read(model, Table.COILS, self.address, self.count, context))
-
-    @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
-        block = model.plain_block(Table.COILS, writes=False)
-        return None if block is None else read_bits(cls.code, MAX_READ_BITS, block)
 
 
-class ReadDiscreteInputs(Request):
+class ReadDiscreteInputs(ReadBits):
     """02 Read Discrete Inputs: ``count`` 1…2000 inputs from ``address`` (MODBUS Application Protocol V1.1b3 §6.2)."""
 
     code = FunctionCode.READ_DISCRETE_INPUTS
     reads = Touch(Table.DISCRETE_INPUTS)
+
+
+class ReadRegisters(Request):
+    """What 03 and 04 share; a subclass names its code and its table."""
+
     address: int = u16()
-    count: int = u16(1, MAX_READ_BITS)
+    count: int = u16(1, MAX_READ_REGISTERS)
 
     class Reply(ReplyMessage):
-        """The inputs, packed: the first in the lowest bit of the first byte."""
+        """The registers, big-endian."""
 
-        byte_count = rest_length(1, 1, MAX_READ_BITS // 8)
-        data: bytes = rest(1, MAX_READ_BITS // 8)
+        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
+        data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
 
-        def bits(self, count: int) -> list[bool]:
-            """The first ``count`` inputs."""
-            return unpack_bits(self.data, count)
+        @property
+        def registers(self) -> list[int]:
+            """The registers as numbers 0…65535."""
+            return unpack_registers(self.data)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        length = (self.count + 7) >> 3
-        return 2 + length, bytes((self.code, length))
+        return 2 + 2 * self.count, bytes((self.code, 2 * self.count))
 
     def apply(self, model: DataModel, context: Context) -> Message:
-        return self.Reply(_read(model, Table.DISCRETE_INPUTS, self.address, self.count, context))
+        return self.Reply(_read(model, _table(type(self)), self.address, self.count, context))
 
     @classmethod
     def direct(cls, model: DirectModel) -> Answer | None:
-        block = model.plain_block(Table.DISCRETE_INPUTS, writes=False)
-        return None if block is None else read_bits(cls.code, MAX_READ_BITS, block)
+        block = model.plain_block(_table(cls), writes=False)
+        return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
+
+    @classmethod
+    def plan(cls, model: DirectModel, unit: int, pdu: bytes) -> ReadPlan | None:
+        block = model.plain_block(_table(cls), writes=False)
+        return None if block is None else plan_read(unit, pdu, MAX_READ_REGISTERS, block)
 
 
-class ReadHoldingRegisters(Request):
+class ReadHoldingRegisters(ReadRegisters):
     """03 Read Holding Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.3)."""
 
     code = FunctionCode.READ_HOLDING_REGISTERS
     reads = Touch(Table.HOLDING_REGISTERS)
-    address: int = u16()
-    count: int = u16(1, MAX_READ_REGISTERS)
-
-    class Reply(ReplyMessage):
-        """The registers, big-endian."""
-
-        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
-        data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
-
-        @property
-        def registers(self) -> list[int]:
-            """The registers as numbers 0…65535."""
-            return unpack_registers(self.data)
-
-    def reply_shape(self) -> tuple[int, bytes]:
-        return 2 + 2 * self.count, bytes((self.code, 2 * self.count))
-
-    def apply(self, model: DataModel, context: Context) -> Message:
-        return self.Reply(_read(model, Table.HOLDING_REGISTERS, self.address, self.count, context))
-
-    @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
-        block = model.plain_block(Table.HOLDING_REGISTERS, writes=False)
-        return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
-
-    @classmethod
-    def plan(cls, model: DirectModel, unit: int, pdu: bytes) -> ReadPlan | None:
-        block = model.plain_block(Table.HOLDING_REGISTERS, writes=False)
-        return None if block is None else plan_read(unit, pdu, MAX_READ_REGISTERS, block)
 
 
-class ReadInputRegisters(Request):
+class ReadInputRegisters(ReadRegisters):
     """04 Read Input Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.4)."""
 
     code = FunctionCode.READ_INPUT_REGISTERS
     reads = Touch(Table.INPUT_REGISTERS)
-    address: int = u16()
-    count: int = u16(1, MAX_READ_REGISTERS)
-
-    class Reply(ReplyMessage):
-        """The registers, big-endian."""
-
-        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
-        data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
-
-        @property
-        def registers(self) -> list[int]:
-            """The registers as numbers 0…65535."""
-            return unpack_registers(self.data)
-
-    def reply_shape(self) -> tuple[int, bytes]:
-        return 2 + 2 * self.count, bytes((self.code, 2 * self.count))
-
-    def apply(self, model: DataModel, context: Context) -> Message:
-        return self.Reply(_read(model, Table.INPUT_REGISTERS, self.address, self.count, context))
-
-    @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
-        block = model.plain_block(Table.INPUT_REGISTERS, writes=False)
-        return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
-
-    @classmethod
-    def plan(cls, model: DirectModel, unit: int, pdu: bytes) -> ReadPlan | None:
-        block = model.plain_block(Table.INPUT_REGISTERS, writes=False)
-        return None if block is None else plan_read(unit, pdu, MAX_READ_REGISTERS, block)
 
 
 class ReadFifoQueue(Request):
@@ -188,6 +145,11 @@ def unpack_registers(data: bytes) -> list[int]:
     if count < len(_REGISTERS):
         return list(_REGISTERS[count](data))
     return list(struct.unpack(f">{count}H", data))
+
+
+def _table(function: type[Request]) -> Table:
+    assert function.reads is not None
+    return function.reads.table
 
 
 def _read(model: DataModel, table: Table, address: int, count: int, context: Context) -> bytes:
