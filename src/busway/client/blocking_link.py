@@ -169,6 +169,9 @@ class BlockingLink:
                     return
                 connected = self._socket
                 pause = self._pause(now)
+                if connected is not None and 0 < pause <= self._spin:
+                    self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
+                    pause = self._pause(time.monotonic())
             if connected is None:
                 if pause > 0:
                     with self._turn:
@@ -195,7 +198,7 @@ class BlockingLink:
     # Under the lock.
 
     def _transmit(self, now: float) -> None:
-        """Send what may be sent now."""
+        """Send what may be sent now; or, with ``precise_timing``, some moments ahead, at that time."""
         if self.session.recycle:
             self._recycle(now)
         if self._socket is None or self._unsent:
@@ -204,6 +207,8 @@ class BlockingLink:
         if self.session.recycle:
             self._recycle(now)
             return
+        while out and time.monotonic() < now:
+            pass
         for chunk in out:
             self._unsent += chunk
             if TRACE.level:
@@ -367,28 +372,20 @@ class BlockingLink:
 
 
 class ExactPoll:
-    """Waits at one port as exactly as the system can, and the last moments in a loop where it is asked to."""
+    """Waits at one port as exactly as the system can, and wakes up ``spin`` seconds before the time is over."""
 
     def __init__(self, spin: float) -> None:
         self._spin = spin
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
         """As `Poll.wait`."""
-        spins = self._spin > 0 and seconds < _LONGEST_WAIT
-        seconds = min(seconds, _LONGEST_WAIT)
-        until = time.monotonic() + seconds
+        if seconds > self._spin:
+            seconds -= self._spin
         try:
             descriptor = connection.fileno()
-            writing = [descriptor] if writes else []
-            if wait_ready([descriptor], writing, max(seconds - self._spin * spins, 0.0)):
-                return True
-            if spins:
-                while time.monotonic() < until:
-                    pass
-                return bool(wait_ready([descriptor], writing, 0.0))
+            return bool(wait_ready([descriptor], [descriptor] if writes else [], min(seconds, _LONGEST_WAIT)))
         except (OSError, ValueError):
             return False  # another thread closed the port while this one was about to wait
-        return False
 
 
 class Poll:
