@@ -6,6 +6,8 @@ Run from `bench/`: python -m servers.busway_line_server URL; prints `serving URL
 import asyncio
 import sys
 
+from harness.priority import PROGRAM, real_time
+
 import busway
 
 
@@ -16,4 +18,5 @@ async def main(url: str) -> None:
         await asyncio.Event().wait()
 
 
+real_time(PROGRAM)
 asyncio.run(main(sys.argv[1]))

@@ -14,8 +14,11 @@ import signal
 import statistics
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
+
+from harness.priority import WIRE, real_time
 
 from busway.testing.line import PacedLine
 
@@ -23,10 +26,10 @@ MASTER = 0
 
 
 def main(baud: int) -> None:
-    with suppress(PermissionError, AttributeError):
-        # A wire is not late because the machine is busy. Threads that are started from now on inherit this.
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    with PacedLine(ports=2, baud=baud) as line:
+    real_time(WIRE)
+    with on_all_cores():  # the line measures how long a pty takes from one core to another, as it will be used
+        line = PacedLine(ports=2, baud=baud)
+    with line:
 
         def forget(number: int, frame: FrameType | None) -> None:
             line.forget()
@@ -44,6 +47,16 @@ def main(baud: int) -> None:
         signal.signal(signal.SIGUSR2, tell)
         print("line", *line.paths, flush=True)
         threading.Event().wait()
+
+
+@contextmanager
+def on_all_cores() -> Iterator[None]:
+    """Threads of this program have the cores of the machine in this block, and its own afterwards."""
+    mine = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    yield
+    for thread in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(thread), mine)
 
 
 def silences(line: PacedLine) -> tuple[list[float], list[float]]:

@@ -1,11 +1,16 @@
 """A serial line: how close reads come to what its characters and silences allow.
 
 100 reads of 10 registers by RTU, 8E1, from one server of ours, on a paced line. Line, server and client are processes
-of their own; the line has one core, the other two, which are never busy at the same time, share the other one.
+of their own; the line has one core, the other two, which are never busy at the same time, share the other one. All have
+real-time priority where that is allowed, so that what else the machine does is not measured.
 
 The least that a read can take is its 8 + 25 characters and two silences of t3.5, one before the request and one before
 the reply; the server gets no time of its own on top. The table shows the silences as the line saw them. A client whose
 silence is shorter than t3.5 gains time that the specification does not give.
+
+`seconds` is the time of all reads in the quietest round, `typical` that of so many median reads. They differ by the
+moments in which the machine did something else: a stall of 3 ms is half a read at 115 200 baud. The bars take the
+typical one.
 """
 
 import statistics
@@ -16,7 +21,6 @@ from signal import SIGUSR1, SIGUSR2
 from harness import children
 from harness.bench import Bench, Command
 from harness.children import ChildFailed
-from harness.measure import spread
 from harness.report import Bar, Table
 
 READS = 100
@@ -29,10 +33,11 @@ AWAIT, BLOCKING = "busway, await", "busway, blocking"
 PRECISE = ", precise_timing"
 COLUMNS = (
     "",
+    "at least s",
     "seconds",
-    "at least",
     "excess %",
-    "± %",
+    "typical s",
+    "excess %",
     "before reply ms",
     "before request ms",
     "t3.5 ms",
@@ -47,6 +52,7 @@ class Contender:
     client: Callable[[str, int], Command]
     server_options: str = ""
     seconds: list[float] = field(default_factory=list)
+    typical: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     replies: list[float] = field(default_factory=list)
     requests: list[float] = field(default_factory=list)
@@ -65,7 +71,7 @@ def run(bench: Bench) -> Table:
         for name, contender in contenders.items():
             excess[baud, name] = _add(table, baud, reads, name, contender)
     table.bars = [
-        Bar(f"{baud} baud: {name}, above the least", excess.get((baud, name)), "<=", limit, "%")
+        Bar(f"{baud} baud: {name}, typical read above the least", excess.get((baud, name)), "<=", limit, "%")
         for baud, name, limit in _limits()
     ]
     return table
@@ -126,30 +132,32 @@ def _measure(bench: Bench, baud: int, reads: int, name: str, contender: Contende
         bench.say(f"{baud} baud, {name} is left out: {failure}")
         return
     contender.seconds.append(result["seconds"])
+    contender.typical.append(result["typical"])
     contender.cpu.append(result["cpu"] / reads)
     contender.replies.append(before_reply)
     contender.requests.append(before_request)
-    bench.say(f"round {number + 1}  {baud:>6} baud  {name:<34} {result['seconds']:.3f} s")
+    bench.say(f"round {number + 1}  {baud:>6} baud  {name:<34} {result['seconds']:.3f} s, {result['typical']:.3f} s")
 
 
 def _add(table: Table, baud: int, reads: int, name: str, contender: Contender) -> float | None:
-    """Add a row; gives the excess in per cent."""
+    """Add a row; gives the excess of the typical read in per cent."""
     label = f"{baud:>6} baud  {name}"
     if contender.missing or not contender.seconds:
         table.rows.append((label, "–", *[""] * (len(COLUMNS) - 2)))
         table.figures.append({"baud": baud, "name": name, "missing": contender.missing})
         return None
     least = reads * _least(baud)
-    seconds = statistics.median(contender.seconds)
-    excess = (seconds / least - 1) * 100
+    seconds, typical = min(contender.seconds), statistics.median(contender.typical)
+    excess, typical_excess = (seconds / least - 1) * 100, (typical / least - 1) * 100
     before_reply, before_request = (statistics.median(one) for one in (contender.replies, contender.requests))
     table.rows.append(
         (
             label,
-            f"{seconds:.3f}",
             f"{least:.3f}",
+            f"{seconds:.3f}",
             f"{excess:.1f}",
-            f"{spread(contender.seconds) or 0:.1f}",
+            f"{typical:.3f}",
+            f"{typical_excess:.1f}",
             f"{before_reply * 1e3:.2f}",
             f"{before_request * 1e3:.2f}",
             f"{_t3_5(baud) * 1e3:.2f}",
@@ -162,10 +170,12 @@ def _add(table: Table, baud: int, reads: int, name: str, contender: Contender) -
             "name": name,
             "least": least,
             "excess_percent": excess,
+            "typical_excess_percent": typical_excess,
             "rounds": contender.seconds,
+            "typical": contender.typical,
             "before_reply": before_reply,
             "before_request": before_request,
             "cpu": statistics.median(contender.cpu),
         }
     )
-    return excess
+    return typical_excess
