@@ -5,8 +5,9 @@ RTU and ASCII differ only in the framing that is handed in.
 
 1. States: idle → waiting for a reply (unicast) or for the turnaround (broadcast) → idle. One request is in flight.
 2. A reply of another unit keeps the timer running. A damaged frame counts, and may be repeated like a timeout.
-3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``. Whatever comes
-   until then is late and dropped. Later on a late reply is told by its unit, function, length and echo.
+3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
+   the same unit before that much time has passed since the timeout. Whatever comes until then is late and dropped.
+   Later on a late reply is told by its unit, function, length and echo.
 4. What can not be told apart so is the late reply to another request of the same unit, function and length. A unit
    whose usual delay is known is taken to have missed the request. One that is not known to answer in time is not
    asked anything else (the same may be repeated) before twice its timeout has passed; others are meanwhile.
@@ -111,6 +112,14 @@ class _Missed:
     sent: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Pause:
+    """How long a unit is not asked: the same again, or anything else."""
+
+    same_until: float
+    other_until: float
+
+
 class SerialClientSession:
     """One line's conversation, across reopenings of its port.
 
@@ -118,7 +127,6 @@ class SerialClientSession:
         counters, finished, recycle, observed_delay, valid_reply: as in `TcpClientSession`.
         state: where the master stands.
         breakers: which units are not asked.
-        late_units: units whose reply may still be on its way, and until when nothing else is asked of them.
     """
 
     __slots__ = (
@@ -132,6 +140,7 @@ class SerialClientSession:
         "_missed",
         "_not_before",
         "_pace",
+        "_pauses",
         "_receiver",
         "_serial",
         "_timeouts_in_row",
@@ -139,7 +148,6 @@ class SerialClientSession:
         "breakers",
         "counters",
         "finished",
-        "late_units",
         "observed_delay",
         "parameters",
         "recycle",
@@ -173,7 +181,7 @@ class SerialClientSession:
         self.valid_reply = False
         self.state = MasterState.IDLE
         self.breakers = Breakers(breaker or BreakerParameters(), jitter)
-        self.late_units: dict[int, float] = {}
+        self._pauses: dict[int, _Pause] = {}
         self._ledger = Ledger(parameters, endpoint)
         self.counters = self._ledger.counters
         self.finished = self._ledger.finished
@@ -282,7 +290,7 @@ class SerialClientSession:
         self._try_at = 0.0
         self._timeouts_in_row = 0
         self._missed.clear()
-        self.late_units.clear()
+        self._pauses.clear()
         self.recycle = ""
         self.valid_reply = False
         self.counters.connections += 1
@@ -337,7 +345,7 @@ class SerialClientSession:
             demand = queue.peek(lambda one: self._may_ask(one, now))
             if demand is None:
                 self._fail_suspended(now)
-                self._try_at = min((self.late_units.get(one.unit, now) for one in queue), default=0.0)
+                self._try_at = min((self._askable_at(one, now) for one in queue), default=0.0)
                 return []
             if self._last_unit is not None and demand.unit != self._last_unit:
                 clear = max(clear, self._last_byte + self._serial.unit_switch_gap)
@@ -349,15 +357,15 @@ class SerialClientSession:
         return [] if demand is None else [self._send(demand, now)]
 
     def _may_ask(self, demand: Demand, now: float) -> bool:
-        unit = demand.unit
-        if self.breakers.suspended_for(unit, now) is not None:
-            return False
-        until = self.late_units.get(unit)
-        if until is not None and now >= until:
-            del self.late_units[unit]
-            return True
+        return self.breakers.suspended_for(demand.unit, now) is None and self._askable_at(demand, now) <= now
+
+    def _askable_at(self, demand: Demand, now: float) -> float:
+        """When the unit may be asked, as far as a reply of it may still be on its way."""
+        pause = self._pauses.get(demand.unit)
+        if pause is None:
+            return now
         # What is repeated is the request whose reply may be on its way: either reply answers it.
-        return until is None or bool(demand.again)
+        return pause.same_until if demand.again else pause.other_until
 
     def _fail_suspended(self, now: float) -> None:
         """What waits for a unit whose breaker has opened meanwhile does not wait for its probe."""
@@ -435,7 +443,7 @@ class SerialClientSession:
             self.counters.foreign_replies += 1
             return
         missed = self._missed.pop(frame.unit)
-        self.late_units.pop(frame.unit, None)
+        self._pauses.pop(frame.unit, None)
         self._try_at = 0.0
         self.counters.late_replies += 1
         self.observed_delay = frame.ended - missed.sent
@@ -491,9 +499,11 @@ class SerialClientSession:
         if missed is not None and unit not in self._pace and self._was_missed(frame):
             since = frame.ended - missed.sent
             self._missed[unit] = _Missed(missed.function, flight.sent)
-            self.late_units[unit] = flight.sent + since + self._serial.quiet_window
+            until = flight.sent + since + self._serial.quiet_window
+            self._pauses[unit] = _Pause(until, until)
             return
         self._missed.pop(unit, None)
+        self._pauses.pop(unit, None)
         self._pace[unit] = max(delay, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _idle(self, last_byte: float) -> None:
@@ -575,8 +585,9 @@ class SerialClientSession:
         self._receiver.expect_nothing()
         if unit not in self._missed or not self._is_repeated(flight):
             self._missed[unit] = _Missed(flight.request.wire[0], flight.sent)
-        if unit not in self._pace:
-            self.late_units[unit] = flight.sent + 2 * (flight.expires - flight.sent)
+        quiet = now + self._serial.quiet_window
+        waited = flight.expires - flight.sent
+        self._pauses[unit] = _Pause(quiet, quiet if unit in self._pace else max(quiet, flight.sent + 2 * waited))
         self._failed(flight, self._no_reply(flight), now, again=not probing and not opened)
         if opened:
             self._fail_suspended(now)

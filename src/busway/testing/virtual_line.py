@@ -252,7 +252,7 @@ class VirtualPort:
         length = self._line.character_time
         self._outgoing.extend((start + index * length, value) for index, value in enumerate(data))
         if data:
-            self.free_at = start + len(data) * length
+            self.free_at = self._outgoing[-1][0] + length  # to the last bit what `advance` compares with
             self.talking = True
         return self.free_at
 

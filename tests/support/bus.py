@@ -1,0 +1,362 @@
+"""A multi-drop bus in virtual time: masters, servers and misbehaving devices on one `VirtualLine`.
+
+Knows when each of them has to be asked; what they say is their own. Hours pass in seconds, and every run is the same.
+
+1. Ends hear what has passed when the line pauses, as one read; ``by_character`` gives them each character by itself.
+2. At one moment everybody hears before anybody acts.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from busway.framing.conversation import Role
+from busway.framing.echo import Echo
+from busway.framing.timing import Parity, SerialTiming
+from busway.pdu.message import Message, Request
+from busway.server.device import Device
+from busway.server.local import LocalHandler
+from busway.session.breaker import BreakerParameters
+from busway.session.demand import Demand
+from busway.session.diagnostics import CommunicationState
+from busway.session.handler import Handler, RequestContext
+from busway.session.line_framing import FramingParameters, LineFraming, line_framing
+from busway.session.parameters import ClientParameters
+from busway.session.serial_client import SerialClientParameters, SerialClientSession
+from busway.session.serial_server import Emission, SerialServerSession
+from busway.testing.virtual_line import VirtualLine, VirtualPort
+from busway.transport.serial.settings import SerialSettings
+
+
+class End(Protocol):
+    """Somebody at a port."""
+
+    port: VirtualPort
+
+    def hear(self, data: bytes, errors: int, now: float) -> None:
+        """Characters have passed."""
+
+    def deadline(self) -> float | None:
+        """When `act` has something to do."""
+
+    def act(self, now: float) -> None:
+        """Do what is due."""
+
+
+class Bus:
+    """One line and who is at its ports."""
+
+    def __init__(
+        self,
+        ports: int = 2,
+        baud: int = 9600,
+        *,
+        framing: str = "rtu",
+        echo: bool = False,
+        noise: float = 0.0,
+        by_character: bool = False,
+        seed: int = 1,
+    ) -> None:
+        self.framing = framing
+        self.line = VirtualLine(
+            ports, baud, data_bits=8 if framing == "rtu" else 7, echo=echo, noise=noise, seed=seed, tap_size=2_000_000
+        )
+        self.now = 0.0
+        self.ends: list[End] = []
+        self._by_character = by_character
+        self._taken = 0
+
+    @property
+    def timing(self) -> SerialTiming:
+        """The times of the line."""
+        return timing_of(self.line.settings)
+
+    def master(
+        self,
+        *,
+        parameters: ClientParameters | None = None,
+        serial: SerialClientParameters | None = None,
+        breaker: BreakerParameters | None = None,
+        echo: Echo = Echo.OFF,
+        framing: FramingParameters | None = None,
+        jitter: Callable[[], float] | None = None,
+    ) -> MasterEnd:
+        """A master at the next port."""
+        session = SerialClientSession(
+            parameters or ClientParameters(),
+            framing=line_framing(self.framing, Role.MASTER, self.timing, framing, echo=echo),
+            jitter=jitter or random.Random(7).random,
+            serial=serial,
+            breaker=breaker,
+            endpoint=f"{self.framing}:///dev/bus",
+        )
+        master = MasterEnd(self, self._port(), session)
+        self.ends.append(master)
+        session.connected(self.now)
+        return master
+
+    def servers(
+        self,
+        units: dict[int, Device] | None = None,
+        *,
+        handler: Handler | None = None,
+        serial_units: Container[int] = (),
+        echo: Echo = Echo.OFF,
+        framing: FramingParameters | None = None,
+    ) -> ServerEnd:
+        """Servers at the next port."""
+        if handler is None:
+            local = LocalHandler(units or {})
+            handler, serial_units = local, local.serial_units
+        chosen = line_framing(self.framing, Role.SERVER, self.timing, framing, units=serial_units, echo=echo)
+        server = ServerEnd(self._port(), handler, serial_units, chosen)
+        self.ends.append(server)
+        return server
+
+    def device(self, behaviour: Behaviour) -> DeviceEnd:
+        """A scripted device at the next port."""
+        device = DeviceEnd(
+            self._port(), line_framing(self.framing, Role.SERVER, self.timing, units=range(248)), behaviour
+        )
+        self.ends.append(device)
+        return device
+
+    def _port(self) -> VirtualPort:
+        port = self.line.ports[self._taken]
+        self._taken += 1
+        return port
+
+    def run(self, seconds: float | None = None, *, until: Callable[[], bool] | None = None) -> None:
+        """Let time pass: so many seconds, or until a condition holds (an hour at most)."""
+        end = self.now + (3600.0 if seconds is None else seconds)
+        while until is None or not until():
+            heard = self.line.deadline() if self._by_character else self.line.pause_at()
+            times = [time for time in (heard, *(one.deadline() for one in self.ends)) if time is not None]
+            if not times or min(times) > end:
+                assert until is None, "what was waited for did not come"
+                self._step(end)
+                return
+            self._step(max(min(times), self.now))
+
+    def _step(self, now: float) -> None:
+        self.line.advance(now)
+        self.now = now
+        for one in self.ends:
+            received = one.port.read()
+            if received.data:
+                one.hear(received.data, received.errors, now)
+        for one in self.ends:
+            due = one.deadline()
+            if due is not None and due <= now:
+                one.act(now)
+
+
+@dataclass
+class Call:
+    """One demand and what became of it."""
+
+    demand: Demand
+    then: Callable[[Call], None] | None = None
+    ended_at: float | None = None
+
+    @property
+    def done(self) -> bool:
+        return self.demand.ended
+
+    @property
+    def outcome(self) -> object:
+        """The reply or the error."""
+        assert self.demand.ended, "it has not ended"
+        return self.demand.outcomes[0]
+
+
+class MasterEnd:
+    """A master, and the demands it was given."""
+
+    def __init__(self, bus: Bus, port: VirtualPort, session: SerialClientSession) -> None:
+        self.bus = bus
+        self.port = port
+        self.session = session
+        self.sent: list[tuple[float, bytes]] = []
+        self._calls: dict[int, Call] = {}
+
+    def ask(
+        self,
+        unit: int,
+        *requests: Request,
+        timeout: float | None = None,
+        retries: int | None = None,
+        deadline: float | None = None,
+        caller: object = None,
+        idempotent: bool = False,
+        then: Callable[[Call], None] | None = None,
+    ) -> Call:
+        """Give it a demand; ``then`` is called when it has ended."""
+        parameters = self.session.parameters
+        now = self.bus.now
+        call = Call(
+            Demand(
+                unit,
+                requests,
+                is_write=any(one.is_write for one in requests),
+                timeout=parameters.timeout if timeout is None else timeout,
+                retries=parameters.retries if retries is None else retries,
+                idempotent=idempotent,
+                caller=caller,
+                deadline=None if deadline is None else now + deadline,
+            )
+        )
+        call.then = then
+        self._calls[id(call.demand)] = call
+        self.session.submit(call.demand, now)
+        self._pump(now)
+        return call
+
+    def get(self, unit: int, request: Request, **options: object) -> object:
+        """Ask, and let time pass until the outcome is there."""
+        call = self.ask(unit, request, **options)  # type: ignore[arg-type]
+        self.bus.run(until=lambda: call.done)
+        return call.outcome
+
+    def hear(self, data: bytes, errors: int, now: float) -> None:
+        if errors:
+            self.session.receive_damaged(data, now)
+        else:
+            self.session.receive(data, len(data), now)
+        self._pump(now)
+
+    def deadline(self) -> float | None:
+        return self.session.deadline()
+
+    def act(self, now: float) -> None:
+        self.session.tick(now)
+        self._pump(now)
+
+    def _pump(self, now: float) -> None:
+        for frame in self.session.transmit(now):
+            self.session.written(self.port.write(frame, now))
+            self.sent.append((now, frame))
+        finished = self.session.finished[:]
+        self.session.finished.clear()
+        for demand in finished:
+            call = self._calls.pop(id(demand))
+            call.ended_at = now
+            if call.then is not None:
+                call.then(call)
+
+
+class ServerEnd:
+    """The servers of one port, driven as `busway.server.line` does it."""
+
+    def __init__(self, port: VirtualPort, handler: Handler, units: Container[int], framing: LineFraming) -> None:
+        self.port = port
+        self.diagnostics = CommunicationState(changes_allowed=True)
+        self.sent: list[tuple[float, bytes]] = []
+        self._pending: Emission | None = None
+        self.session = SerialServerSession(
+            handler, units, framing=framing, diagnostics=self.diagnostics, deliver=self._late, line="bus"
+        )
+
+    def hear(self, data: bytes, errors: int, now: float) -> None:
+        session = self.session
+        heard = session.requests + session.foreign + session.damaged_frames
+        if errors:
+            session.receive_damaged(data, now)
+            emissions: list[Emission] = []
+        else:
+            emissions = session.receive(data, now)
+        if self._pending is not None and session.requests + session.foreign + session.damaged_frames != heard:
+            self._pending = None
+        self._take(emissions)
+
+    def deadline(self) -> float | None:
+        times = [self.session.deadline(), None if self._pending is None else self._pending.not_before]
+        return min((time for time in times if time is not None), default=None)
+
+    def act(self, now: float) -> None:
+        self._take(self.session.tick(now))
+        pending = self._pending
+        if pending is not None and now >= pending.not_before:
+            self._pending = None
+            self.session.sent(pending.frame, self.port.write(pending.frame, now))
+            self.sent.append((now, pending.frame))
+
+    def _take(self, emissions: Sequence[Emission]) -> None:
+        if emissions:
+            self._pending = emissions[-1]
+
+    def _late(self, emission: Emission) -> None:
+        self._pending = emission
+
+
+Behaviour = Callable[[int, bytes, float], Sequence[tuple[float, bytes]]]
+"""Unit, PDU and time of a request → what is sent, each after so many seconds."""
+
+
+@dataclass
+class DeviceEnd:
+    """A device that does what a test says, whatever that is."""
+
+    port: VirtualPort
+    framing: LineFraming
+    behaviour: Behaviour
+    heard: list[tuple[float, int, bytes]] = field(default_factory=list)
+    _due: list[tuple[float, bytes]] = field(default_factory=list)
+
+    def hear(self, data: bytes, errors: int, now: float) -> None:
+        for found in self.framing.receiver.receive(data, now):
+            self._found(found, now)
+
+    def _found(self, found: object, now: float) -> None:
+        unit, pdu = getattr(found, "unit", None), getattr(found, "pdu", b"")
+        if unit is None:
+            return
+        self.heard.append((now, unit, pdu))
+        self._due += [(now + delay, frame) for delay, frame in self.behaviour(unit, pdu, now)]
+        self._due.sort(key=lambda one: one[0])
+
+    def deadline(self) -> float | None:
+        times = [self.framing.receiver.deadline(), self._due[0][0] if self._due else None]
+        return min((time for time in times if time is not None), default=None)
+
+    def act(self, now: float) -> None:
+        for found in self.framing.receiver.tick(now):
+            self._found(found, now)
+        while self._due and self._due[0][0] <= now:
+            self.port.write(self._due.pop(0)[1], now)
+
+    def frame(self, unit: int, pdu: bytes) -> bytes:
+        """A frame of this line."""
+        return self.framing.encode(unit, pdu)
+
+
+def honest(units: dict[int, Device]) -> Callable[[int, bytes], bytes | None]:
+    """What devices answer that do nothing wrong: unit and PDU of a request → PDU of the reply, None for others."""
+    handler = LocalHandler(units)
+    diagnostics = CommunicationState(changes_allowed=True)
+
+    def answer(unit: int, pdu: bytes) -> bytes | None:
+        if unit not in handler.serial_units:
+            return None
+        context = RequestContext(unit=unit, function=pdu[0], diagnostics=diagnostics)
+        reply = handler.handle(context, handler.functions.decode_request(pdu))
+        assert isinstance(reply, Message)
+        return reply.encode()
+
+    return answer
+
+
+def timing_of(settings: SerialSettings) -> SerialTiming:
+    """The times of a line that is set so."""
+    return SerialTiming.of_line(
+        settings.baud,
+        data_bits=settings.data_bits,
+        parity=Parity(settings.parity.value),
+        stop_bits=settings.stop_bits,
+    )
+
+
+__all__ = ["Bus", "Call", "DeviceEnd", "MasterEnd", "Message", "ServerEnd", "honest", "timing_of"]
