@@ -1,0 +1,461 @@
+"""The servers of a line: silent for others, counted as in appendix A."""
+
+import asyncio
+
+import pytest
+from bus import Bus, MasterEnd, ServerEnd
+
+from busway.errors import NoReply
+from busway.framing.ascii import encode_ascii
+from busway.framing.echo import Echo
+from busway.framing.rtu import encode_rtu
+from busway.pdu.diagnostics import (
+    ChangeAsciiDelimiter,
+    ClearCounters,
+    ForceListenOnly,
+    GetCommEventCounter,
+    GetCommEventLog,
+    ReadExceptionStatus,
+    RestartCommunications,
+    ReturnBusCommunicationErrorCount,
+    ReturnBusExceptionErrorCount,
+    ReturnBusMessageCount,
+    ReturnQueryData,
+    ReturnServerBusyCount,
+    ReturnServerMessageCount,
+    ReturnServerNakCount,
+    ReturnServerNoResponseCount,
+)
+from busway.pdu.functions import STANDARD, AnyRequest
+from busway.pdu.message import Message, Request
+from busway.pdu.read_items import ReadHoldingRegisters
+from busway.pdu.write_items import WriteSingleRegister
+from busway.server.device import Device
+from busway.session.handler import LATER, SILENCE, Outcome, Refusal, RequestContext
+from busway.session.line_framing import FramingParameters
+from busway.session.parameters import ClientParameters
+
+CHARACTER = 11 / 9600
+T3_5 = 3.5 * CHARACTER
+READ = ReadHoldingRegisters(0, 2)
+REPLY = bytes.fromhex("03 04 00 00 00 00")
+
+
+def pair(units: dict[int, Device] | None = None, **options: object) -> tuple[Bus, MasterEnd, ServerEnd]:
+    bus = Bus(3, **options)  # type: ignore[arg-type]
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
+    return bus, master, bus.servers(units or {5: Device(holding_registers=10)})
+
+
+def send(bus: Bus, frame: bytes, seconds: float = 0.3) -> None:
+    """Put a frame on the line, whoever it is of, and let its answer pass."""
+    bus.line.inject(frame, bus.now + 0.01)
+    bus.run(0.01 + len(frame) * bus.line.character_time + seconds)
+
+
+def value_of(reply: object) -> int:
+    assert isinstance(reply, Message), reply
+    return int.from_bytes(reply.values()["data"], "big")
+
+
+class Handling:
+    """A handler that does what a test says."""
+
+    functions = STANDARD
+    generation = 0
+    serial_units = frozenset({5, 6})
+
+    def __init__(self, outcome: Outcome | Exception) -> None:
+        self.outcome = outcome
+        self.contexts: list[RequestContext] = []
+
+    def direct(self, context: RequestContext) -> dict[int, object]:
+        return {}
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        self.contexts.append(context)
+        if isinstance(self.outcome, Exception):
+            raise self.outcome
+        return self.outcome
+
+
+def handled(outcome: Outcome | Exception) -> tuple[Bus, MasterEnd, ServerEnd, Handling]:
+    bus = Bus(3)
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
+    handler = Handling(outcome)
+    return bus, master, bus.servers(handler=handler, serial_units=handler.serial_units), handler  # type: ignore[arg-type]
+
+
+# Who is answered, and when.
+
+
+@pytest.mark.clause("S6")
+def test_request_is_answered_t3_5_after_its_last_byte() -> None:
+    bus, master, _ = pair()
+    assert isinstance(master.get(5, READ), ReadHoldingRegisters.Reply)
+    request, answer = bus.line.transmissions()
+    assert answer.begin - request.end == pytest.approx(T3_5)
+
+
+@pytest.mark.clause("S6")
+def test_damaged_frame_is_never_answered_and_error_of_content_is() -> None:
+    bus, master, server = pair()
+    frame = encode_rtu(5, READ.encode())
+    for position in range(len(frame)):
+        damaged = bytearray(frame)
+        damaged[position] ^= 0x10
+        send(bus, bytes(damaged), 0.1)
+    assert server.sent == []
+    assert isinstance(master.get(5, ReadHoldingRegisters(9, 100)), Exception)
+    assert server.sent[0][1] == encode_rtu(5, b"\x83\x02")
+
+
+@pytest.mark.clause("S11")
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_foreign_requests_and_replies_are_followed_and_never_answered(framing: str) -> None:
+    encode = encode_rtu if framing == "rtu" else encode_ascii
+    bus, master, server = pair(framing=framing)
+    for foreign in (
+        encode(6, READ.encode()),
+        encode(6, REPLY),
+        encode(6, WriteSingleRegister(0, 5).encode()),
+        encode(6, WriteSingleRegister(0, 5).encode()),  # the echo that answers it
+        encode(6, b"\x83\x02"),
+        encode(5, b"\x83\x02"),  # somebody else answers in our name
+        encode(248, READ.encode()),
+    ):
+        send(bus, foreign, 0.02)
+    assert server.sent == []
+    assert server.session.foreign == 7
+    assert server.diagnostics.counters.bus_message_count == 7
+    assert server.diagnostics.counters.server_message_count == 0
+    assert isinstance(master.get(5, READ), ReadHoldingRegisters.Reply)
+
+
+@pytest.mark.clause("S11")
+def test_foreign_reply_that_looks_like_a_request_for_us_is_none() -> None:
+    """A foreign reply may hold anything, also the bytes of a frame for our unit."""
+    bus, _, server = pair({5: Device(holding_registers=10)})
+    inner = encode_rtu(5, WriteSingleRegister(0, 99).encode())
+    send(bus, encode_rtu(6, ReadHoldingRegisters(0, 4).encode()), 0.02)
+    send(bus, encode_rtu(6, b"\x03\x08" + inner), 0.3)
+    assert server.sent == []
+    assert server.session.requests == 0
+
+
+@pytest.mark.clause("S6")
+def test_frame_inside_a_damaged_one_is_never_executed() -> None:
+    device = Device(holding_registers=10)
+    bus, _, server = pair({5: device})
+    send(bus, b"\x05\x10\x00\x00" + encode_rtu(5, WriteSingleRegister(0, 99).encode()) + b"\x55" * 3)
+    assert device.holding_registers[0] == 0
+    assert server.sent == []
+
+
+@pytest.mark.clause("S3")
+def test_sole_device_answers_its_own_unit_alone() -> None:
+    bus, master, server = pair()
+    for unit in (1, 4, 6, 247):
+        assert isinstance(master.get(unit, READ), NoReply)
+    send(bus, encode_rtu(255, READ.encode()))
+    send(bus, encode_rtu(0, READ.encode()))
+    assert server.sent == []
+    assert isinstance(master.get(5, READ), ReadHoldingRegisters.Reply)
+
+
+def test_several_units_share_one_port() -> None:
+    one, other = Device(holding_registers=10), Device(holding_registers=10)
+    other.holding_registers[0] = 7
+    _, master, _ = pair({1: one, 7: other})
+    assert master.get(1, READ).registers == [0, 0]  # type: ignore[attr-defined]
+    assert master.get(7, READ).registers == [7, 0]  # type: ignore[attr-defined]
+
+
+# Broadcasts.
+
+
+@pytest.mark.clause("S2")
+def test_broadcast_is_executed_by_every_unit_and_answered_by_none() -> None:
+    one, other = Device(holding_registers=10), Device(holding_registers=10)
+    bus, _, server = pair({1: one, 7: other})
+    send(bus, encode_rtu(0, WriteSingleRegister(0, 9).encode()))
+    assert one.holding_registers[0] == other.holding_registers[0] == 9
+    assert server.sent == []
+    counters = server.diagnostics.counters
+    assert (counters.bus_message_count, counters.server_message_count, counters.server_no_response_count) == (1, 1, 1)
+    assert counters.bus_exception_error_count == 0
+
+
+@pytest.mark.clause("S2")
+@pytest.mark.clause("S16")
+@pytest.mark.parametrize(
+    "pdu",
+    [READ.encode(), b"\x41\x00", ForceListenOnly().encode(), b"\x06\x00\x00\x00", WriteSingleRegister(77, 1).encode()],
+)
+def test_broadcast_that_reads_or_is_in_error_is_only_counted(pdu: bytes) -> None:
+    bus, _, server = pair()
+    send(bus, encode_rtu(0, pdu))
+    assert server.sent == []
+    assert not server.diagnostics.listen_only
+    counters = server.diagnostics.counters
+    assert (counters.server_message_count, counters.server_no_response_count) == (1, 1)
+    assert counters.bus_exception_error_count == 1
+
+
+# Counters, event log, listen-only mode.
+
+
+@pytest.mark.clause("S16")
+def test_counters_are_counted_as_in_the_flow_chart_and_read_by_function_08() -> None:
+    bus, master, server = pair({5: Device(holding_registers=10)})
+    send(bus, encode_rtu(5, READ.encode())[:-1] + b"\x00")  # 2: bad CRC
+    send(bus, b"\x05\x03")  # 2: too short
+    send(bus, encode_rtu(6, READ.encode()))  # 1
+    send(bus, encode_rtu(6, REPLY))  # 1
+    send(bus, encode_rtu(0, WriteSingleRegister(0, 1).encode()))  # 1, 4, 5
+    send(bus, encode_rtu(5, b"\x41\x00"))  # 1, 4, 3: unknown function
+    send(bus, encode_rtu(5, ReadHoldingRegisters(70, 2).encode()))  # 1, 4, 3: no such address
+    counters = server.diagnostics.counters
+    assert (counters.bus_message_count, counters.bus_communication_error_count) == (5, 2)
+    assert (counters.bus_exception_error_count, counters.server_message_count) == (2, 3)
+    assert counters.server_no_response_count == 1
+    read = [
+        value_of(master.get(5, request))
+        for request in (
+            ReturnBusMessageCount(),
+            ReturnBusCommunicationErrorCount(),
+            ReturnBusExceptionErrorCount(),
+            ReturnServerMessageCount(),
+            ReturnServerNoResponseCount(),
+        )
+    ]
+    # Each of these is a message by itself. What our master says is heard by the servers, and by nobody else.
+    assert read == [6, 2, 2, 7, 1]
+    assert isinstance(master.get(5, ClearCounters()), Message)
+    assert value_of(master.get(5, ReturnBusMessageCount())) == 1
+
+
+@pytest.mark.clause("S16")
+@pytest.mark.parametrize(("code", "request_"), [(6, ReturnServerBusyCount()), (7, ReturnServerNakCount())])
+def test_busy_and_nak_have_counters_of_their_own(code: int, request_: Request) -> None:
+    _, master, server, _ = handled(Refusal(code))
+    master.get(5, READ)
+    counters = server.diagnostics.counters
+    assert (counters.server_busy_count, counters.server_nak_count) == ((1, 0) if code == 6 else (0, 1))
+    assert counters.bus_exception_error_count == 0
+
+
+@pytest.mark.clause("S14")
+@pytest.mark.clause("S16")
+def test_marked_characters_and_overruns_are_communication_errors_and_discard_the_frame() -> None:
+    bus, master, server = pair()
+    server.session.receive_damaged(encode_rtu(5, WriteSingleRegister(0, 1).encode()), bus.now)
+    server.session.tick(bus.now + 0.1)
+    server.session.receive_damaged(b"\x05\x03", bus.now + 0.2, overrun=True)
+    server.session.tick(bus.now + 0.3)
+    counters = server.diagnostics.counters
+    assert (counters.bus_communication_error_count, counters.bus_character_overrun_count) == (2, 1)
+    assert server.session.requests == 0
+    bus.run(1.0)
+    assert isinstance(master.get(5, READ), Message)
+
+
+@pytest.mark.clause("A23")
+def test_event_counter_counts_successes_and_neither_exceptions_nor_polls_of_itself() -> None:
+    _, master, _ = pair()
+    for _ in range(3):
+        master.get(5, READ)
+    master.get(5, ReadHoldingRegisters(70, 2))
+    for _ in range(2):
+        master.get(5, GetCommEventCounter())
+    reply = master.get(5, GetCommEventCounter())
+    assert isinstance(reply, GetCommEventCounter.Reply)
+    assert (reply.status, reply.event_count) == (0, 3)
+
+
+@pytest.mark.clause("A23")
+def test_status_is_ffff_while_a_program_command_runs() -> None:
+    _, master, server = pair()
+    server.diagnostics.program_command_running = True
+    reply = master.get(5, GetCommEventCounter())
+    assert isinstance(reply, GetCommEventCounter.Reply)
+    assert reply.status == 0xFFFF
+
+
+@pytest.mark.clause("A23")
+def test_event_log_tells_what_happened_newest_first() -> None:
+    bus, master, server = pair()
+    send(bus, encode_rtu(5, READ.encode())[:-1] + b"\x00")
+    send(bus, encode_rtu(0, WriteSingleRegister(0, 1).encode()))
+    master.get(5, ReadHoldingRegisters(70, 2))
+    master.get(5, READ)
+    reply = master.get(5, GetCommEventLog())
+    assert isinstance(reply, GetCommEventLog.Reply)
+    # this request; answer and request of the read; exception 02 and its request; broadcast; communication error
+    assert bytes(reply.events) == bytes.fromhex("80 40 80 41 80 c0 82")
+    assert reply.message_count == 4
+    for _ in range(40):
+        master.get(5, READ)
+    assert len(server.diagnostics.event_log()[3]) == 64
+
+
+@pytest.mark.clause("S17")
+@pytest.mark.clause("A23")
+def test_listen_only_mode_mutes_until_a_restart_that_is_not_answered_either() -> None:
+    device = Device(holding_registers=10)
+    bus, master, server = pair({5: device})
+    assert isinstance(master.get(5, ForceListenOnly()), Exception)
+    assert server.diagnostics.listen_only
+    for request in (READ, WriteSingleRegister(0, 3), ReturnQueryData(b"\x00\x00")):
+        assert isinstance(master.get(5, request, timeout=0.1), Exception)
+        master.session.breakers.answered(5)
+    assert server.sent == []
+    assert device.holding_registers[0] == 0
+    assert server.diagnostics.event_log()[3][:3].hex(" ") == "a0 a0 a0"
+    bus.run(1.0)
+    assert isinstance(master.get(5, RestartCommunications(), timeout=0.1), Exception)
+    assert server.sent == []
+    assert not server.diagnostics.listen_only
+    bus.run(1.0)
+    assert isinstance(master.get(5, READ), Message)
+    assert server.diagnostics.counters.bus_message_count == 1
+
+
+@pytest.mark.clause("S17")
+@pytest.mark.parametrize(("data", "left"), [(b"\x00\x00", True), (b"\xff\x00", False)])
+def test_restart_is_answered_first_and_clears_counters_and_the_log_where_it_is_told_to(data: bytes, left: bool) -> None:
+    _, master, server = pair()
+    master.get(5, READ)
+    assert isinstance(master.get(5, RestartCommunications(data)), Message)
+    assert server.diagnostics.counters.bus_message_count == 0
+    assert (len(server.diagnostics.event_log()[3]) > 1) is left
+    assert server.diagnostics.event_log()[3][0] == 0x00
+
+
+@pytest.mark.clause("S12")
+@pytest.mark.clause("S17")
+def test_delimiter_is_changed_for_all_that_comes_after_the_answer() -> None:
+    bus, master, server = pair(framing="ascii")
+    assert isinstance(master.get(5, ChangeAsciiDelimiter(b"\x3f\x00")), Message)
+    assert server.sent[-1][1].endswith(b"\r\n")
+    assert isinstance(master.get(5, READ), NoReply)
+    send(bus, encode_ascii(5, READ.encode(), ord("?")))
+    assert server.sent[-1][1] == encode_ascii(5, REPLY, ord("?"))
+
+
+def test_two_ends_may_agree_on_a_delimiter_from_the_start() -> None:
+    bus = Bus(framing="ascii")
+    framing = FramingParameters(delimiter=ord("?"))
+    master, server = bus.master(framing=framing), bus.servers({5: Device(holding_registers=10)}, framing=framing)
+    server.diagnostics.ascii_delimiter = framing.delimiter
+    assert isinstance(master.get(5, READ), Message)
+    assert isinstance(master.get(5, ReturnQueryData(b"\x00\x01")), Message)
+    assert isinstance(master.get(5, READ), Message)
+
+
+@pytest.mark.clause("S8")
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@pytest.mark.parametrize("pdu", [b"\x41\x01\x02\x03", b"\x10\x00\x00\x00\x02\x09\x00\x01\x00\x02", b"\x03\x00\x00"])
+def test_unknown_function_and_contradicting_length_are_answered(framing: str, pdu: bytes) -> None:
+    encode = encode_rtu if framing == "rtu" else encode_ascii
+    bus, _, server = pair(framing=framing)
+    send(bus, encode(5, pdu))
+    code = 1 if pdu[0] == 0x41 else 3
+    assert [frame for _, frame in server.sent] == [encode(5, bytes((pdu[0] | 0x80, code)))]
+
+
+def test_exception_status_and_echo_of_data_are_answered() -> None:
+    _, master, _ = pair()
+    assert isinstance(master.get(5, ReadExceptionStatus()), Message)
+    reply = master.get(5, ReturnQueryData(b"\x12\x34\x56\x78"))
+    assert isinstance(reply, Message)
+    assert reply.values()["data"] == b"\x12\x34\x56\x78"
+
+
+# Slow handlers.
+
+
+@pytest.mark.clause("S6")
+def test_late_answer_leaves_when_it_is_there() -> None:
+    bus, master, server, handler = handled(LATER)
+    call = master.ask(5, READ)
+    bus.run(0.1)
+    assert server.session.waiting == 1
+    handler.contexts[0].reply(ReadHoldingRegisters.Reply(bytes(4)))
+    bus.run(until=lambda: call.done)
+    assert isinstance(call.outcome, Message)
+
+
+@pytest.mark.clause("S1")
+def test_late_answer_is_given_up_when_somebody_else_has_spoken() -> None:
+    bus, master, server, handler = handled(LATER)
+    call = master.ask(5, READ)
+    bus.run(0.1)
+    send(bus, encode_rtu(9, READ.encode()), 0.0)
+    handler.contexts[0].reply(ReadHoldingRegisters.Reply(bytes(4)))
+    bus.run(until=lambda: call.done)
+    assert server.sent == []
+    assert server.session.abandoned == 1
+    assert server.diagnostics.counters.server_no_response_count == 1
+
+
+def test_answer_given_before_the_handler_returns_is_sent_once() -> None:
+    class AtOnce(Handling):
+        def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+            context.reply(ReadHoldingRegisters.Reply(bytes(4)))
+            return LATER
+
+    bus = Bus(3)
+    master = bus.master()
+    handler = AtOnce(LATER)
+    server = bus.servers(handler=handler, serial_units=handler.serial_units)  # type: ignore[arg-type]
+    assert isinstance(master.get(5, READ), Message)
+    bus.run(1.0)
+    assert len(server.sent) == 1
+    assert server.session.waiting == 0
+
+
+def test_awaitable_is_handed_to_the_driver() -> None:
+    async def reply() -> Message:
+        return ReadHoldingRegisters.Reply(bytes(4))
+
+    bus, master, server, _ = handled(reply())
+    call = master.ask(5, READ)
+    bus.run(0.1)
+    (deferred,) = server.session.deferred
+    deferred.context.reply(asyncio.run(deferred.awaitable))  # type: ignore[arg-type]
+    bus.run(until=lambda: call.done)
+    assert isinstance(call.outcome, Message)
+
+
+def test_silence_of_a_handler_is_counted() -> None:
+    _, master, server, _ = handled(SILENCE)
+    assert isinstance(master.get(5, READ), NoReply)
+    assert server.diagnostics.counters.server_no_response_count == 1
+    assert server.session.waiting == 0
+
+
+def test_handler_that_fails_is_reported_and_answered_04() -> None:
+    _, master, server, _ = handled(RuntimeError("broken"))
+    assert getattr(master.get(5, READ), "code", None) == 4
+    assert len(server.session.failures) == 1
+
+
+def test_request_in_work_gets_no_answer_when_the_port_has_gone() -> None:
+    bus, master, server, handler = handled(LATER)
+    master.ask(5, READ)
+    bus.run(0.1)
+    server.session.close()
+    handler.contexts[0].reply(ReadHoldingRegisters.Reply(bytes(4)))
+    bus.run(1.0)
+    assert server.sent == []
+
+
+@pytest.mark.clause("S15")
+def test_own_echo_is_no_message_of_the_line() -> None:
+    bus = Bus(echo=True)
+    master, server = bus.master(echo=Echo.ON), bus.servers({5: Device(holding_registers=10)}, echo=Echo.ON)
+    for _ in range(3):
+        master.get(5, READ)
+    assert server.diagnostics.counters.bus_message_count == 3
+    assert server.session.foreign == 0
