@@ -262,13 +262,18 @@ class ServerEnd:
 
     def hear(self, data: bytes, errors: int, now: float) -> None:
         session = self.session
+        pending = self._pending
         heard = session.requests + session.foreign + session.damaged_frames
         if errors:
             session.receive_damaged(data, now)
             emissions: list[Emission] = []
         else:
             emissions = session.receive(data, now)
-        if self._pending is not None and session.requests + session.foreign + session.damaged_frames != heard:
+        if (
+            pending is not None
+            and self._pending is pending
+            and session.requests + session.foreign + session.damaged_frames != heard
+        ):
             self._pending = None
         self._take(emissions)
 

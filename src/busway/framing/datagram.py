@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Final
 
 from ..codes import ASCII_ADU_LIMIT, RTU_ADU_LIMIT
+from ..pdu.functions import STANDARD
 from .crc import crc16
-from .lengths import SHORTEST
+from .lengths import SHORTEST, lengths_of
 from .mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH
+from .received import Direction
 
 _SHORTEST_ASCII: Final = 9
 """Colon, unit, function code, LRC, CR, delimiter."""
@@ -24,8 +26,19 @@ def is_whole_mbap(data: bytes) -> bool:
 
 
 def is_whole_rtu(data: bytes) -> bool:
-    """Whether the CRC fits over the whole datagram (Serial Line V1.02 §2.5.1)."""
-    return SHORTEST <= len(data) <= RTU_ADU_LIMIT and crc16(data) == 0
+    """Whether the CRC fits over the whole datagram (Serial Line V1.02 §2.5.1).
+
+    Zeros behind a frame leave its CRC at 0, so that a frame whose function tells a shorter length has something behind
+    it.
+    """
+    if not SHORTEST <= len(data) <= RTU_ADU_LIMIT or crc16(data):
+        return False
+    lengths, shown = lengths_of(STANDARD), bytearray(data)
+    for direction in (Direction.REQUEST, Direction.REPLY):
+        length = lengths.length(direction, shown, 0, len(shown))
+        if SHORTEST <= length < len(data) and crc16(data[:length]) == 0:
+            return False
+    return True
 
 
 def is_whole_ascii(data: bytes) -> bool:
@@ -34,7 +47,7 @@ def is_whole_ascii(data: bytes) -> bool:
         _SHORTEST_ASCII <= len(data) <= ASCII_ADU_LIMIT
         and data[:1] == b":"
         and data.rfind(b":") == 0
-        and data[-2:-1] == b"\r"
+        and data.find(b"\r") == len(data) - 2
     )
 
 

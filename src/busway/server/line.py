@@ -211,6 +211,7 @@ class SerialListener:
         heard = session.requests + session.foreign + session.damaged_frames
         damaged = session.damaged_frames
         overrun = self._overran()
+        pending = self._pending
         emissions: list[Emission] = []
         if errors or overrun:
             session.receive_damaged(data, now, overrun=overrun)
@@ -218,11 +219,11 @@ class SerialListener:
             emissions = session.receive(data, now)
         if session.damaged_frames != damaged:
             self.diagnosis.communication_fault = now
-        if self._pending is not None:
+        if pending is not None and self._pending is pending:
             if session.requests + session.foreign + session.damaged_frames != heard:
                 self._drop_pending()
             else:
-                self._schedule(replace(self._pending, not_before=session.clear_at()))
+                self._schedule(replace(pending, not_before=session.clear_at()))
         self._follow(emissions)
 
     def _overran(self) -> bool:

@@ -1,0 +1,235 @@
+"""Serving on a real port (a pseudo-terminal on a paced line)."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import busway
+from busway.framing.rtu import encode_rtu
+from busway.pdu.functions import STANDARD, AnyRequest
+from busway.pdu.message import Message
+from busway.pdu.read_items import ReadHoldingRegisters
+from busway.server.diagnosis import Lamp
+from busway.session.handler import Outcome, RequestContext
+from busway.testing.line import PacedLine
+from busway.transport.serial.blocking import BlockingSerialPort
+from busway.transport.serial.settings import SerialSettings
+
+BAUD = 115_200
+READ = encode_rtu(5, ReadHoldingRegisters(0, 2).encode())
+
+
+@pytest.fixture
+def line() -> Iterator[PacedLine]:
+    with PacedLine(ports=2, baud=BAUD) as made:
+        yield made
+
+
+def url(line: PacedLine, options: str = "", framing: str = "rtu") -> str:
+    return f"{framing}://{line.paths[1]}?baud={BAUD}{options}"
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(500):
+        if condition():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError("it did not happen")
+
+
+def spoken(line: PacedLine) -> list[bytes]:
+    """What the server has said."""
+    return [talk.data for talk in line.transmissions(0.0009) if talk.port == 1]
+
+
+@pytest.mark.clause("S11")
+@pytest.mark.clause("S16")
+async def test_server_counts_what_passes_and_speaks_for_its_own_units_alone(line: PacedLine) -> None:
+    async with busway.serve(url(line), units={5: busway.Device(holding_registers=4)}) as server:
+        for frame in (
+            encode_rtu(6, b"\x03\x00\x00\x00\x02"),
+            encode_rtu(6, b"\x03\x04\x00\x00\x00\x00"),
+            encode_rtu(0, b"\x06\x00\x00\x00\x09"),
+            READ[:-1] + b"\x00",
+            READ,
+        ):
+            line.inject(frame)
+            await asyncio.to_thread(line.wait_quiet, 0.02)
+        await until(lambda: len(spoken(line)) == 1)
+        assert spoken(line) == [encode_rtu(5, b"\x03\x04\x00\x09\x00\x00")]
+        (status,) = server.status().listeners
+        assert status.endpoint == server.endpoints[0] == f"rtu://{line.paths[1]}"
+        assert (status.requests, status.foreign, status.damaged) == (2, 2, 1)
+        assert (status.counters.bus_message_count, status.counters.bus_communication_error_count) == (4, 1)
+        assert status.counters.server_no_response_count == 1
+        assert status.lamps.error is Lamp.FLASHING
+        assert status.lamps.device_status is Lamp.ON
+        assert server.status().counters.requests == 2
+
+
+@pytest.mark.clause("S17")
+async def test_diagnostics_that_change_the_line_are_offered_there_and_not_over_a_network(line: PacedLine) -> None:
+    units = {5: busway.Device(holding_registers=4)}
+    async with busway.serve(url(line), "rtu+tcp://127.0.0.1:0", "udp://127.0.0.1:0", units=units) as server:
+        async with busway.open(f"rtu://{line.paths[0]}?baud={BAUD}") as link:
+            assert await link.unit(5).diagnostics(0x0A) == b"\x00\x00"
+        for endpoint in server.endpoints[1:]:
+            async with busway.open(endpoint) as link:
+                with pytest.raises(busway.ExceptionReply, match="01"):
+                    await link.unit(5).diagnostics(0x0A)
+    async with (
+        busway.serve(url(line), units=units, diagnostics_changes=False),
+        busway.open(f"rtu://{line.paths[0]}?baud={BAUD}") as link,
+    ):
+        with pytest.raises(busway.ExceptionReply, match="01"):
+            await link.unit(5).diagnostics(0x0A)
+
+
+@pytest.mark.clause("S17")
+@pytest.mark.clause("S19")
+async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line: PacedLine) -> None:
+    async with (
+        busway.serve(url(line), units={5: busway.Device(holding_registers=4)}) as server,
+        busway.open(f"rtu://{line.paths[0]}?baud={BAUD}&timeout=0.05&retries=0&open_after=0") as link,
+    ):
+        with pytest.raises(busway.WriteOutcomeUnknown):
+            await link.unit(5).diagnostics(4)
+        (status,) = server.status().listeners
+        assert status.listen_only
+        assert status.lamps.device_status is Lamp.FLASHING
+        with pytest.raises(busway.WriteOutcomeUnknown):
+            await link.unit(5).diagnostics(1)
+        assert await link.unit(5).read_holding_registers(0, count=1) == [0]
+
+
+@pytest.mark.clause("S12")
+async def test_delimiter_is_changed_over_a_real_line() -> None:
+    with PacedLine(ports=2, baud=BAUD, data_bits=7) as line:
+        units = {5: busway.Device(holding_registers=4)}
+        async with busway.serve(url(line, framing="ascii"), units=units):
+            async with busway.open(f"ascii://{line.paths[0]}?baud={BAUD}") as link:
+                assert await link.unit(5).diagnostics(3, b"?\x00") == b"?\x00"
+            async with busway.open(f"ascii://{line.paths[0]}?baud={BAUD}&delimiter=63") as link:
+                assert await link.unit(5).read_holding_registers(0, count=1) == [0]
+
+
+class Slow:
+    """Answers when it is told to."""
+
+    functions = STANDARD
+    generation = 0
+    serial_units = frozenset({5})
+
+    def __init__(self) -> None:
+        self.asked = asyncio.Event()
+        self.go_on = asyncio.Event()
+
+    def direct(self, context: RequestContext) -> dict[int, object]:
+        return {}
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        return self._answer(request)
+
+    async def _answer(self, request: AnyRequest) -> Message:
+        self.asked.set()
+        await self.go_on.wait()
+        if isinstance(request, ReadHoldingRegisters) and request.address:
+            raise RuntimeError("broken")
+        return ReadHoldingRegisters.Reply(bytes(4))
+
+
+@pytest.mark.clause("S6")
+async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: PacedLine) -> None:
+    handler = Slow()
+    async with busway.serve(url(line), handler=handler) as server:  # type: ignore[arg-type]
+        line.inject(READ)
+        await handler.asked.wait()
+        handler.go_on.set()
+        await until(lambda: len(spoken(line)) == 1)
+        handler.go_on.clear()
+        handler.asked.clear()
+        line.inject(READ)
+        await handler.asked.wait()
+        line.inject(encode_rtu(6, b"\x03\x00\x00\x00\x02"))
+        await until(lambda: server.status().listeners[0].abandoned == 1)
+        handler.go_on.set()
+        await asyncio.to_thread(line.wait_quiet, 0.05)
+        assert len(spoken(line)) == 1
+        line.inject(READ)
+        handler.asked.clear()
+        handler.go_on.clear()
+        await handler.asked.wait()  # left in work when the server stops
+    assert len(spoken(line)) == 1
+
+
+@pytest.mark.clause("S19")
+async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> None:
+    class Broken(Slow):
+        def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+            raise RuntimeError("broken")
+
+    async with busway.serve(url(line), handler=Broken()) as server:  # type: ignore[arg-type]
+        line.inject(READ)
+        await until(lambda: len(spoken(line)) == 1)
+        assert spoken(line) == [encode_rtu(5, b"\x83\x04")]
+        assert server.status().listeners[0].lamps.error is Lamp.ON
+        assert server.status().counters.handler_failures == 1
+
+
+@pytest.mark.clause("S15")
+async def test_taken_port_is_an_error_that_names_the_holder_and_an_absent_one_is_waited_for(line: PacedLine) -> None:
+    units = {5: busway.Device(holding_registers=4)}
+    with BlockingSerialPort(line.paths[1], SerialSettings(baud=BAUD)):
+        server = busway.serve(url(line), "tcp://127.0.0.1:0", units=units)
+        with pytest.raises(busway.LinkDown, match="held by"):
+            await server.start()
+        assert not server.is_running
+    line.unplug(1)
+    async with busway.serve(url(line, "&reopen_first=0.01&reopen_most=0.05"), units=units) as server:
+        assert not server.status().listeners[0].is_open
+        line.replug(1)
+        await until(lambda: server.status().listeners[0].is_open)
+        line.inject(READ)
+        await until(lambda: len(spoken(line)) == 1)
+
+
+async def test_server_can_be_stopped_and_started_again(line: PacedLine) -> None:
+    server = busway.serve(url(line), units={5: busway.Device(holding_registers=4)})
+    for number in range(3):
+        async with server:
+            line.inject(READ)
+            await until(lambda number=number: len(spoken(line)) == number + 1)  # type: ignore[misc]
+    await server.reset()
+    assert server.status().counters.requests == 0
+    await server.stop()
+    assert server.endpoints == []
+
+
+@pytest.mark.clause("S3")
+def test_line_needs_units_of_its_own_and_a_handler_that_says_which() -> None:
+    with pytest.raises(busway.ConfigError, match="1…247"):
+        busway.serve("rtu:///dev/ttyUSB0", units={0: busway.Device(), 255: busway.Device()})
+
+    class Unsaid:
+        functions = STANDARD
+        generation = 0
+
+    with pytest.raises(busway.ConfigError, match="serial_units"):
+        busway.serve("rtu:///dev/ttyUSB0", handler=Unsaid())  # type: ignore[arg-type]
+
+
+@pytest.mark.clause("S18")
+@pytest.mark.parametrize(
+    ("endpoint", "words"),
+    [
+        ("rtu:///dev/ttyUSB0?port_wait=1", "unknown option of a listener"),
+        ("rtu:///dev/ttyUSB0?parity=mark", "parity"),
+        ("ascii:///dev/ttyUSB0?gap_limit=1", "unknown option"),
+        ("rtu+tcp://127.0.0.1:0?strict_timing=on", "unknown option"),
+        ("udp://127.0.0.1:0?baud=9600", "there are none"),
+    ],
+)
+def test_wrong_option_of_a_listener_is_one_clear_error(endpoint: str, words: str) -> None:
+    with pytest.raises(busway.ConfigError, match=words):
+        busway.serve(endpoint, units={5: busway.Device(holding_registers=4)})

@@ -1,0 +1,222 @@
+"""UDP listeners and RTU and ASCII over networks, with our own clients."""
+
+import asyncio
+import socket
+from urllib.parse import urlsplit
+
+import pytest
+
+import busway
+from busway.framing.ascii import encode_ascii
+from busway.framing.mbap import encode_mbap
+from busway.framing.rtu import encode_rtu
+from busway.pdu.read_items import ReadHoldingRegisters
+
+READ = ReadHoldingRegisters(0, 2).encode()
+REPLY = bytes.fromhex("03 04 00 00 00 01")
+NETWORK = ["udp", "rtu+udp", "ascii+udp", "rtu+tcp", "ascii+tcp"]
+
+
+def device() -> busway.Device:
+    made = busway.Device(holding_registers=100)
+    made.holding_registers[0:10] = list(range(10))
+    return made
+
+
+def frame_of(scheme: str, unit: int, pdu: bytes) -> bytes:
+    if scheme == "udp":
+        return encode_mbap(9, unit, pdu)
+    return (encode_rtu if scheme.startswith("rtu") else encode_ascii)(unit, pdu)
+
+
+class Sender:
+    """A plain UDP socket towards a server."""
+
+    def __init__(self, endpoint: str) -> None:
+        parts = urlsplit(endpoint)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(5.0)
+        self.socket.connect((parts.hostname, parts.port))
+
+    def __enter__(self) -> "Sender":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.close()
+
+    async def ask(self, data: bytes) -> bytes:
+        self.socket.send(data)
+        return await asyncio.to_thread(self.socket.recv, 2048)
+
+
+@pytest.mark.parametrize("scheme", NETWORK)
+async def test_clients_of_both_kinds_and_a_server_talk_over_a_network(scheme: str) -> None:
+    async with busway.serve(f"{scheme}://127.0.0.1:0", units={1: device(), 7: device()}) as server:
+        (endpoint,) = server.endpoints
+        async with busway.open(endpoint) as link:
+            values = await asyncio.gather(*(link.unit(7).read_holding_registers(n, count=2) for n in range(5)))
+            assert values == [[n, n + 1] for n in range(5)]
+            await link.unit(1).write_multiple_registers(20, [1, 2, 3])
+            assert await link.unit(1).diagnostics(0, b"abcdef") == b"abcdef"
+
+        def blocking() -> list[int]:
+            with busway.connect(endpoint) as link:
+                return link.unit(1).read_holding_registers(20, count=3)
+
+        assert await asyncio.to_thread(blocking) == [1, 2, 3]
+        assert server.status().counters.requests == 8
+
+
+@pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "ascii+udp"])
+async def test_malformed_datagram_is_dropped_and_counted_and_the_next_one_answered(scheme: str) -> None:
+    async with busway.serve(f"{scheme}://127.0.0.1:0", units={1: device()}) as server:
+        whole = frame_of(scheme, 1, READ)
+        with Sender(server.endpoints[0]) as sender:
+            bad = [b"", b"\x00", whole[:-1], whole + b"\x00", whole + whole, bytes(1500)]
+            for data in bad:
+                sender.socket.send(data)
+            assert await sender.ask(whole) == frame_of(scheme, 1, REPLY)
+        status = server.status()
+        assert status.listeners[0].damaged == len(bad)
+        assert status.counters.discarded_frames == len(bad)
+        assert status.counters.requests == 1
+
+
+@pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "ascii+udp"])
+async def test_each_datagram_is_one_frame_and_answers_go_to_the_sender_alone(scheme: str) -> None:
+    async with busway.serve(f"{scheme}://127.0.0.1:0", units={1: device()}) as server:
+        with Sender(server.endpoints[0]) as one, Sender(server.endpoints[0]) as other:
+            for _ in range(3):
+                assert await one.ask(frame_of(scheme, 1, READ)) == frame_of(scheme, 1, REPLY)
+            other.socket.settimeout(0.05)
+            with pytest.raises(TimeoutError):
+                await asyncio.to_thread(other.socket.recv, 2048)
+            assert [peer.requests for peer in server.status().connections] == [3]
+
+
+async def test_there_are_as_many_peers_as_connections_may_be() -> None:
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}, max_connections=2) as server:
+        for _ in range(4):
+            with Sender(server.endpoints[0]) as sender:
+                await sender.ask(frame_of("udp", 1, READ))
+        status = server.status()
+        assert len(status.connections) == 2
+        assert (status.counters.accepted, status.counters.evicted, status.counters.requests) == (4, 2, 4)
+
+
+@pytest.mark.clause("S2")
+@pytest.mark.parametrize("scheme", ["rtu+udp", "rtu+tcp", "ascii+tcp"])
+async def test_units_and_broadcasts_are_those_of_a_line(scheme: str) -> None:
+    one, other = device(), device()
+    async with (
+        busway.serve(f"{scheme}://127.0.0.1:0", units={1: one, 7: other}) as server,
+        busway.open(server.endpoints[0], timeout=0.1, retries=0, turnaround_delay=0.01) as link,
+    ):
+        await link.unit(0).write_single_register(5, 99)
+        assert one.holding_registers[5] == other.holding_registers[5] == 99
+        with pytest.raises(busway.NoReply):
+            await link.unit(2).read_holding_registers(0, count=1)
+        with pytest.raises(busway.InvalidRequest):
+            await link.unit(0).read_holding_registers(0, count=1)
+
+
+async def test_lost_datagrams_are_timeouts_and_late_ones_go_to_nobody() -> None:
+    """A server that answers the first request only when it gets the second."""
+    loop = asyncio.get_running_loop()
+    held: list[tuple[bytes, object]] = []
+
+    class Late(asyncio.DatagramProtocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            self.transport = transport
+
+        def datagram_received(self, data: bytes, addr: object) -> None:
+            held.append((data, addr))
+            for request, peer in held[:-1] if len(held) == 2 else held[-1:] if len(held) > 2 else []:
+                value = request[8:10] * 2
+                self.transport.sendto(request[:4] + b"\x00\x07" + request[6:8] + b"\x04" + value, peer)  # type: ignore[attr-defined]
+
+    transport, _ = await loop.create_datagram_endpoint(Late, local_addr=("127.0.0.1", 0))
+    host, port = transport.get_extra_info("sockname")[:2]
+    async with busway.open(f"udp://{host}:{port}", timeout=0.1, retries=0) as link:
+        for address in (1, 2):
+            with pytest.raises(busway.NoReply):
+                await link.unit(1).read_holding_registers(address, count=2)
+        assert await link.unit(1).read_holding_registers(3, count=2) == [3, 3]
+        assert link.counters.late_replies == 1
+    transport.close()
+
+
+async def test_nobody_at_the_other_end_is_a_timeout() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+    async with busway.open(f"rtu+udp://127.0.0.1:{port}", timeout=0.05, retries=1) as link:
+        with pytest.raises(busway.NoReply):
+            await link.unit(1).read_coils(0, count=1)
+
+    def blocking() -> None:
+        with busway.connect(f"udp://127.0.0.1:{port}", timeout=0.05, retries=1) as link, pytest.raises(busway.NoReply):
+            link.unit(1).read_coils(0, count=1)
+
+    await asyncio.to_thread(blocking)
+
+
+async def test_client_drops_datagrams_that_are_no_frame() -> None:
+    loop = asyncio.get_running_loop()
+
+    class Noisy(asyncio.DatagramProtocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            self.transport = transport
+
+        def datagram_received(self, data: bytes, addr: object) -> None:
+            for answer in (b"\x00", encode_rtu(1, REPLY)[:-1], encode_rtu(1, REPLY)):
+                self.transport.sendto(answer, addr)  # type: ignore[attr-defined]
+
+    transport, _ = await loop.create_datagram_endpoint(Noisy, local_addr=("127.0.0.1", 0))
+    port = transport.get_extra_info("sockname")[1]
+    async with busway.open(f"rtu+udp://127.0.0.1:{port}") as link:
+        assert await link.unit(1).read_holding_registers(0, count=2) == [0, 1]
+        assert link.counters.damaged_frames == 2
+
+    def blocking() -> list[int]:
+        with busway.connect(f"rtu+udp://127.0.0.1:{port}") as link:
+            return link.unit(1).read_holding_registers(0, count=2)
+
+    assert await asyncio.to_thread(blocking) == [0, 1]
+    transport.close()
+
+
+async def test_wedged_converter_is_connected_anew() -> None:
+    """RTU over TCP to something that takes everything and says nothing."""
+    accepted: list[asyncio.StreamWriter] = []
+
+    async def swallow(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        accepted.append(writer)
+        await reader.read()
+        writer.close()
+
+    server = await asyncio.start_server(swallow, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    async with busway.open(f"rtu+tcp://127.0.0.1:{port}", timeout=0.05, retries=0, open_after=0) as link:
+        for _ in range(4):
+            with pytest.raises(busway.NoReply):
+                await link.unit(1).read_coils(0, count=1)
+        assert link.counters.recycled == 1
+    server.close()
+    await server.wait_closed()
+    for writer in accepted:
+        writer.close()
+    assert len(accepted) == 2
+
+
+async def test_several_listeners_of_every_kind_share_one_handler() -> None:
+    endpoints = [f"{scheme}://127.0.0.1:0" for scheme in ("tcp", *NETWORK)]
+    shared = device()
+    async with busway.serve(*endpoints, units={1: shared}) as server:
+        for number, endpoint in enumerate(server.endpoints):
+            async with busway.open(endpoint) as link:
+                await link.unit(1).write_single_register(number, 500 + number)
+        assert shared.holding_registers[0:6] == [500, 501, 502, 503, 504, 505]
+        assert len(server.status().listeners) == 6
+        assert all(one.is_open for one in server.status().listeners)
+    assert server.status().listeners == () or not any(one.is_open for one in server.status().listeners)
