@@ -13,7 +13,6 @@ from handles import open_handles
 import busway
 from busway.framing.rtu import encode_rtu
 from busway.testing.line import PacedLine
-from busway.transport.serial.opening import Claim
 
 BAUD = 115_200
 
@@ -252,17 +251,6 @@ def test_two_loops_can_not_share_a_port(line: PacedLine) -> None:
                 await asyncio.to_thread(asyncio.run, other())
 
     asyncio.run(one())
-
-
-def test_claim_ends_with_its_holder() -> None:
-    claim = Claim("/dev/ttyNONE", "a test")
-    with pytest.raises(busway.ConfigError, match="by a test"):
-        Claim("/dev/ttyNONE", "another")
-    claim.release()
-    claim.release()
-    again = Claim("/dev/ttyNONE", "another")
-    del again
-    Claim("/dev/ttyNONE", "a third").release()
 
 
 # What can be asked for.

@@ -21,6 +21,7 @@ from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
+from busway.session.line_framing import FramingParameters
 from busway.session.parameters import ClientParameters
 from busway.session.serial_client import MasterState, SerialClientParameters
 
@@ -409,6 +410,34 @@ def test_error_of_a_slow_device_names_its_delay() -> None:
     assert outcome.kind == "late"
     assert outcome.observed_delay == pytest.approx(0.32 + 9 * CHARACTER)
     assert "longer timeout" in str(outcome)
+
+
+# To the letter.
+
+
+@pytest.mark.clause("S10")
+def test_strict_timing_works_where_each_character_is_heard_by_itself() -> None:
+    bus = Bus(3, by_character=True)
+    framing = FramingParameters(strict_timing=True)
+    master = bus.master(framing=framing)
+    bus.servers({1: Device(holding_registers=10)}, framing=framing)
+    bus.servers({2: Device(holding_registers=10)}, framing=framing)
+    for number in range(10):
+        assert registers(master.get(1 + number % 2, READ)) == [0, 0]
+    for before, after in itertools.pairwise(bus.line.transmissions()):
+        assert after.begin - before.end >= T3_5 - 1e-9
+
+
+@pytest.mark.clause("S10")
+def test_gap_above_t1_5_spoils_a_reply_in_strict_timing_and_is_forgiven_otherwise() -> None:
+    frame = encode_rtu(1, REPLY)
+    for strict in (True, False):
+        bus = Bus(by_character=True)
+        master = bus.master(
+            parameters=ClientParameters(retries=0, timeout=0.5), framing=FramingParameters(strict_timing=strict)
+        )
+        bus.device(lambda unit, pdu, now: [(T3_5, frame[:4]), (T3_5 + 4 * CHARACTER + 2 * CHARACTER, frame[4:])])
+        assert isinstance(master.get(1, READ), NoReply) is strict
 
 
 # Deadlines, cancelling, the queue, the port.

@@ -336,9 +336,12 @@ def open_link(url: str | Endpoint, *, shared: bool = True, **options: Any) -> As
         url: the endpoint; options behind ``?`` are those below.
         shared: use one connection for all links of this event loop to the endpoint; False gives a connection of
             its own (explicit connection management).
-        options: fields of `ClientParameters` and `SocketParameters`, by name: ``timeout=2.0, max_transactions=16``.
+        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters` and `SocketParameters`; where the
+            framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters` and `FramingParameters`; for a
+            serial port, of `SerialSettings` and `OpeningParameters`. What has no effect with the scheme is refused.
 
     Raises:
-        ConfigError: the URL or an option can not be, or the endpoint is open with other settings of the connection.
+        ConfigError: the URL or an option can not be, the endpoint is open with other settings of the connection, or
+            the serial port is in use in this process. The last two are raised at the first need.
     """
     return AsyncLink(link_settings(url, options), shared=shared)

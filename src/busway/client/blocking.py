@@ -420,7 +420,11 @@ class Link:
         """One unit behind this link.
 
         Args:
-            number: unit identifier 0…255; 255, the device itself, if left out on TCP.
+            number: unit identifier 0…255; 255, the device itself, if left out on TCP. Where the framing is RTU or ASCII
+                it must be named, and is 0…247; 0 is the broadcast, which takes writes alone (Serial Line V1.02 §2.2).
+
+        Raises:
+            InvalidRequest: it is missing on a line, or out of range.
         """
         return Unit(self, default_unit(self._settings.endpoint, number))
 
@@ -468,10 +472,13 @@ def connect(url: str | Endpoint, *, shared: bool = True, **options: Any) -> Link
         url: the endpoint; options behind ``?`` are those below.
         shared: use one connection for all links of this process to the endpoint; False gives a connection of its own
             (explicit connection management).
-        options: fields of `ClientParameters` and `SocketParameters`, by name: ``timeout=2.0, retries=0``.
+        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters` and `SocketParameters`; where the
+            framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters` and `FramingParameters`; for a
+            serial port, of `SerialSettings` and `OpeningParameters`. What has no effect with the scheme is refused.
 
     Raises:
-        ConfigError: the URL or an option can not be, or the endpoint is open with other settings of the connection.
+        ConfigError: the URL or an option can not be, the endpoint is open with other settings of the connection, or
+            the serial port is in use in this process.
     """
     settings = link_settings(url, options)
     return Link(settings, BLOCKING_POOL.acquire(settings, shared=shared))

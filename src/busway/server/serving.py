@@ -39,8 +39,11 @@ def serve(
     """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
 
     Args:
-        endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one.
-        units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with.
+        endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one. Serial ports
+            (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind go together; what a port is set to stands in
+            its URL.
+        units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with. On a serial
+            line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
         handler: instead of ``units``, anything that answers requests (`busway.session.handler.Handler`).
         unit_policy: ``listed`` (others get exception 0B) or ``any`` (the sole device answers every unit).
         unlisted: what a unit that is not listed gets: ``exception`` (0B) or ``silence``.
