@@ -28,6 +28,7 @@ LAYER_OF = {
     "client": 5,
     "server": 5,
     "observe": 5,
+    "control": 6,
     "gateway": 6,
     "simulator": 6,
     "testing": 6,
