@@ -187,6 +187,30 @@ def test_broadcast_is_executed_by_every_unit_and_answered_by_none() -> None:
 
 
 @pytest.mark.clause("S2")
+def test_device_with_several_units_executes_a_broadcast_once() -> None:
+    shared, other = Device(holding_registers=10), Device(holding_registers=10)
+    written: list[object] = []
+    shared.on_write("holding_registers")(written.append)
+    other.on_write("holding_registers")(written.append)
+    bus, master, server = pair({1: shared, 2: shared, 7: other, 9: shared})
+    send(bus, encode_rtu(0, WriteSingleRegister(0, 9).encode()))
+    assert len(written) == 2
+    assert shared.holding_registers[0] == other.holding_registers[0] == 9
+    assert server.diagnostics.event_count == 1
+    assert isinstance(master.get(9, WriteSingleRegister(0, 8)), Message)
+    assert len(written) == 3
+
+
+@pytest.mark.clause("S16")
+def test_broadcast_that_fails_on_several_units_is_one_message_in_error() -> None:
+    bus, _, server = pair({1: Device(holding_registers=10), 2: Device(holding_registers=5), 3: Device(coils=1)})
+    send(bus, encode_rtu(0, WriteSingleRegister(7, 9).encode()))
+    counters = server.diagnostics.counters
+    assert (counters.server_message_count, counters.bus_exception_error_count) == (1, 1)
+    assert server.diagnostics.event_count == 0
+
+
+@pytest.mark.clause("S2")
 @pytest.mark.clause("S16")
 @pytest.mark.parametrize(
     "pdu",

@@ -8,6 +8,7 @@ Knows devices and the rules of units on TCP; knows no connection.
    they do not: only the units listed are its own there, since others answer for themselves.
 3. Function not offered → 01, before its lengths are judged (Application Protocol V1.1b3 figure 9).
 4. A request is executed under the device's lock: 22 and 23 read and write in one step, for every thread.
+5. A device that is listed as several units executes a broadcast of a serial line once.
 """
 
 from collections.abc import Mapping
@@ -126,6 +127,10 @@ class LocalHandler:
             if self._silent:
                 return SILENCE
             return ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+        if context.executed is not None:
+            if id(device) in context.executed:
+                return SILENCE
+            context.executed.add(id(device))
         if isinstance(request, OpaqueRequest) or not device.enabled(context.function):
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_FUNCTION)
         if isinstance(request, MalformedRequest):

@@ -44,9 +44,11 @@ class RequestContext:
         unit: the unit identifier asked, 0…255.
         transaction: the identifier of the request; 0 where the framing has none.
         diagnostics: counters of the line or listener.
+        executed: of a broadcast, which goes to every unit of a line: the ids of what has executed it, so that a device
+            with several units does it once. None otherwise.
     """
 
-    __slots__ = ("_finish", "diagnostics", "function", "listener", "peer", "role", "transaction", "unit")
+    __slots__ = ("_finish", "diagnostics", "executed", "function", "listener", "peer", "role", "transaction", "unit")
 
     def __init__(
         self,
@@ -67,6 +69,7 @@ class RequestContext:
         self.listener = listener
         self.role = role
         self.transaction = transaction
+        self.executed: set[int] | None = None
         self._finish = finish
 
     @property

@@ -6,7 +6,8 @@ RTU and ASCII differ only in the framing that is handed in.
 1. Only a request for an own unit is answered; what passes by for others, request or reply, is counted as a message of
    the line and nothing else.
 2. A damaged frame is never answered and never executed; an error of content is answered.
-3. A broadcast is executed by every unit and answered by none. One that asks for a read, or fails, is only counted.
+3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. One that
+   asks for a read, or fails, is only counted. Counters are the line's: whatever the number of units, it is one message.
 4. The answer leaves t3.5 after the last byte on the line at the earliest. If somebody else has spoken before a slow
    handler is ready, its answer is not sent: the master has given up and the line is not ours.
 5. In listen-only mode nothing is answered, until a restart that is not answered either.
@@ -226,18 +227,25 @@ class SerialServerSession:
         if not isinstance(request, AnyFunction) or not request.broadcast:
             diagnostics.failed(ExceptionCode.ILLEGAL_FUNCTION)
             return
+        executed: set[int] = set()
+        done, failure = False, 0
         for unit in range(1, LAST_SERIAL_UNIT + 1):
             if unit not in self._units:
                 continue
             context = self._context(unit, pdu[0])
+            context.executed = executed
             outcome = self._ask(context, pdu)
             if isinstance(outcome, ExceptionResponse):
-                diagnostics.failed(outcome.exception)
+                failure = failure or outcome.exception
             elif not isinstance(outcome, Message | Deferral):
                 self.deferred.append(Deferred(context, outcome))
             else:
                 context._finish = None
-                diagnostics.event_count += isinstance(outcome, Message)
+                done = done or isinstance(outcome, Message)
+        if failure:
+            diagnostics.failed(failure)
+        elif done:
+            diagnostics.event_count += 1
 
     def _ask(self, context: RequestContext, pdu: bytes) -> Outcome:
         handler = self._handler
