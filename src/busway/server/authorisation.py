@@ -12,3 +12,12 @@ Authorise = Callable[[str], bool]
 def everybody(host: str) -> bool:
     """Nobody is refused."""
     return True
+
+
+def both(server: Authorise, listener: Authorise | None) -> Authorise:
+    """The question of a server, and that of one of its listeners beside it: both must say yes."""
+    if listener is None:
+        return server
+    if server is everybody:
+        return listener
+    return lambda host: server(host) and listener(host)

@@ -33,14 +33,21 @@ _log = logging.getLogger("busway.server")
 class ServerConnection(asyncio.BufferedProtocol):
     """The driver of one connection.
 
+    Args:
+        management: where its place and its session come from.
+        role: of the client's certificate, where a secure transport has found one.
+        accepted: whether a gate before it has asked `ConnectionManagement.accept` already.
+
     Attributes:
         session: its conversation; None until the connection is made.
         peer: ``host:port`` of the client.
+        role: of its certificate; None without one.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
     """
 
     __slots__ = (
+        "_accepted",
         "_buffer",
         "_half_closed",
         "_management",
@@ -48,18 +55,24 @@ class ServerConnection(asyncio.BufferedProtocol):
         "_tasks",
         "_trace",
         "_transport",
+        "_window",
         "last_used",
         "opened",
         "peer",
         "received",
+        "role",
         "sent",
         "session",
     )
 
-    def __init__(self, management: "ConnectionManagement") -> None:
+    def __init__(self, management: "ConnectionManagement", *, role: str | None = None, accepted: bool = False) -> None:
+        self.role = role
+        self._accepted = accepted
         self._management = management
         self._parameters = management.parameters
         self._buffer = receive_buffer(management.loop)
+        # The TLS of asyncio slices what it is given and fills the slice: of a bytearray, that would be a copy.
+        self._window: bytearray | memoryview = memoryview(self._buffer) if accepted else self._buffer
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
         self._tasks: set[asyncio.Task[None]] | None = None
         self._trace: Trace | None = None
@@ -76,17 +89,15 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._transport = transport
         self.peer = peer_name(transport.get_extra_info("peername"))
         self.opened = self.last_used = time.monotonic()
-        if not self._management.authorise(host_of(transport.get_extra_info("peername"))):
-            self._management.counters.unauthorised += 1
-            _log.warning("%s: closed before anything was read: it is not authorised", self.peer)
+        if not self._accepted and not self._management.accept(transport):
             self._transport.abort()
             return
         self._transport.set_write_buffer_limits(high=self._parameters.write_buffer)
-        self.session = self._management.admit(self, transport)
+        self.session = self._management.admit(self)
 
-    def get_buffer(self, sizehint: int) -> bytearray:
+    def get_buffer(self, sizehint: int) -> bytearray | memoryview:
         """Where the event loop receives into."""
-        return self._buffer
+        return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
         """Bytes have come: answer all of them."""

@@ -20,7 +20,7 @@ from ..session.parameters import Scope, ServerParameters
 from ..session.server import TcpServerSession, TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, everybody
-from .connection import ServerConnection
+from .connection import ServerConnection, host_of, peer_name
 from .diagnosis import Diagnosis
 from .framed import FramedSession
 from .listener_settings import ListenerSettings
@@ -112,15 +112,27 @@ class ConnectionManagement:
     def __len__(self) -> int:
         return len(self._connections)
 
-    def admit(self, connection: ServerConnection, transport: asyncio.BaseTransport) -> TcpServerSession | FramedSession:
+    def accept(self, transport: asyncio.BaseTransport) -> bool:
+        """Whether a newcomer may stay, asked before a byte of it is read; the parameters of its socket are set.
+
+        A refusal is counted and logged; closing is the caller's.
+        """
+        address = transport.get_extra_info("peername")
+        if not self.authorise(host_of(address)):
+            self.counters.unauthorised += 1
+            _log.warning("%s: closed before anything was read: it is not authorised", peer_name(address))
+            return False
+        socket = transport.get_extra_info("socket")
+        if socket is not None:
+            self._sockets.apply(socket)
+        return True
+
+    def admit(self, connection: ServerConnection) -> TcpServerSession | FramedSession:
         """Give a newcomer its session, and a place."""
         while len(self._connections) >= self.parameters.max_connections:
             self._evict()
         self._connections[connection] = None
         self.counters.accepted += 1
-        socket = transport.get_extra_info("socket")
-        if socket is not None:
-            self._sockets.apply(socket)
         if self.framing != "mbap":
             return FramedSession(
                 self.loop,
@@ -143,6 +155,7 @@ class ConnectionManagement:
             deliver=connection.deliver,
             peer=connection.peer,
             listener=self.listener,
+            role=connection.role,
         )
 
     def leave(

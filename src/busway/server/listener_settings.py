@@ -6,9 +6,9 @@ with a scheme is refused there.
 
 from collections.abc import Container
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from ..config.endpoints import Endpoint
+from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.options import build_parameters, option_names
 from ..errors import ConfigError
 from ..framing.conversation import Role
@@ -18,6 +18,12 @@ from ..pdu.functions import FunctionTable
 from ..session.line_framing import FramingParameters, LineFraming, line_framing
 from ..transport.serial.opening import OpeningParameters
 from ..transport.serial.settings import SerialSettings
+from .authorisation import Authorise
+from .listener import Listener
+from .parameters import ListenerParameters
+
+if TYPE_CHECKING:
+    from ..transport.tls import TlsParameters
 
 _ONLY_RTU: Final = frozenset({"strict_timing", "gap_limit"})
 _ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_only"})
@@ -33,12 +39,18 @@ class ListenerSettings:
         framing: how frames are found, where the framing is RTU or ASCII.
         port: what the line is set to; None over a network.
         opening: how the port is opened.
+        limits: of its connections.
+        access: who may connect, beside the server's own question; None leaves it to that.
+        tls: certificate, key and authorities; None where the carrier is not TLS.
     """
 
     endpoint: Endpoint
     framing: FramingParameters
     port: SerialSettings | None
     opening: OpeningParameters
+    limits: ListenerParameters
+    access: Authorise | None
+    tls: "TlsParameters | None"
 
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None
@@ -63,8 +75,15 @@ class ListenerSettings:
         )
 
 
-def listener_settings(endpoint: Endpoint) -> ListenerSettings:
-    """The settings of a parsed URL. Raises `ConfigError` that lists the options of its scheme."""
+def listener_settings(
+    listener: Listener, *, limits: ListenerParameters, tls: "TlsParameters | None" = None
+) -> ListenerSettings:
+    """The settings of a listener; ``limits`` and ``tls`` are the server's, for those that have none of their own.
+
+    Raises:
+        ConfigError: the URL can not be listened on, with the options of its scheme.
+    """
+    endpoint = parse_endpoint(listener.endpoint)
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
     for name, value in endpoint.options.items():
@@ -81,6 +100,9 @@ def listener_settings(endpoint: Endpoint) -> ListenerSettings:
         build_parameters(FramingParameters, chosen.get(FramingParameters, {})),
         port,
         build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
+        listener.limits or limits,
+        listener.access,
+        (listener.tls or tls) if endpoint.carrier == "tls" else None,
     )
 
 

@@ -10,27 +10,31 @@ import asyncio
 import contextlib
 import socket
 import time
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from ..codes import LAST_SERIAL_UNIT
-from ..config.endpoints import Endpoint, parse_endpoint
+from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown, ModbusError
 from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
 from ..session.server import TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
-from .authorisation import Authorise, everybody
+from .authorisation import Authorise, both, everybody
 from .connection import ServerConnection
 from .connections import ConnectionManagement, ConnectionStatus, ServerCounters
 from .limits import raise_open_file_limit
 from .line import SerialListener
+from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
 from .parameters import ListenerParameters
 from .status import ListenerStatus
 from .udp import UdpListener
+
+if TYPE_CHECKING:
+    from ..transport.tls import TlsParameters
 
 _STOP_SECONDS = 0.5
 _TURNS_TO_SETTLE = 4
@@ -64,13 +68,14 @@ class Server:
     """Listeners in front of one handler; an asynchronous context manager that starts and stops.
 
     Args:
-        endpoints: URLs to listen on (``tcp://127.0.0.1:5020``); port 0 takes a free one, an empty host every
-            interface, IPv4 and IPv6.
+        endpoints: URLs to listen on (``tcp://127.0.0.1:5020``), or `Listener` where one has settings of its own; port 0
+            takes a free one, an empty host every interface, IPv4 and IPv6.
         handler: what answers.
         parameters: of the conversation, `ServerParameters`.
         listener: of connections, `ListenerParameters`.
         sockets: of sockets, `SocketParameters`.
         authorise: asked with a client's host before anything of it is read; False closes the connection.
+        tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
 
     Raises:
         ConfigError: an endpoint that can not be listened on.
@@ -78,27 +83,25 @@ class Server:
 
     def __init__(
         self,
-        endpoints: Sequence[str | Endpoint],
+        endpoints: Sequence[str | Endpoint | Listener],
         handler: Handler,
         *,
         parameters: ServerParameters | None = None,
         listener: ListenerParameters | None = None,
         sockets: SocketParameters | None = None,
         authorise: Authorise = everybody,
+        tls: "TlsParameters | None" = None,
     ) -> None:
-        self._wanted = [parse_endpoint(one) for one in endpoints]
-        if not self._wanted:
-            raise ConfigError("at least one endpoint to listen on is needed", key="endpoints")
-        self._settings = [listener_settings(endpoint) for endpoint in self._wanted]
+        limits = listener or ListenerParameters()
+        self._settings = [listener_settings(one, limits=limits, tls=tls) for one in as_listeners(endpoints)]
         for settings in self._settings:
-            if settings.endpoint.carrier not in ("tcp", "udp", "serial"):
-                raise ConfigError(f"{settings.endpoint}: a server can not listen on {settings.endpoint.scheme}:// yet")
+            if settings.endpoint.carrier == "tls" and settings.tls is None:
+                raise ConfigError(f"{settings.endpoint}: a certificate and its key are needed", key="tls")
             if settings.endpoint.framing != "mbap":
                 settings.line_framing(_serial_units(handler, settings.endpoint), handler.functions)
         self.authorise = authorise
         self._handler = handler
         self._parameters = parameters or ServerParameters()
-        self._listener = listener or ListenerParameters()
         self._sockets = sockets or SocketParameters()
         self._listeners: list[asyncio.Server] = []
         self._datagrams: list[UdpListener] = []
@@ -170,11 +173,11 @@ class Server:
             settings,
             self._handler,
             () if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
-            parameters=self._listener,
+            parameters=settings.limits,
             session_parameters=self._parameters,
             counters=self.counters,
             slots=slots,
-            authorise=self.authorise,
+            authorise=both(self.authorise, settings.access),
         )
         transport, _ = await loop.create_datagram_endpoint(
             lambda: listener, local_addr=(endpoint.host or "0.0.0.0", endpoint.port or 0)
@@ -191,20 +194,20 @@ class Server:
             loop,
             self._handler,
             listener=endpoint.url,
-            parameters=self._listener,
+            parameters=settings.limits,
             session_parameters=self._parameters,
             sockets=self._sockets,
             counters=self.counters,
             slots=slots,
             settings=settings,
             units=() if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
-            authorise=self.authorise,
+            authorise=both(self.authorise, settings.access),
         )
         listener = await loop.create_server(
-            lambda: ServerConnection(management),
+            _protocols(management, settings),
             endpoint.host or None,
             endpoint.port or 0,
-            backlog=self._listener.backlog,
+            backlog=settings.limits.backlog,
             reuse_address=True,
         )
         self._listeners.append(listener)
@@ -265,7 +268,7 @@ class Server:
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self._bound),
             connections=tuple(one for listener in self._with_peers() for one in listener.status()),
-            supported_connections=len(self._managements) * self._listener.max_connections,
+            supported_connections=sum(one.parameters.max_connections for one in self._managements),
             counters=self._counters_now(),
             listeners=(
                 *(management.listener_status() for management in self._managements),
@@ -297,6 +300,15 @@ class Server:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.stop()
+
+
+def _protocols(management: ConnectionManagement, settings: ListenerSettings) -> Callable[[], asyncio.BaseProtocol]:
+    """What makes the protocol of each newcomer: over TLS, a gate that lets it in after the handshake."""
+    if settings.tls is None:
+        return lambda: ServerConnection(management)
+    from .secure import gate
+
+    return gate(management, settings.tls)
 
 
 async def _accept_no_more(listeners: Sequence[asyncio.Server]) -> None:

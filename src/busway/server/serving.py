@@ -5,7 +5,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..config.endpoints import Endpoint
 from ..config.options import build_parameters, option_names
@@ -16,10 +16,14 @@ from ..session.parameters import ServerParameters
 from ..transport.tcp import SocketParameters
 from .authorisation import Authorise, everybody
 from .device import Device
+from .listener import Listener
 from .local import LocalHandler, UnitPolicy, UnlistedUnit
 from .loops import run as run_on_new_loop
 from .parameters import ListenerParameters
 from .server import Server, ServerStatus
+
+if TYPE_CHECKING:
+    from ..transport.tls import TlsParameters
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
 
@@ -27,13 +31,14 @@ Choice = TypeVar("Choice", bound=Enum)
 
 
 def serve(
-    *endpoints: str | Endpoint,
+    *endpoints: str | Endpoint | Listener,
     units: Mapping[int, Device] | Device | None = None,
     handler: Handler | None = None,
     unit_policy: UnitPolicy | str = UnitPolicy.LISTED,
     unlisted: UnlistedUnit | str = UnlistedUnit.EXCEPTION,
     functions: FunctionTable = STANDARD,
     authorise: Authorise = everybody,
+    tls: "TlsParameters | None" = None,
     **options: Any,  # fields of the three parameter classes, checked by them
 ) -> Server:
     """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
@@ -41,7 +46,7 @@ def serve(
     Args:
         endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one. Serial ports
             (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind go together; what a port is set to stands in
-            its URL.
+            its URL. A `Listener` has access rules, certificates or limits of its own.
         units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with. On a serial
             line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
         handler: instead of ``units``, anything that answers requests (`busway.session.handler.Handler`).
@@ -50,6 +55,7 @@ def serve(
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
         authorise: asked with the host of each newcomer (``"10.0.0.7"``), before a byte of it is parsed; where it gives
             False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
+        tls: certificate, key and authorities of ``tls://`` listeners.
         options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name.
 
     Raises:
@@ -84,6 +90,7 @@ def serve(
         listener=build_parameters(ListenerParameters, chosen[1]),
         sockets=build_parameters(SocketParameters, chosen[2]),
         authorise=authorise,
+        tls=tls,
     )
 
 
@@ -96,7 +103,7 @@ def _chosen(kind: type[Choice], key: str, value: Choice | str) -> Choice:
 
 
 def serve_forever(
-    *endpoints: str | Endpoint, started: Callable[[Server], None] | None = None, **options: Any
+    *endpoints: str | Endpoint | Listener, started: Callable[[Server], None] | None = None, **options: Any
 ) -> None:  # Any: see serve
     """Serve from a blocking program until it is interrupted (Ctrl-C).
 
@@ -142,7 +149,7 @@ class ServerThread:
 
 
 @contextlib.contextmanager
-def serve_in_thread(*endpoints: str | Endpoint, **options: Any) -> Iterator[ServerThread]:  # Any: see serve
+def serve_in_thread(*endpoints: str | Endpoint | Listener, **options: Any) -> Iterator[ServerThread]:  # Any: see serve
     """Serve in a thread beside a blocking program: ``with busway.serve_in_thread(units={1: device}) as server: …``.
 
     Devices may be read and written from any thread. Leaving the block stops the server within a second.

@@ -1,0 +1,40 @@
+"""One place where a server listens, with what holds there alone.
+
+Knows the names of the settings; each of them knows its meaning.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..config.endpoints import Endpoint
+from ..errors import ConfigError
+from .authorisation import Authorise
+from .parameters import ListenerParameters
+
+if TYPE_CHECKING:
+    from ..transport.tls import TlsParameters
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """An endpoint to listen on, where it differs from the other listeners of a server.
+
+    Attributes:
+        endpoint: URL.
+        access: asked with the host of each newcomer, beside the server's own question; both must say yes.
+        tls: certificate, key and authorities of a ``tls://`` listener; None takes the server's.
+        limits: limits of its connections; None takes the server's.
+    """
+
+    endpoint: str | Endpoint
+    access: Authorise | None = None
+    tls: "TlsParameters | None" = None
+    limits: ListenerParameters | None = None
+
+
+def as_listeners(wanted: Sequence[str | Endpoint | Listener]) -> list[Listener]:
+    """Each as a `Listener`. Raises `ConfigError` where there is none."""
+    if not wanted:
+        raise ConfigError("at least one endpoint to listen on is needed", key="endpoints")
+    return [one if isinstance(one, Listener) else Listener(one) for one in wanted]
