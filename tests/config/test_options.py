@@ -1,5 +1,6 @@
 """Options as text and as values: each type both ways, and the key in every error."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,20 @@ import pytest
 from busway.config.options import build_parameters, option_names
 from busway.errors import ConfigError
 from busway.session.parameters import ClientParameters, MismatchPolicy, Scope, ServerParameters
+
+
+@dataclass(frozen=True)
+class Names:
+    """A type of its own, made of a list of texts."""
+
+    all: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, texts: Sequence[str]) -> "Names":
+        for text in texts:
+            if not text.isalpha():
+                raise ConfigError(f"{text!r} is no name")
+        return cls(tuple(texts))
 
 
 @dataclass(frozen=True)
@@ -20,10 +35,11 @@ class Everything:
     text: str = "a"
     policy: MismatchPolicy = MismatchPolicy.STRICT
     perhaps: float | None = None
+    names: Names = Names()
 
 
 def test_the_options_of_a_class_are_its_fields_in_their_order() -> None:
-    assert option_names(Everything) == ("whole", "number", "switch", "text", "policy", "perhaps")
+    assert option_names(Everything) == ("whole", "number", "switch", "text", "policy", "perhaps", "names")
 
 
 @pytest.mark.parametrize(
@@ -47,7 +63,11 @@ def test_the_options_of_a_class_are_its_fields_in_their_order() -> None:
         ("policy", "automatic", MismatchPolicy.AUTOMATIC),
         ("policy", MismatchPolicy.IGNORE, MismatchPolicy.IGNORE),
         ("perhaps", None, None),
+        ("perhaps", "none", None),
         ("perhaps", "2", 2.0),
+        ("names", "a, b", Names(("a", "b"))),
+        ("names", ["a"], Names(("a",))),
+        ("names", Names(("c",)), Names(("c",))),
         ("perhaps", 2, 2.0),
     ],
 )
@@ -72,8 +92,11 @@ def test_a_value_or_its_text_becomes_the_type_of_the_field(key: str, given: obje
         ("text", 5, "must be a text, not 5"),
         ("policy", "lax", "must be one of strict, automatic, ignore, not 'lax'"),
         ("policy", 5, "must be one of strict, automatic, ignore, not 5"),
-        ("perhaps", "none", "must be a number, not 'none'"),
-        ("colour", "red", "unknown option; there are number, perhaps, policy, switch, text, whole"),
+        ("whole", "none", "must be a whole number, not 'none'"),
+        ("names", 5, "must be a list of texts, not 5"),
+        ("names", ["a", 5], "must be a list of texts, not ['a', 5]"),
+        ("names", "a, !", "'!' is no name"),
+        ("colour", "red", "unknown option; there are names, number, perhaps, policy, switch, text, whole"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_key(key: str, given: object, sentence: str) -> None:

@@ -1,6 +1,7 @@
 """Options given as text (URLs, command line) or as keywords, turned into the fields of a parameter class.
 
-Knows the types that parameter classes use; knows no particular parameter.
+Knows the types that parameter classes use; knows no particular parameter. A type of its own is made by its ``parse``,
+from a list of texts.
 """
 
 from collections.abc import Mapping
@@ -13,6 +14,8 @@ from ..errors import ConfigError
 
 Parameters = TypeVar("Parameters")
 
+NONE = "none"
+"""The text for no value, where an option may have none: files and URLs have no other word for it."""
 _TRUE = frozenset({"1", "true", "yes", "on"})
 _FALSE = frozenset({"0", "false", "no", "off"})
 
@@ -39,7 +42,7 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> P
 
 def _converted(name: str, value: object, wanted: Any) -> object:  # a type, or a union of types
     kinds = get_args(wanted) if isinstance(wanted, UnionType) else (wanted,)
-    if value is None and NoneType in kinds:
+    if NoneType in kinds and (value is None or value == NONE):
         return None
     kind = next(one for one in kinds if one is not NoneType)
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -50,13 +53,26 @@ def _converted(name: str, value: object, wanted: Any) -> object:  # a type, or a
         except ValueError:
             allowed = ", ".join(str(one.value) for one in kind)
             raise ConfigError(f"must be one of {allowed}, not {value!r}", key=name) from None
-    if isinstance(value, str) and kind is not str:
+    if isinstance(value, kind) and not (isinstance(value, bool) and kind is not bool):
+        return value
+    if hasattr(kind, "parse"):
+        return _parsed(name, value, kind)
+    if isinstance(value, str):
         return _from_text(name, value, kind)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise ConfigError(f"must be {_words(kind)}, not {value!r}", key=name)
-    return value
+    raise ConfigError(f"must be {_words(kind)}, not {value!r}", key=name)
+
+
+def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
+    """A list of texts, or one text with commas between them, for a class that is made of such a list."""
+    texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
+    if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
+        raise ConfigError(f"must be a list of texts, not {value!r}", key=name)
+    try:
+        return kind.parse(texts)
+    except ConfigError as error:
+        raise ConfigError(error.message, key=name) from error
 
 
 def _from_text(name: str, text: str, kind: type) -> object:
