@@ -100,6 +100,8 @@ def test_a_port_that_is_taken_ends_as_5(run: Callable[..., Any], url: str) -> No
     assert result.out == ""
     (sentence,) = result.err.splitlines()
     assert url in sentence
+    assert "the port is taken" in sentence
+    assert "Errno" not in sentence
 
 
 @pytest.mark.parametrize("listen", ["nowhere", "http://127.0.0.1:0", "tcp://127.0.0.1:70000"])

@@ -99,6 +99,8 @@ _REASONS = {
     errno.ECONNRESET: "the peer reset the connection",
     errno.EPIPE: "the peer closed the connection",
     errno.EADDRNOTAVAIL: "the local address does not exist on this host",
+    errno.EADDRINUSE: "the port is taken; another program listens there (address already in use)",
+    errno.EACCES: "the system does not allow it (permission denied); ports below 1024 belong to privileged programs",
     errno.EMFILE: "this process has no file handles left",
 }
 
