@@ -4,6 +4,7 @@ import errno
 import os
 import tty
 from collections.abc import Callable
+from pathlib import Path
 
 Answer = Callable[[bytearray], None]
 
@@ -41,19 +42,29 @@ def giving(data: bytes) -> Answer:
 
 
 class Pty:
-    """A pseudo-terminal whose near end the test holds."""
+    """A pseudo-terminal whose near end the test holds.
 
-    def __init__(self) -> None:
+    ``name``: a path of the test's own that leads to it until it vanishes. The numbers of pseudo-terminals belong to the
+    machine, and one that was given back may be another program's a moment later.
+    """
+
+    def __init__(self, name: Path | None = None) -> None:
         self.near, far = os.openpty()
         tty.setraw(far)
         self.path = os.ttyname(far)
         self._far: int | None = far
+        self._name = name
+        if name is not None:
+            name.symlink_to(self.path)
+            self.path = str(name)
 
     def vanish(self) -> None:
         """Take it away from whoever has the far end open."""
         os.close(self.near)
         self._close_far()
         self.near = -1
+        if self._name is not None:
+            self._name.unlink()
 
     def close(self) -> None:
         if self.near >= 0:
