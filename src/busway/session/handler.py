@@ -46,9 +46,21 @@ class RequestContext:
         diagnostics: counters of the line or listener.
         executed: of a broadcast, which goes to every unit of a line: the ids of what has executed it, so that a device
             with several units does it once. None otherwise.
+        gone: called if the client goes away while a late reply is awaited; whoever promised `LATER` may set it.
     """
 
-    __slots__ = ("_finish", "diagnostics", "executed", "function", "listener", "peer", "role", "transaction", "unit")
+    __slots__ = (
+        "_finish",
+        "diagnostics",
+        "executed",
+        "function",
+        "gone",
+        "listener",
+        "peer",
+        "role",
+        "transaction",
+        "unit",
+    )
 
     def __init__(
         self,
@@ -70,7 +82,15 @@ class RequestContext:
         self.role = role
         self.transaction = transaction
         self.executed: set[int] | None = None
+        self.gone: Callable[[], None] | None = None
         self._finish = finish
+
+    def abandon(self) -> None:
+        """The client has gone, or has given up: no reply can be given any more, and who works on one may stop."""
+        self._finish = None
+        gone, self.gone = self.gone, None
+        if gone is not None:
+            gone()
 
     @property
     def replied(self) -> bool:

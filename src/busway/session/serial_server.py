@@ -155,7 +155,7 @@ class SerialServerSession:
         context, self._waiting = self._waiting, None
         if context is not None:
             self._diagnostics.kept_silent()
-            context._finish = None
+            context.abandon()
         self._receiver.flush(self._last_byte)
 
     # Inside.
@@ -283,7 +283,7 @@ class SerialServerSession:
         if context is not None:
             self.abandoned += 1
             self._diagnostics.kept_silent()
-            context._finish = None
+            context.abandon()
 
     def _answer(self, context: RequestContext, reply: Message) -> bytes:
         if isinstance(reply, ExceptionResponse):

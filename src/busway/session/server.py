@@ -223,7 +223,7 @@ class TcpServerSession:
         for context in waiting or ():
             self._slots.used -= 1
             self._diagnostics.kept_silent()
-            context._finish = None
+            context.abandon()
 
     def _offers(self, unit: int) -> Mapping[int, Answer]:
         if self._diagnostics.listen_only:

@@ -1,0 +1,61 @@
+"""What a handler learns of a client that goes away before its late reply."""
+
+from busway.codes import FunctionCode
+from busway.pdu.functions import STANDARD, AnyRequest
+from busway.pdu.general import ExceptionResponse
+from busway.session.diagnostics import CommunicationState
+from busway.session.handler import LATER, Outcome, RequestContext
+from busway.session.server import TcpServerSession, TransactionSlots
+
+
+class _Promises:
+    """Promises every reply, and notes who has gone."""
+
+    functions = STANDARD
+    generation = 0
+
+    def __init__(self) -> None:
+        self.contexts: list[RequestContext] = []
+        self.gone: list[int] = []
+
+    def direct(self, context: RequestContext) -> dict[int, object]:
+        return {}
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        self.contexts.append(context)
+        context.gone = lambda: self.gone.append(context.transaction)
+        return LATER
+
+
+def _session(handler: _Promises, sent: list[bytes]) -> TcpServerSession:
+    return TcpServerSession(
+        handler,
+        diagnostics=CommunicationState(),
+        slots=TransactionSlots(16),
+        deliver=sent.append,  # type: ignore[arg-type]
+    )
+
+
+def _read(transaction: int) -> bytes:
+    return bytes((0, transaction, 0, 0, 0, 6, 1, FunctionCode.READ_HOLDING_REGISTERS, 0, 0, 0, 1))
+
+
+def test_those_whose_reply_is_awaited_are_told_when_their_client_goes():
+    handler, sent = _Promises(), list[bytes]()
+    session = _session(handler, sent)
+    data = _read(1) + _read(2) + _read(3)
+    session.receive(data, len(data))
+    handler.contexts[1].reply(ExceptionResponse(3, 4))
+    session.close()
+    assert sorted(handler.gone) == [1, 3]
+    assert len(sent) == 1
+
+
+def test_a_reply_to_a_client_that_has_gone_goes_nowhere():
+    handler, sent = _Promises(), list[bytes]()
+    session = _session(handler, sent)
+    session.receive(_read(1), 12)
+    session.close()
+    handler.contexts[0].reply(ExceptionResponse(3, 4))
+    assert sent == []
+    assert handler.contexts[0].replied
