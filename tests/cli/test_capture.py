@@ -1,4 +1,4 @@
-"""``--capture`` of ``read`` and ``serve``."""
+"""``--capture`` of the commands that talk to a device, and of ``serve``."""
 
 import re
 from collections.abc import Callable
@@ -26,6 +26,23 @@ def test_what_a_read_sends_and_receives_is_captured(run: Callable[..., Any], url
     assert answered[7:] == bytes.fromhex("03 02 0000")
 
 
+@pytest.mark.parametrize(
+    ("command", "pdu"),
+    [
+        (["write", "4x1", "7"], "06 0000 0007"),
+        (["write", "4x1", "--mask", "0xff00", "0x0001"], "16 0000 ff00 0001"),
+        (["identify"], "11"),
+        (["counters"], "08 000b 0000"),
+    ],
+)
+def test_what_other_commands_send_is_captured_too(
+    run: Callable[..., Any], url: str, tmp_path: Path, command: list[str], pdu: str
+) -> None:
+    file = tmp_path / "sent.pcapng"
+    assert run(command[0], url, *command[1:], "--unit", "1", "--capture", str(file)).code == 0
+    assert bytes.fromhex(pdu) in [payload[7:] for payload in payloads(file)]
+
+
 def test_a_server_captures_each_connection_until_it_is_stopped(run: Callable[..., Any], tmp_path: Path) -> None:
     file = tmp_path / "served.pcapng"
     with Busway("serve", "--listen", "tcp://127.0.0.1:0", "--capture", str(file)) as server:
@@ -38,7 +55,16 @@ def test_a_server_captures_each_connection_until_it_is_stopped(run: Callable[...
     assert [payload[7:].hex() for payload in payloads(file)] == ["0300000001", "03020000"] * 2
 
 
-@pytest.mark.parametrize("command", [["read", "tcp://127.0.0.1:1", "4x1"], ["serve"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["read", "tcp://127.0.0.1:1", "4x1"],
+        ["write", "tcp://127.0.0.1:1", "4x1", "1"],
+        ["identify", "tcp://127.0.0.1:1"],
+        ["counters", "tcp://127.0.0.1:1"],
+        ["serve"],
+    ],
+)
 def test_a_file_that_can_not_be_written_is_named_and_nothing_is_done(
     run: Callable[..., Any], command: list[str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -133,14 +134,46 @@ def test_listening_ends_with_its_duration(run: Callable[..., Any], line: PacedLi
     assert "0 frames in 0.1 s, the line was busy 0.0 %" in result.out
 
 
-def test_the_statistics_come_also_when_the_port_vanishes(line: PacedLine, talker: Callable[..., None]) -> None:
+def test_a_port_that_vanishes_is_waited_for_and_heard_again(line: PacedLine, talker: Callable[..., None]) -> None:
+    with Busway("sniff", url(line) + "&reopen_first=0.01&reopen_most=0.05") as busway:
+        busway.wait_for("listening")
+        talker("01 03 006b 0001", "01 03 02 022b")
+        line.unplug(1)
+        busway.wait_for("waiting for it")
+        line.replug(1)
+        busway.wait_for("it is back")
+        talker("01 03 006b 0001", "01 03 02 022b")
+        out, _ = busway.stop()
+    assert busway.process.returncode == 0
+    assert "4 frames in " in out
+
+
+def test_the_statistics_come_also_where_the_port_is_still_gone_at_the_end(
+    line: PacedLine, talker: Callable[..., None]
+) -> None:
     with Busway("sniff", url(line)) as busway:
         busway.wait_for("listening")
         talker("01 03 006b 0001", "01 03 02 022b")
         line.unplug(1)
-        out, err = busway.end()
+        busway.wait_for("waiting for it")
+        out, err = busway.stop()
     assert busway.process.returncode == 5
     assert "2 frames in " in out
+    assert not err
+
+
+def test_the_statistics_come_also_when_a_connection_ends() -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        Busway("sniff", f"rtu+tcp://127.0.0.1:{listener.getsockname()[1]}") as busway,
+    ):
+        peer, _ = listener.accept()
+        with peer:
+            busway.wait_for("listening")
+            peer.sendall(encode_rtu(1, bytes.fromhex("03 006b 0001")))
+        out, err = busway.end()
+    assert busway.process.returncode == 5
+    assert "1 frames in " in out
     assert len(err.strip().splitlines()) == 1
 
 

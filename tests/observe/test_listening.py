@@ -10,7 +10,7 @@ from busway.errors import ConfigError, LinkDown
 from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
 from busway.framing.timing import FIXED_T3_5, SerialTiming
-from busway.observe.listening import Listening, line_to_hear
+from busway.observe.listening import DatagramEar, Listening, line_to_hear
 from busway.observe.pairing import Heard, Kind
 from busway.testing.line import PacedLine
 from busway.transport.serial import BlockingSerialPort
@@ -97,6 +97,54 @@ def test_a_server_that_is_not_there_is_no_connection() -> None:
         Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}"))
 
 
+@pytest.mark.parametrize(("framing", "encode"), [("rtu", encode_rtu), ("ascii", encode_ascii)])
+def test_datagrams_of_a_device_server_are_heard_where_they_arrive(framing: str, encode: type) -> None:
+    with (
+        Listening(line_to_hear(f"{framing}+udp://127.0.0.1:0?receive_buffer=4096")) as listening,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server,
+    ):
+        assert isinstance(listening._ear, DatagramEar)
+        there = "127.0.0.1", listening._ear.port
+        assert listening.hear(time.monotonic() + 0.01) == []
+        server.sendto(encode(1, REQUEST), there)
+        server.sendto(encode(1, REPLY), there)
+        assert [event.kind for event in heard(listening, 2)] == [Kind.REQUEST, Kind.REPLY]
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
+def test_datagrams_can_only_be_taken_at_this_machine(host: str) -> None:
+    with pytest.raises(LinkDown, match="datagrams can not be taken there"):
+        Listening(line_to_hear(f"rtu+udp://{host}:4001"))
+
+
+def test_a_port_that_vanishes_is_heard_again_when_it_is_back(line: PacedLine) -> None:
+    told: list[str] = []
+    with Listening(
+        line_to_hear(f"rtu://{line.paths[1]}?reopen_first=0.01&reopen_most=0.02"),
+        vanished=lambda error: told.append(str(error)),
+        returned=lambda: told.append("back"),
+    ) as listening:
+        line.inject(b"\x01\x03\x00")
+        limit = time.monotonic() + LIMIT
+        while listening.bytes_heard < 3:
+            assert listening.hear(limit) == []
+        line.unplug(1)
+        (broken,) = heard(listening, 1)
+        assert broken.kind is Kind.DAMAGED
+        assert listening.lost is not None
+        for _ in range(5):
+            assert listening.hear(time.monotonic() + 0.01) == []
+        assert listening.finish() == []
+        line.replug(1)
+        while listening.lost is not None:
+            assert time.monotonic() < limit
+            listening.hear(limit)
+        assert [said == "back" for said in told] == [False, True]
+        with BlockingSerialPort(line.paths[0], line.settings) as talker:
+            talker.write(encode_rtu(1, REQUEST))
+            assert [event.kind for event in heard(listening, 1)] == [Kind.REQUEST]
+
+
 def test_nothing_is_heard_in_silence() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
@@ -118,7 +166,11 @@ def test_the_times_of_a_line_are_those_of_its_settings() -> None:
     ("url", "complaint"),
     [
         ("tcp://10.0.0.5", "only a line"),
-        ("rtu+udp://10.0.0.5:4001", "only a line"),
+        ("udp://10.0.0.5:4001", "only a line"),
+        ("rtu+udp://:4001?keepalive=off", "keepalive: unknown option"),
+        ("rtu+tcp://10.0.0.5:4001?strict_timing=on", "strict_timing: unknown option"),
+        ("rtu:///dev/ttyS0?delimiter=3", "delimiter: unknown option"),
+        ("rtu:///dev/ttyS0?port_wait=3", "port_wait: unknown option"),
         ("rtu:///dev/ttyS0?baud=12", "baud"),
         ("rtu:///dev/ttyS0?timeout=2", "timeout: unknown option"),
         ("rtu+tcp://10.0.0.5:4001?baud=9600", "baud: unknown option"),

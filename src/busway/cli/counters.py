@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..codes import DiagnosticCode
 from ..errors import ExceptionReply
-from .arguments import JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
+from .arguments import CAPTURE, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
 from .exits import ExitCode
+from .files import capturing
 from .output import print_aligned, print_json, say
 
 if TYPE_CHECKING:
@@ -80,12 +81,16 @@ def counters(
     as_json: bool = JSON,
     timeout: str | None = TIMEOUT,
     retries: str | None = RETRIES,
+    capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
     """Read the counters of a device (functions 08, 11, 12 and 07)."""
     facts: list[Fact] = []
     refusals: list[ExceptionReply] = []
-    with opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked:
+    with (
+        capturing(capture),
+        opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked,
+    ):
         for function, name, ask in _questions():
             try:
                 facts += ask(asked)

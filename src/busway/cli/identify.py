@@ -10,8 +10,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
-from .arguments import CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
+from .arguments import CAPTURE, CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
 from .exits import ExitCode
+from .files import capturing
 from .output import print_aligned, print_csv, print_json, say, shown_value
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def identify(
     as_csv: bool = CSV,
     timeout: str | None = TIMEOUT,
     retries: str | None = RETRIES,
+    capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
     """Ask a device what it is (functions 43/14 and 17)."""
@@ -47,7 +49,10 @@ def identify(
         ("device identification (43/14)", _identification),
         ("server id (17)", _server_id),
     )
-    with opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked:
+    with (
+        capturing(capture),
+        opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked,
+    ):
         for name, ask in questions:
             try:
                 facts += ask(asked)

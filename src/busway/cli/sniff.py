@@ -2,7 +2,8 @@
 
 1. One line per frame: time, silence before it, unit, function, fields. What is damaged is shown with the reason, and a
    request that nobody answers by itself.
-2. At the end – Ctrl-C, SIGTERM, ``--duration`` – come the statistics, also where the port has vanished meanwhile.
+2. At the end – Ctrl-C, SIGTERM, ``--duration`` – come the statistics, also where the connection has ended.
+3. A serial port that vanishes is waited for and opened again; where it is still gone at the end, the exit code says so.
 """
 
 import sys
@@ -33,7 +34,9 @@ Examples:
   busway sniff 'rtu:///dev/ttyUSB0?baud=9600&parity=none' --duration 1m
   busway sniff ascii:///dev/ttyS1 --json
   busway sniff rtu+tcp://10.0.0.9:4001 --capture line.pcapng
+  busway sniff rtu+udp://:4001
 
+Over TCP a device server is dialled. Over UDP it has to send its datagrams here; the URL names the port they come to.
 The times in front: when a frame began, and the silence before it in milliseconds.
 """
 
@@ -42,7 +45,9 @@ _HEADING = "unit, requests, replies, exceptions, no reply, repeats, stray, faste
 
 def sniff(
     url: str = typer.Argument(
-        ..., metavar="URL", help="The line: rtu:///dev/ttyUSB0, ascii:///dev/ttyS1, rtu+tcp://host:4001."
+        ...,
+        metavar="URL",
+        help="The line: rtu:///dev/ttyUSB0, ascii:///dev/ttyS1, rtu+tcp://host:4001, rtu+udp://:4001.",
     ),
     duration: str | None = typer.Option(None, "--duration", metavar="TIME", help="Listen so long: 30s, 5m, 1h."),
     reply_window: str = typer.Option(
@@ -61,7 +66,14 @@ def sniff(
     lasting = None if duration is None else seconds(duration, "--duration", low=0.01, high=10 * 365 * 86_400)
     with ExitStack() as stack:
         file = stack.enter_context(open_capture(capture) if capture is not None else nullcontext())
-        listening = stack.enter_context(Listening(line, Pairing(window)))
+        listening = stack.enter_context(
+            Listening(
+                line,
+                Pairing(window),
+                vanished=lambda error: say(f"{line.endpoint.url}: {error.message}; waiting for it"),
+                returned=lambda: say(f"{line.endpoint.url}: it is back"),
+            )
+        )
         sniffing = _Sniffing(
             listening,
             file.line(line.endpoint.url) if file is not None else None,
@@ -103,7 +115,7 @@ class _Sniffing:
             self._show(self._listening.finish())
         finally:
             self._conclude(time.monotonic() - self._began)
-        return ExitCode.DONE
+        return ExitCode.DONE if self._listening.lost is None else ExitCode.NO_CONNECTION
 
     def _show(self, events: "list[Heard]") -> None:
         for event in events:

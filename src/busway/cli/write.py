@@ -13,6 +13,7 @@ from ..codes import Table
 from ..errors import ConfigError, InvalidRequest
 from ..values import Address, ValueType, parse_address, parse_bit, value_type
 from .arguments import (
+    CAPTURE,
     CSV,
     JSON,
     ORDER,
@@ -27,6 +28,7 @@ from .arguments import (
     whole_number,
 )
 from .exits import ExitCode
+from .files import capturing
 from .output import choose_writer, value_rows
 
 if TYPE_CHECKING:
@@ -66,6 +68,7 @@ def write(
     as_csv: bool = CSV,
     timeout: str | None = TIMEOUT,
     retries: str | None = RETRIES,
+    capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
     """Write values to a device."""
@@ -76,12 +79,16 @@ def write(
         raise ConfigError(f"one of {', '.join(_FUNCTIONS)} is needed, not {function!r}", key="--function")
     place = parse_address(address)
     if mask is not None:
-        return _write_mask(place, mask, texts, url, unit=unit, timeout=timeout, retries=retries, verbose=verbose)
+        with capturing(capture):
+            return _write_mask(place, mask, texts, url, unit=unit, timeout=timeout, retries=retries, verbose=verbose)
     if not texts:
         raise ConfigError(f"there is no value to write to {place}", key="VALUE")
     form, values, raw = _parsed(place, texts, kind, order)
     writer = choose_writer(as_json=as_json, as_csv=as_csv)
-    with opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked:
+    with (
+        capturing(capture),
+        opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked,
+    ):
         asked.write(place, values[0] if place.bit is not None else values, form, function=chosen)
     writer.write(value_rows(place, form, values, raw))
     return ExitCode.DONE

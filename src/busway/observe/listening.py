@@ -3,8 +3,11 @@
 Knows ports, and sockets to device servers that mirror a line; knows no Modbus beyond what its receiver and `Pairing`
 tell.
 
-1. There is no way to send: nothing here writes.
+1. There is no way to send: nothing here writes. So a device server is dialled over TCP, but over UDP it has to send its
+   datagrams here by itself, and the URL names where they arrive.
 2. A frame that is marked by the port as damaged is none, as for everybody else on the line (Serial Line V1.02 §2.5.1).
+3. A port that vanishes is waited for where somebody wants to know (``vanished``); otherwise it ends the listening.
+   A connection that ends does so always: its device server has decided it.
 """
 
 import socket
@@ -21,9 +24,10 @@ from ..framing.received import Damaged, Received
 from ..framing.timing import Parity, SerialTiming
 from ..session.line_framing import FramingParameters, line_framing
 from ..transport.serial.blocking import BlockingSerialPort
-from ..transport.serial.opening import Claim
+from ..transport.serial.opening import Claim, OpeningParameters
 from ..transport.serial.settings import SerialSettings
 from ..transport.tcp import SocketParameters, link_down, network_reason
+from ..transport.udp import MAX_DATAGRAM
 from .pairing import Heard, Pairing
 
 _READ_SIZE: Final = 65_536
@@ -32,6 +36,13 @@ _LONGEST_WAIT: Final = 0.2
 
 _LAST_READS: Final = 64
 """Reads at the end, far more than a line needs: a peer that sends without end must not keep us."""
+
+_OF_REOPENING: Final = frozenset({"reopen_first", "reopen_most"})
+"""What of the opening has an effect here."""
+_OF_DATAGRAMS: Final = frozenset({"receive_buffer"})
+"""The same of sockets that nobody is connected to."""
+_ONLY_RTU: Final = frozenset({"strict_timing", "gap_limit"})
+_ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_only"})
 
 
 class Ear(Protocol):
@@ -75,6 +86,52 @@ class SocketEar:
         self._socket.close()
 
 
+class DatagramEar:
+    """A port of this machine at which the datagrams of a device server arrive, from whatever address."""
+
+    def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
+        """Bind. Raises `LinkDown`."""
+        self._name = endpoint.url
+        try:
+            places = socket.getaddrinfo(
+                endpoint.host or "0.0.0.0", endpoint.port or 0, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
+            )
+            family, kind, protocol, _, address = places[0]
+            self._socket = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise self._not_here(error) from error
+        try:
+            parameters.apply_buffers(self._socket)
+            self._socket.bind(address)
+        except OSError as error:
+            self._socket.close()
+            raise self._not_here(error) from error
+
+    @property
+    def port(self) -> int:
+        """The port that is bound."""
+        return int(self._socket.getsockname()[1])
+
+    def read(self, timeout: float | None) -> tuple[bytes, int]:
+        """The next datagram within ``timeout`` seconds; none is ever marked as damaged. Raises `LinkDown`."""
+        try:
+            self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
+            return self._socket.recv(MAX_DATAGRAM), 0
+        except TimeoutError:
+            return b"", 0
+        except OSError as error:
+            raise LinkDown(network_reason(error), endpoint=self._name) from error
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _not_here(self, error: OSError) -> LinkDown:
+        down = LinkDown(f"datagrams can not be taken there: {network_reason(error)}", endpoint=self._name)
+        down.__cause__ = error
+        return down
+
+
 @dataclass(frozen=True, slots=True)
 class LineToHear:
     """A line as a URL describes it, not opened yet. Made by `line_to_hear`.
@@ -84,12 +141,14 @@ class LineToHear:
         framing: how frames are found.
         port: what the line is set to; None over a network.
         sockets: of the connection, over a network.
+        opening: how often a port that has vanished is tried.
     """
 
     endpoint: Endpoint
     framing: FramingParameters
     port: SerialSettings | None
     sockets: SocketParameters
+    opening: OpeningParameters
 
     @property
     def timing(self) -> SerialTiming:
@@ -104,7 +163,8 @@ class LineToHear:
     def open(self) -> Ear:
         """Open port or connection. Raises `LinkDown`, and `ConfigError` where this process has the port already."""
         if self.port is None:
-            return SocketEar(self.endpoint, self.sockets)
+            ear = DatagramEar if self.endpoint.carrier == "udp" else SocketEar
+            return ear(self.endpoint, self.sockets)
         return _ClaimedPort(self.endpoint.path, self.port)
 
 
@@ -126,32 +186,56 @@ class _ClaimedPort:
 
 
 def line_to_hear(url: str | Endpoint) -> LineToHear:
-    """The line of a URL: ``rtu:///dev/…``, ``ascii:///dev/…``, ``rtu+tcp://host:port``, ``ascii+tcp://…``.
+    """The line of a URL: ``rtu:///dev/…``, ``rtu+tcp://host:port``, ``rtu+udp://:port``, and the same of ``ascii``.
 
-    Options behind ``?`` are fields of `SerialSettings` and `FramingParameters`, over a network of `SocketParameters`.
+    Options behind ``?`` are fields of `FramingParameters`, and of `SerialSettings` with ``reopen_first`` and
+    ``reopen_most`` of `OpeningParameters`; over TCP of `SocketParameters`, over UDP only its ``receive_buffer``. The
+    host of a UDP URL is one of this machine, empty for every IPv4 address of it.
 
     Raises:
         ConfigError: another scheme, or an option that can not be.
     """
     endpoint = parse_endpoint(url)
-    if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
-        raise ConfigError(f"{endpoint.url}: only a line can be listened to: rtu, ascii, rtu+tcp or ascii+tcp")
-    kinds: tuple[type[Any], ...] = (  # parameter classes share no base
-        FramingParameters,
-        SerialSettings if endpoint.carrier == "serial" else SocketParameters,
-    )
-    chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in kinds}
+    if endpoint.framing == "mbap":
+        raise ConfigError(
+            f"{endpoint.url}: only a line can be listened to: rtu or ascii, alone or with +tcp or +udp",
+        )
+    offered = _offered(endpoint)
+    chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
     for name, value in endpoint.options.items():
-        owner = next((kind for kind in kinds if name in option_names(kind)), None)
+        owner = next((kind for kind, names in offered.items() if name in names), None)
         if owner is None:
-            known = sorted(one for kind in kinds for one in option_names(kind))
+            known = sorted(one for names in offered.values() for one in names)
             raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
         chosen[owner][name] = value
     port = None
     if endpoint.carrier == "serial":
         port = SerialSettings.from_options(chosen[SerialSettings], binary=endpoint.framing == "rtu")
-    framing = build_parameters(FramingParameters, chosen[FramingParameters])
-    return LineToHear(endpoint, framing, port, build_parameters(SocketParameters, chosen.get(SocketParameters, {})))
+    return LineToHear(
+        endpoint,
+        build_parameters(FramingParameters, chosen[FramingParameters]),
+        port,
+        build_parameters(SocketParameters, chosen.get(SocketParameters, {})),
+        build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
+    )
+
+
+def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:  # parameter classes share no base
+    """The options of a scheme that have an effect on who only listens, by the class that takes them."""
+    without = _ONLY_ASCII if endpoint.framing == "rtu" else _ONLY_RTU
+    if endpoint.carrier != "serial":
+        without |= {"strict_timing"}
+    offered: dict[type[Any], list[str]] = {
+        FramingParameters: [name for name in option_names(FramingParameters) if name not in without]
+    }
+    if endpoint.carrier == "serial":
+        offered[SerialSettings] = list(option_names(SerialSettings))
+        offered[OpeningParameters] = sorted(_OF_REOPENING)
+    elif endpoint.carrier == "udp":
+        offered[SocketParameters] = sorted(_OF_DATAGRAMS)
+    else:
+        offered[SocketParameters] = list(option_names(SocketParameters))
+    return offered
 
 
 class Listening:
@@ -160,10 +244,17 @@ class Listening:
     Attributes:
         pairing: what is made of the frames, with the statistics.
         bytes_heard: all bytes, good or not.
+        lost: why nothing is heard: the port has vanished, and is tried again; None while it is there.
     """
 
     def __init__(
-        self, line: LineToHear, pairing: Pairing | None = None, *, clock: Callable[[], float] = time.monotonic
+        self,
+        line: LineToHear,
+        pairing: Pairing | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        vanished: Callable[[LinkDown], None] | None = None,
+        returned: Callable[[], None] = lambda: None,
     ) -> None:
         """Open the line.
 
@@ -171,6 +262,9 @@ class Listening:
             line: where to listen.
             pairing: what is made of the frames; a new one if None.
             clock: seconds of what `hear` reports.
+            vanished: told when a serial port goes away, which is then opened again as soon as it is there; None ends
+                the listening instead.
+            returned: told when it is there again.
 
         Raises:
             LinkDown: port or connection can not be had.
@@ -186,6 +280,12 @@ class Listening:
             line.framing,
             strip_parity=line.port is not None and line.port.data_bits == 8,
         ).receiver
+        self.lost: LinkDown | None = None
+        self._line = line
+        self._vanished = vanished if line.port is not None else None
+        self._returned = returned
+        self._failures = 0
+        self._try_at = 0.0
         self._ear = line.open()
 
     def __enter__(self) -> Self:
@@ -197,12 +297,19 @@ class Listening:
     def hear(self, until: float) -> list[Heard]:
         """What is heard next; empty where nothing was, or nothing that is whole, before ``until`` (clock seconds).
 
+        It comes back after a fifth of a second at the latest, also while a port is waited for.
+
         Raises:
-            LinkDown: the port vanished, or the connection ended.
+            LinkDown: the port vanished and is not waited for, or the connection ended.
         """
         now = self._clock()
+        if self.lost is not None and not self._try_again(now, until):
+            return self._understand(b"", 0, self._clock())
         due = self._receiver.deadline() or self.pairing.deadline() or until
-        data, damaged = self._ear.read(max(min(due, until, now + _LONGEST_WAIT) - now, 0.0))
+        try:
+            data, damaged = self._ear.read(max(min(due, until, now + _LONGEST_WAIT) - now, 0.0))
+        except LinkDown as error:
+            return self._lose(error)
         now = self._clock()
         self.bytes_heard += len(data)
         return self._understand(data, damaged, now)
@@ -211,21 +318,58 @@ class Listening:
         """At the end: what has come and was not read yet, and what is made of bytes that are still undecided.
 
         Raises:
-            LinkDown: the port vanished, or the connection ended.
+            LinkDown: the port vanished and is not waited for, or the connection ended.
         """
         events: list[Heard] = []
         for _ in range(_LAST_READS):
-            data, damaged = self._ear.read(0.0)
+            if self.lost is not None:
+                break
+            try:
+                data, damaged = self._ear.read(0.0)
+            except LinkDown as error:
+                return events + self._lose(error)
             self.bytes_heard += len(data)
             if not data:
                 break
             events += self._understand(data, damaged, self._clock())
-        found = self._receiver.flush(self._clock())
-        return events + [event for each in found for event in self.pairing.heard(each)]
+        return events + self._flushed()
 
     def close(self) -> None:
         """Stop listening. May be called twice."""
         self._ear.close()
+
+    def _lose(self, error: LinkDown) -> list[Heard]:
+        """The port has gone; what was heard of a frame is all there will be of it."""
+        if self._vanished is None:
+            raise error
+        self.lost = error
+        self._ear.close()
+        self._failures = 0
+        self._try_at = self._clock()
+        self._vanished(error)
+        return self._flushed()
+
+    def _try_again(self, now: float, until: float) -> bool:
+        """Wait for the next attempt, a fifth of a second at most, and open the port if its time has come."""
+        pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
+        if pause > 0:
+            time.sleep(pause)
+        if self._clock() < self._try_at:
+            return False
+        try:
+            self._ear = self._line.open()
+        except LinkDown as error:
+            self.lost = error
+            self._failures += 1
+            self._try_at = self._clock() + (self._line.opening.policy().pause(self._failures) or 0.0)
+            return False
+        self.lost = None
+        self._returned()
+        return True
+
+    def _flushed(self) -> list[Heard]:
+        found = self._receiver.flush(self._clock())
+        return [event for each in found for event in self.pairing.heard(each)]
 
     def _understand(self, data: bytes, damaged: int, now: float) -> list[Heard]:
         found: list[Received]
