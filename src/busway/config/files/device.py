@@ -30,7 +30,7 @@ Rules:
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any, Final, Literal, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...codes import MAX_FILE_RECORD_NUMBER, TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
@@ -38,9 +38,9 @@ from ...session.parameters import ServerParameters
 from ...transport.tcp import SocketParameters
 from ...values import Address, ValueType, parse_address, value_type
 from ...values.refusal import shown
-from ..endpoints import parse_endpoint
-from ..options import build_parameters, option_names
 from .lines import Path
+from .listeners import OF_CLIENTS, ListenerKeys, Url
+from .options import OptionSection, with_options_of
 from .schema import Faults, Section, parse_file
 
 Result = TypeVar("Result")
@@ -105,57 +105,38 @@ def _as_server_id(value: object) -> object:
     return data + _RUNNING if isinstance(value, str) and isinstance(data, bytes) else data
 
 
-def _checked_endpoint(url: str) -> str:
-    parse_endpoint(url)
-    return url
+class Hexadecimal(Section):
+    """Bytes as a file writes them: ``{ hex = "01 02" }``."""
+
+    hex: str
 
 
-Bytes = Annotated[bytes, BeforeValidator(_as_bytes)]
+Bytes = Annotated[bytes, BeforeValidator(_as_bytes, json_schema_input_type=str | Hexadecimal)]
 Whole = Annotated[int, Field(ge=0, le=0xFFFF)]
-Endpoint = Annotated[str, AfterValidator(_checked_endpoint)]
+TableSize = Annotated[int, Field(ge=0, le=TABLE_SIZE)]
 UnitNumber = Annotated[int, Field(ge=0, le=255)]
 
 
-class ServerSection(Section):
+@with_options_of(ServerParameters, SocketParameters, without=OF_CLIENTS)
+class ServerSection(ListenerKeys, OptionSection):
     """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
 
     unit_policy: Literal["listed", "any"] = "listed"
     unlisted: Literal["exception", "silence"] = "exception"
-    max_transactions: int | None = None
-    scope: Literal["connection", "server"] | None = None
-    diagnostics_changes: bool | None = None
-    backlog: int | None = Field(default=None, ge=1, le=65_535)
-    max_connections: int | None = Field(default=None, ge=1, le=1_000_000)
-    write_buffer: int | None = Field(default=None, ge=1024, le=1 << 30)
-    single_adu_segments: bool | None = None
-    frame_timeout: float | None = Field(default=None, ge=0.001, le=3600)
-    keepalive: bool | None = None
-    keepalive_idle: int | None = None
-    keepalive_interval: int | None = None
-    keepalive_count: int | None = None
-    user_timeout: float | None = None
-    no_delay: bool | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "ServerSection":
-        for kind in (ServerParameters, SocketParameters):
-            chosen = {name: value for name, value in self.options().items() if name in option_names(kind)}
-            try:
-                build_parameters(kind, chosen)
-            except ConfigError as error:
-                raise Faults([((error.key or "",), error.message)]) from None
-        return self
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of `busway.serve` that are set here."""
-        return {name: value for name, value in self if value is not None}
+        policies = {"unit_policy": self.unit_policy, "unlisted": self.unlisted}
+        return policies | {
+            name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
+        }
 
 
 class TableSection(Section):
     """The items of a table: ``first`` and ``count``, or ``values``; ``read_only`` ranges ``[first, count]``."""
 
     first: Whole = 0
-    count: int | None = Field(default=None, ge=0, le=TABLE_SIZE)
+    count: TableSize | None = None
     values: list[int | bool] | None = None
     read_only: list[Annotated[list[int], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
 
@@ -188,7 +169,9 @@ class TableSection(Section):
                 )
 
 
-DeclaredTable = Annotated[TableSection, BeforeValidator(_as_table)]
+DeclaredTable = Annotated[
+    TableSection, BeforeValidator(_as_table, json_schema_input_type=TableSize | list[int | bool] | TableSection)
+]
 
 
 class FileSection(TableSection):
@@ -312,7 +295,11 @@ class PointSection(Section):
 class UnitSection(Section):
     """``[[unit]]``: a device; with several numbers, a device of its own for each."""
 
-    unit: Annotated[list[UnitNumber], BeforeValidator(_as_list), Field(min_length=1)]
+    unit: Annotated[
+        list[UnitNumber],
+        BeforeValidator(_as_list, json_schema_input_type=UnitNumber | list[UnitNumber]),
+        Field(min_length=1),
+    ]
     name: str = ""
     description: str = ""
     holding_registers: DeclaredTable | None = None
@@ -323,7 +310,14 @@ class UnitSection(Section):
     file: list[FileSection] = Field(default_factory=list)
     fifo: list[FifoSection] = Field(default_factory=list)
     identification: dict[str, Bytes] = Field(default_factory=dict)
-    server_id: Annotated[bytes, BeforeValidator(_as_server_id), Field(max_length=251)] | None = None
+    server_id: (
+        Annotated[
+            bytes,
+            BeforeValidator(_as_server_id, json_schema_input_type=str | Hexadecimal),
+            Field(max_length=251),
+        ]
+        | None
+    ) = None
     exception_status: int = Field(default=0, ge=0, le=255)
     functions: list[Annotated[int, Field(ge=1, le=127)]] | None = None
 
@@ -399,24 +393,26 @@ class UnitSection(Section):
 class DeviceFile(Section):
     """A whole device file."""
 
-    listen: Annotated[list[Endpoint], Field(min_length=1)] = Field(default_factory=lambda: ["tcp://127.0.0.1:5020"])
+    listen: Annotated[list[Url], Field(min_length=1)] = Field(default_factory=lambda: ["tcp://127.0.0.1:5020"])
     server: ServerSection = ServerSection()
     unit: list[UnitSection] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _check(self) -> "DeviceFile":
-        owners: dict[int, int] = {}
-        faults: list[tuple[Path, str]] = []
-        for index, section in enumerate(self.unit):
-            for number in section.unit:
-                if number in owners:
-                    faults.append((("unit", index, "unit"), f"unit {number} is there already: unit[{owners[number]}]"))
-                owners[number] = index
-        if self.server.unit_policy == "any" and len(owners) > 1:
-            faults.append((("server", "unit_policy"), f"any needs exactly one device, but there are {len(owners)}"))
+    def _check_units(self) -> "DeviceFile":
+        faults = list(self._unit_faults())
         if faults:
             raise Faults(faults)
         return self
+
+    def _unit_faults(self) -> Iterator[tuple[Path, str]]:
+        owners: dict[int, int] = {}
+        for index, section in enumerate(self.unit):
+            for number in section.unit:
+                if number in owners:
+                    yield ("unit", index, "unit"), f"unit {number} is there already: unit[{owners[number]}]"
+                owners[number] = index
+        if self.server.unit_policy == "any" and len(owners) > 1:
+            yield ("server", "unit_policy"), f"any needs exactly one device, but there are {len(owners)}"
 
 
 def _object_number(key: str) -> int:

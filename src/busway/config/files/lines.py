@@ -5,6 +5,7 @@ Knows the grammar as far as it separates keys from values; judges nothing: the t
 A path is a tuple of keys and, in arrays, indexes: ``("unit", 0, "point", 3, "type")``.
 """
 
+from collections.abc import Mapping
 from typing import Final
 
 Path = tuple[str | int, ...]
@@ -21,7 +22,7 @@ def key_lines(text: str) -> dict[Path, int]:
     return reader.lines
 
 
-def line_of(lines: dict[Path, int], path: Path) -> int:
+def line_of(lines: Mapping[Path, int], path: Path) -> int:
     """The line of a path; of a path that does not stand there, the line of the innermost that does."""
     while path and path not in lines:
         path = path[:-1]

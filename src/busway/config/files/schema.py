@@ -9,7 +9,8 @@ Knows pydantic and TOML texts; knows no particular file.
 
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, TypeVar, get_args
 
@@ -41,6 +42,47 @@ class Faults(ValueError):
 File = TypeVar("File", bound=Section)
 
 
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A TOML text that could be read: its data, and where each of it stands.
+
+    Attributes:
+        name: of the file, for the sentences.
+        data: what stands in it.
+        lines: at which line each key and element stands.
+    """
+
+    name: str
+    data: Mapping[str, Any]  # what TOML has: any of its types
+    lines: Mapping[Path, int]
+
+    def problem(self, path: Path, sentence: str) -> ConfigError:
+        """A sentence about what stands at a path, with file, line and key."""
+        standing = _standing(path, self.lines)
+        return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
+
+    def checked(self, schema: type[File]) -> File:
+        """The content as a schema has it. Raises `FileError` with all that is wrong."""
+        try:
+            return schema.model_validate(self.data)
+        except ValidationError as error:
+            found = [
+                self.problem(path, sentence) for each in error.errors() for path, sentence in _faults(each, schema)
+            ]
+            raise FileError(in_order(found)) from None
+
+
+def read_source(text: str, name: str) -> Source:
+    """The data of a TOML text and its lines. Raises `FileError` if it is none."""
+    try:
+        return Source(name, tomllib.loads(text), key_lines(text))
+    except tomllib.TOMLDecodeError as error:
+        raise FileError([_syntax_problem(text, error, name)]) from error
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else f"it can not be read: {error}"
+        raise FileError([ConfigError(reason, file=name, line=_densest_line(text))]) from error
+
+
 def parse_file(text: str, schema: type[File], name: str) -> File:
     """The content of a file.
 
@@ -52,25 +94,13 @@ def parse_file(text: str, schema: type[File], name: str) -> File:
     Raises:
         FileError: all that is wrong with it.
     """
-    try:
-        data = tomllib.loads(text)
-        lines = key_lines(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileError([_syntax_problem(text, error, name)]) from error
-    except (ValueError, RecursionError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else f"it can not be read: {error}"
-        raise FileError([ConfigError(reason, file=name, line=_densest_line(text))]) from error
-    try:
-        return schema.model_validate(data)
-    except ValidationError as error:
-        found = {}
-        for each in error.errors():
-            for path, sentence in _faults(each, schema):
-                problem = ConfigError(
-                    sentence, file=name, line=line_of(lines, path), key=_written(_standing(path, lines))
-                )
-                found[problem.line, problem.key, problem.message] = problem
-        raise FileError(sorted(found.values(), key=lambda each: each.line or 0)) from None
+    return read_source(text, name).checked(schema)
+
+
+def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:
+    """Problems by their lines, each once."""
+    once = {(each.line, each.key, each.message): each for each in problems}
+    return sorted(once.values(), key=lambda each: each.line or 0)
 
 
 def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> ConfigError:
@@ -102,7 +132,7 @@ def _faults(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
         yield path, _sentence(error, schema, path)
 
 
-def _standing(path: Path, lines: dict[Path, int]) -> Path:
+def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
     """The path as the file has it: one value may stand for a list of one, and a list for a table with it."""
     if path in lines:
         return path

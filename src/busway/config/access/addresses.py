@@ -1,0 +1,63 @@
+"""Who may connect at all, by address: allow and deny lists, and secure mode (Messaging on TCP/IP V1.0b §4.2.3).
+
+Knows hosts; knows no request. It is asked before a byte of a client is parsed.
+
+1. Deny goes before allow, however specific either is: who reads the two lists knows what holds without weighing them.
+2. In secure mode what is not listed is refused. A list of who is allowed means just that, so it switches secure mode
+   on; only whoever says ``secure=False`` beside it lets the others in.
+"""
+
+from collections.abc import Iterable
+
+from .networks import Networks
+
+
+class AddressList:
+    """Whether a host may connect: ``access("10.0.0.7")``, as a server asks with ``authorise``.
+
+    Args:
+        allow: addresses and networks that may connect, as `Networks` takes them.
+        deny: those that may not, whatever ``allow`` says.
+        secure: whether a host that is in neither is refused; None: if there is an ``allow``.
+
+    Raises:
+        ConfigError: an entry that is no address or network; names it.
+    """
+
+    __slots__ = ("allow", "deny", "secure")
+
+    def __init__(
+        self,
+        allow: Networks | Iterable[str] = (),
+        deny: Networks | Iterable[str] = (),
+        secure: bool | None = None,
+    ) -> None:
+        self.allow = allow if isinstance(allow, Networks) else Networks(allow, key="allow")
+        self.deny = deny if isinstance(deny, Networks) else Networks(deny, key="deny")
+        self.secure = bool(self.allow) if secure is None else secure
+
+    def __call__(self, host: str) -> bool:
+        return host not in self.deny and (not self.secure or host in self.allow)
+
+    def why(self, host: str) -> str:
+        """What decides about a host, for a log: ``denied by 10.0.0.0/8``."""
+        denied = self.deny.find(host)
+        if denied is not None:
+            return f"denied by {denied}"
+        allowed = self.allow.find(host)
+        if allowed is not None:
+            return f"allowed by {allowed}"
+        return "not listed, in secure mode" if self.secure else "not denied"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, AddressList) and (self.allow, self.deny, self.secure) == (
+            other.allow,
+            other.deny,
+            other.secure,
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.allow, self.deny, self.secure))
+
+    def __repr__(self) -> str:
+        return f"AddressList(allow={list(self.allow)}, deny={list(self.deny)}, secure={self.secure})"

@@ -1,0 +1,100 @@
+"""Where a file says to listen: URLs, and what holds for the connections of a listener.
+
+Knows keys and what goes with which scheme; knows no server. What the values of limits must be is judged by the
+server's own class when the configuration is put together (`busway.assembly`).
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Final
+
+from pydantic import AfterValidator, Field, model_validator
+
+from ..endpoints import parse_endpoint
+from .lines import Path
+from .options import SecondsOrNone
+from .schema import Faults, Section
+
+OF_CLIENTS: Final = frozenset({"connect_timeout", "local_address"})
+"""Options of sockets that only one who connects needs."""
+
+
+def _checked_url(url: str) -> str:
+    parse_endpoint(url)
+    return url
+
+
+Url = Annotated[str, AfterValidator(_checked_url)]
+
+
+class ListenerKeys(Section):
+    """The options of `ListenerParameters`, of a server or of one listener. None of them is set by being left out."""
+
+    backlog: int | None = Field(default=None, ge=1, le=65_535)
+    max_connections: int | None = Field(default=None, ge=1, le=1_000_000)
+    write_buffer: int | None = Field(default=None, ge=1024, le=1 << 30)
+    single_adu_segments: bool | None = None
+    frame_timeout: SecondsOrNone = None
+
+
+class ListenerSection(ListenerKeys):
+    """``[[listener]]``: one place to listen, with what holds there and not for the others.
+
+    Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
+    """
+
+    url: Url
+    allow: list[str] = Field(default_factory=list)
+    deny: list[str] = Field(default_factory=list)
+    secure: bool = False
+    certificate: str | None = None
+    key: str | None = None
+    authority: str | None = None
+
+    def limits(self) -> dict[str, Any]:  # of several types
+        """The options of `ListenerParameters` that are set here."""
+        return {name: getattr(self, name) for name in ListenerKeys.model_fields if name in self.model_fields_set}
+
+    @model_validator(mode="after")
+    def _check_scheme(self) -> "ListenerSection":
+        carrier = parse_endpoint(self.url).carrier
+        if carrier == "serial":
+            faults = [
+                ((name,), "has no effect on a serial line")
+                for name in type(self).model_fields
+                if name in self.model_fields_set and name != "url"
+            ]
+            if faults:
+                raise Faults(faults)
+        return self
+
+
+def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
+    """Listeners that would be in each other's way: the place of the later one, and a sentence.
+
+    Args:
+        places: where each URL stands in the file, and the URL.
+    """
+    taken: dict[tuple[object, ...], dict[str, str]] = {}
+    for path, url in places:
+        endpoint = parse_endpoint(url)
+        if endpoint.port == 0:
+            continue
+        if endpoint.carrier == "serial":
+            others, host = taken.setdefault((endpoint.path,), {}), ""
+        else:
+            kind = "udp" if endpoint.carrier == "udp" else "tcp"
+            others, host = taken.setdefault((kind, endpoint.port), {}), _EVERYWHERE.get(endpoint.host, endpoint.host)
+        clash = next((other for name, other in others.items() if name == host or _covers(name, host)), None)
+        if clash is not None:
+            yield path, f"{endpoint.url} is taken by {clash}"
+        others.setdefault(host, endpoint.url)
+
+
+_EVERYWHERE: Final = {"localhost": "127.0.0.1"}
+_ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
+"""Hosts that stand for all addresses, and what is in the addresses they stand for."""
+
+
+def _covers(one: str, other: str) -> bool:
+    """Whether one of two hosts stands for all addresses of the other's kind."""
+    return (one in _ALL and _ALL[one] in other) or (other in _ALL and _ALL[other] in one)

@@ -1,0 +1,189 @@
+"""The schema of configuration files: server, listeners, client, security, policy and units in one file.
+
+Knows what can be written and what goes together; knows no component (`busway.assembly` makes them). Every device file
+is a configuration file too.
+
+::
+
+    [security]
+    certificate = "server.pem"
+    key = "server.key"
+    authority = "ca.pem"
+
+    [[listener]]
+    url = "tcp://:502"
+    allow = ["10.0.0.0/8"]
+
+    [[listener]]
+    url = "tls://:802"
+
+    [policy]
+    read_only = true
+
+    [[client.link]]
+    name = "boiler"
+    url = "tcp://10.0.0.5"
+
+    [[unit]]
+    unit = 1
+    holding_registers = 1000
+
+Rules:
+
+1. What belongs to one listener or link goes before what its section says for all, and that before the defaults.
+2. A key that has no effect where it stands is refused: it would be believed to work.
+3. Paths are those of the system, or relative to the file's folder.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Final
+
+from pydantic import AfterValidator, Field, model_validator
+
+from ...errors import ConfigError
+from ...session.breaker import BreakerParameters
+from ...session.line_framing import FramingParameters
+from ...session.parameters import ClientParameters
+from ...session.serial_client import SerialClientParameters
+from ...transport.serial.opening import OpeningParameters
+from ...transport.serial.settings import SerialSettings
+from ...transport.tcp import SocketParameters
+from .device import DeviceFile, UnitSection
+from .lines import Path
+from .listeners import ListenerSection, Url, clashes
+from .options import OptionSection, with_options_of
+from .schema import Faults, Section, Source, read_source
+
+DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
+"""Where units are served if the file does not say."""
+
+LINK_KINDS: Final = (
+    ClientParameters,
+    SocketParameters,
+    SerialClientParameters,
+    BreakerParameters,
+    FramingParameters,
+    SerialSettings,
+    OpeningParameters,
+)
+"""The classes whose options a link may have; which of them, its scheme says."""
+
+
+def read_system_file(text: str, name: str) -> "tuple[SystemFile, Source]":
+    """A configuration file, its shape checked, and where everything in it stands.
+
+    Args:
+        text: its content.
+        name: its name, for the sentences.
+
+    Raises:
+        FileError: all that is wrong with it, each with file, line and key.
+    """
+    source = read_source(text, name)
+    return source.checked(SystemFile), source
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """``127.0.0.1:9502`` or ``[::1]:9502`` in two. Raises `ConfigError`."""
+    host, colon, port = text.rpartition(":")
+    bare = host[1:-1] if host[:1] == "[" and host[-1:] == "]" else host
+    if not colon or not bare or (":" in bare and bare == host) or not (port.isascii() and port.isdecimal()):
+        raise ConfigError(f"must be HOST:PORT, for example 127.0.0.1:9502, not {text!r}")
+    if int(port) > 65_535:
+        raise ConfigError(f"a port is 0…65535, not {port}")
+    return bare, int(port)
+
+
+def _checked_place(text: str) -> str:
+    host_and_port(text)
+    return text
+
+
+FilePath = Annotated[str, Field(min_length=1)]
+
+
+@with_options_of(*LINK_KINDS)
+class LinkSection(OptionSection):
+    """``[[client.link]]``: one endpoint that is asked, under a name, with options of its own."""
+
+    judged: ClassVar = False  # together with those of [client], where the link is put together
+
+    name: str = Field(min_length=1)
+    url: Url
+
+
+@with_options_of(*LINK_KINDS)
+class ClientSection(OptionSection):
+    """``[client]``: the links, and options for all of them whose scheme has the option."""
+
+    link: list[LinkSection] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _check_names(self) -> "ClientSection":
+        seen: dict[str, int] = {}
+        faults: list[tuple[Path, str]] = []
+        for index, link in enumerate(self.link):
+            if link.name in seen:
+                faults.append((("link", index, "name"), f"{link.name!r} is there already: link[{seen[link.name]}]"))
+            seen.setdefault(link.name, index)
+        if faults:
+            raise Faults(faults)
+        return self
+
+
+class SecuritySection(Section):
+    """``[security]``: certificates of this host, for every ``tls://`` listener and link that names none of its own."""
+
+    certificate: FilePath | None = None
+    key: FilePath | None = None
+    authority: FilePath | None = None
+
+
+class AuditSection(Section):
+    """``[audit]``: the log of denied requests and of writes."""
+
+    path: FilePath
+
+
+class MetricsSection(Section):
+    """``[metrics]``: where figures are offered to Prometheus."""
+
+    listen: Annotated[str, AfterValidator(_checked_place)]
+
+
+class ControlSection(Section):
+    """``[control]``: the socket that ``busway status`` asks."""
+
+    enabled: bool = True
+    path: FilePath | None = None
+
+
+class SystemFile(DeviceFile):
+    """A whole configuration file."""
+
+    listen: list[Url] = Field(default_factory=list)
+    listener: list[ListenerSection] = Field(default_factory=list)
+    security: SecuritySection = SecuritySection()
+    client: ClientSection = ClientSection()
+    audit: AuditSection | None = None
+    metrics: MetricsSection | None = None
+    control: ControlSection = ControlSection()
+    unit: list[UnitSection] = Field(default_factory=list)
+
+    def places(self) -> list[tuple[Path, str]]:
+        """The URLs that are listened on, each with where it stands."""
+        given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
+        given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
+        return given or ([(("unit",), DEFAULT_LISTEN)] if self.unit else [])
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> "SystemFile":
+        faults = list(self._whole_faults())
+        if faults:
+            raise Faults(faults)
+        return self
+
+    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+        if not self.unit and (self.places() or not self.client.link):
+            yield ("unit",), "is missing"
+        yield from clashes(self.places())
