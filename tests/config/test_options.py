@@ -36,10 +36,11 @@ class Everything:
     policy: MismatchPolicy = MismatchPolicy.STRICT
     perhaps: float | None = None
     names: Names = Names()
+    either: float | Scope = Scope.SERVER
 
 
 def test_the_options_of_a_class_are_its_fields_in_their_order() -> None:
-    assert option_names(Everything) == ("whole", "number", "switch", "text", "policy", "perhaps", "names")
+    assert option_names(Everything) == ("whole", "number", "switch", "text", "policy", "perhaps", "names", "either")
 
 
 @pytest.mark.parametrize(
@@ -64,6 +65,9 @@ def test_the_options_of_a_class_are_its_fields_in_their_order() -> None:
         ("policy", MismatchPolicy.IGNORE, MismatchPolicy.IGNORE),
         ("perhaps", None, None),
         ("perhaps", "none", None),
+        ("either", "2.5", 2.5),
+        ("either", 3, 3.0),
+        ("either", "connection", Scope.CONNECTION),
         ("perhaps", "2", 2.0),
         ("names", "a, b", Names(("a", "b"))),
         ("names", ["a"], Names(("a",))),
@@ -93,10 +97,11 @@ def test_a_value_or_its_text_becomes_the_type_of_the_field(key: str, given: obje
         ("policy", "lax", "must be one of strict, automatic, ignore, not 'lax'"),
         ("policy", 5, "must be one of strict, automatic, ignore, not 5"),
         ("whole", "none", "must be a whole number, not 'none'"),
+        ("either", "all", "must be a number or connection or server, not 'all'"),
         ("names", 5, "must be a list of texts, not 5"),
         ("names", ["a", 5], "must be a list of texts, not ['a', 5]"),
         ("names", "a, !", "'!' is no name"),
-        ("colour", "red", "unknown option; there are names, number, perhaps, policy, switch, text, whole"),
+        ("colour", "red", "unknown option; there are either, names, number, perhaps, policy, switch, text, whole"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_key(key: str, given: object, sentence: str) -> None:

@@ -44,20 +44,30 @@ def _converted(name: str, value: object, wanted: Any) -> object:  # a type, or a
     kinds = get_args(wanted) if isinstance(wanted, UnionType) else (wanted,)
     if NoneType in kinds and (value is None or value == NONE):
         return None
-    kind = next(one for one in kinds if one is not NoneType)
+    problems = []
+    for kind in kinds:
+        if kind is not NoneType:
+            try:
+                return _of_kind(name, value, kind)
+            except ConfigError as error:
+                problems.append(error)
+    if len(problems) == 1:
+        raise problems[0]
+    raise ConfigError(f"must be {' or '.join(_words(one) for one in kinds)}, not {value!r}", key=name)
+
+
+def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
+    if isinstance(value, kind) and not (isinstance(value, bool) and kind is not bool):
+        return value
     if isinstance(kind, type) and issubclass(kind, Enum):
-        if isinstance(value, kind):
-            return value
         try:
             return kind(value)
         except ValueError:
             allowed = ", ".join(str(one.value) for one in kind)
             raise ConfigError(f"must be one of {allowed}, not {value!r}", key=name) from None
-    if isinstance(value, kind) and not (isinstance(value, bool) and kind is not bool):
-        return value
     if hasattr(kind, "parse"):
         return _parsed(name, value, kind)
-    if isinstance(value, str):
+    if isinstance(value, str) and kind is not str:
         return _from_text(name, value, kind)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
@@ -90,4 +100,6 @@ def _from_text(name: str, text: str, kind: type) -> object:
 
 
 def _words(kind: type) -> str:
+    if issubclass(kind, Enum):
+        return " or ".join(str(one.value) for one in kind)
     return {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}.get(kind, kind.__name__)

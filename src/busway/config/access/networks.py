@@ -138,7 +138,8 @@ def _parsed(entry: str, key: str | None) -> tuple[int, int, int, str]:
     number, length = int(network.network_address), network.prefixlen
     if int(ipaddress.ip_address(plain)) != number:
         raise ConfigError(
-            f"{shown(entry)} has bits set beyond its length; the network is {network}, the address alone {plain}", key=key
+            f"{shown(entry)} has bits set beyond its length; the network is {network}, the address alone {plain}",
+            key=key,
         )
     if network.version == 6 and length >= _MAPPED_LENGTH and number >> 32 == _MAPPED >> 32:
         return 4, length - _MAPPED_LENGTH, number & 0xFFFF_FFFF, ""
