@@ -26,7 +26,8 @@ class SocketParameters:
         keepalive_idle, keepalive_interval, keepalive_count: seconds of idleness before the first probe, seconds
             between probes, and lost probes that end the connection.
         user_timeout: seconds that sent data may stay unacknowledged before the connection ends, where the system has
-            it (Linux); None leaves it to the system.
+            it (Linux); None leaves it to the system. With keepalive it is never longer than the probes take: see
+            ``effective_user_timeout``.
         no_delay: whether small segments leave at once (TCP_NODELAY).
         receive_buffer, send_buffer: bytes, at least 900; None leaves them to the system.
         local_address: address to connect from; None lets the system choose. The port is always the system's choice,
@@ -73,9 +74,22 @@ class SocketParameters:
                 ("TCP_KEEPCNT", self.keepalive_count),
             ):
                 _set_if_known(connection, name, value)
-        if self.user_timeout is not None:
-            _set_if_known(connection, "TCP_USER_TIMEOUT", int(self.user_timeout * 1000))
+        if self.effective_user_timeout is not None:
+            _set_if_known(connection, "TCP_USER_TIMEOUT", int(self.effective_user_timeout * 1000))
         self.apply_buffers(connection)
+
+    @property
+    def effective_user_timeout(self) -> float | None:
+        """The user timeout as it is set, in seconds; None leaves it to the system.
+
+        Linux asks it, and not the number of lost probes, when a probe is due on an idle connection: with 30 s, two
+        probes of one second would end a half-open connection after 30 s. So it is over before the last probe's time is,
+        and an idle half-open connection ends within idle + interval × count whatever the user timeout.
+        """
+        if self.user_timeout is None or not self.keepalive:
+            return self.user_timeout
+        probes = self.keepalive_idle + self.keepalive_interval * (self.keepalive_count - 0.5)
+        return min(self.user_timeout, probes)
 
     def apply_buffers(self, connection: socket.socket) -> None:
         """Set the buffer sizes; on a listening socket its connections inherit them."""
