@@ -85,6 +85,27 @@ def test_a_blocking_connection_has_them_too() -> None:
             assert options_of(connection) == DEFAULTS | {name: CHOSEN[name] for name in CHOSEN if name in DEFAULTS}
 
 
+@pytest.mark.clause("T18", "T19")
+@pytest.mark.parametrize(
+    ("chosen", "expected"),
+    [
+        ({"keepalive_idle": 1, "keepalive_interval": 1, "keepalive_count": 2}, 2.5),
+        ({"keepalive_idle": 1, "keepalive_interval": 1, "keepalive_count": 2, "user_timeout": 1.0}, 1.0),
+        ({"keepalive_idle": 1, "keepalive_interval": 1, "keepalive_count": 2, "keepalive": False}, 30.0),
+        ({"keepalive_idle": 1, "keepalive_interval": 1, "keepalive_count": 2, "user_timeout": None}, None),
+        ({}, 30.0),
+    ],
+)
+def test_the_user_timeout_never_makes_keepalive_wait_for_longer_than_its_own_figures_say(
+    chosen: dict[str, float | None], expected: float | None
+) -> None:
+    parameters = SocketParameters(**chosen)  # type: ignore[arg-type]
+    assert parameters.effective_user_timeout == expected
+    with socket.socket() as connection:
+        parameters.apply(connection)
+        assert options_of(connection)["user_timeout"] == (expected or 0)
+
+
 @pytest.mark.clause("T19")
 async def test_a_listener_can_be_opened_again_at_once_on_the_port_it_had() -> None:
     async with busway.serve(ANY_PORT, units={1: busway.Device()}) as server:

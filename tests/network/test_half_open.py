@@ -1,6 +1,6 @@
 """Half-open connections, as Messaging on TCP/IP V1.0b §4.2.2 tells them case by case, between hosts of their own.
 
-1. Keepalive and user timeout are short here, so that a case takes seconds; what they are by default is tested elsewhere.
+1. Keepalive and user timeout are short here, so that a case takes seconds; their defaults are tested elsewhere.
 2. No case may cost a place: what the server has in the end is looked at each time.
 """
 
@@ -49,7 +49,7 @@ def _reads(client: Program, address: int = 5, **call: Any) -> dict[str, Any]:
     return answer
 
 
-# --- §4.2.2.1: the cable is cut -----------------------------------------------------------------------------------------
+# --- §4.2.2.1: the cable is cut ------------------------------------------------------------
 
 
 @both_skins
@@ -157,7 +157,7 @@ def test_user_timeout_ends_a_connection_that_takes_no_reply_and_its_place_is_fre
     _reads(client, SLOW, timeout=10, retries=3)  # with the server's only slot for a slow request
 
 
-# --- §4.2.2.2: the server crashes, or is started again -----------------------------------------------------------------
+# --- §4.2.2.2: the server crashes, or is started again ------------------------------------------------------------
 
 
 @both_skins
@@ -226,7 +226,7 @@ def test_connection_to_a_returned_server_ends_by_the_first_probe_where_nothing_i
     assert server.ask("status")["accepted"] == 1
 
 
-# --- §4.2.2.3: the client crashes, and comes back ----------------------------------------------------------------------
+# --- §4.2.2.3: the client crashes, and comes back ------------------------------------------------------------
 
 
 @both_skins

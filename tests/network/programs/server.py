@@ -70,7 +70,7 @@ async def until(server: busway.Server, asked: dict[str, Any]) -> dict[str, Any]:
         come = len(now["connections"]) == asked.get("connections", len(now["connections"]))
         if (come and now["waiting"] == asked.get("waiting", now["waiting"])) or took > asked["seconds"]:
             return {**now, "seconds": took}
-        await asyncio.sleep(0.01)  # noqa: ASYNC110 - a status tells nobody when it changes
+        await asyncio.sleep(0.01)
 
 
 async def main(endpoint: str, options: dict[str, Any]) -> None:
