@@ -123,6 +123,11 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
     return LinkSettings(endpoint, parameters, sockets, line)
 
 
+def options_of(endpoint: Endpoint) -> frozenset[str]:
+    """The options that a link to an endpoint may have; the others have no effect with its scheme."""
+    return frozenset(name for names in _offered(endpoint).values() for name in names)
+
+
 def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
     """The options of a scheme, by the class that takes them."""
     kinds: list[type[Any]] = [ClientParameters]
