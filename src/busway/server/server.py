@@ -11,7 +11,7 @@ import contextlib
 import socket
 import time
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -120,6 +120,16 @@ class Server:
     def is_running(self) -> bool:
         """Whether it answers."""
         return bool(self._listeners or self._datagrams or self._lines)
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around the one that answers: to count, to record, to decide. Only while stopped.
+
+        Raises:
+            ConfigError: it is running, and conversations hold the handler already.
+        """
+        if self.is_running:
+            raise ConfigError("a running server keeps its handler", key="handler")
+        self._handler = wrap(self._handler)
 
     async def start(self) -> None:
         """Open all listeners. A serial port that is not there is waited for.
@@ -252,6 +262,14 @@ class Server:
         await self.stop()
         self.counters = ServerCounters()
         await self.start()
+
+    def reset_counters(self) -> None:
+        """Set the counters to zero, of the living connections too; connections and listeners stay as they are."""
+        now = self._counters_now()
+        for field in fields(ServerCounters):
+            kept = getattr(self.counters, field.name)
+            # What a connection still holds is handed over when it ends, and must not count again then.
+            setattr(self.counters, field.name, kept - getattr(now, field.name))
 
     async def serve_until_cancelled(self) -> None:
         """Start if need be, and serve until the task is cancelled; then stop."""

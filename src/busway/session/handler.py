@@ -92,6 +92,18 @@ class RequestContext:
         if gone is not None:
             gone()
 
+    def watch(self, seen: Callable[[Message | Deferral], None]) -> None:
+        """Have ``seen`` called with the late reply, just before it goes its way; not where none can be given."""
+        finish = self._finish
+        if finish is None:
+            return
+
+        def finish_seen(context: RequestContext, reply: Message | Deferral) -> None:
+            seen(reply)
+            finish(context, reply)
+
+        self._finish = finish_seen
+
     @property
     def replied(self) -> bool:
         """Whether the late reply was given already, or can not be given any more."""
