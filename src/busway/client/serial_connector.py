@@ -5,6 +5,7 @@ Knows ports and the session's wish to know when its last character has left; kno
 1. A port that is not there is waited for as long as a request may wait (``port_wait``).
 2. The response timeout counts from the last character: the session is told when it leaves, and again where the system
    turns out to hold it longer.
+3. Where the driver counts characters that it lost, what was read with such a loss is damaged like what it marks.
 """
 
 import time
@@ -16,6 +17,7 @@ from ..errors import ConfigError, LinkDown
 from ..session.serial_client import SerialClientSession
 from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.opening import Claim, OpeningParameters
+from ..transport.serial.overruns import Overruns
 from ..transport.serial.settings import SerialSettings
 from .connector import Channel, LinkEnd
 
@@ -109,18 +111,21 @@ class SerialStream:
         self._end = end
         self._connection: SerialConnection | None = None
         self._closing: SerialConnection | None = None
+        self._overruns: Overruns | None = None
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
         """The port is open."""
         self._connection = connection
+        self._overruns = Overruns(connection.counters)
 
     # What the port tells.
 
     def received(self, data: bytes, errors: int) -> None:
         """Bytes, and how many of them are marked as damaged."""
-        if errors:
-            self._end.arrived_damaged(data, overrun=False)
+        overrun = self._overruns is not None and self._overruns.more()
+        if errors or overrun:
+            self._end.arrived_damaged(data, overrun=overrun)
         else:
             self._end.arrived(data)
 
@@ -184,6 +189,7 @@ class SerialChannel:
     def __init__(self, port: BlockingSerialPort, session: SerialClientSession) -> None:
         self._port = port
         self._session = session
+        self._overruns = Overruns(port.counters)
         self._puts_off = 0
 
     def fileno(self) -> int:
@@ -193,8 +199,9 @@ class SerialChannel:
     def recv_into(self, buffer: bytearray) -> int:
         """Take what has come. Raises `BlockingIOError` where nothing usable has, `LinkDown` (an `OSError`)."""
         data, errors = self._port.read(0)
-        if errors:
-            self._session.receive_damaged(data, time.monotonic())
+        overrun = bool(data) and self._overruns.more()
+        if errors or overrun:
+            self._session.receive_damaged(data, time.monotonic(), overrun=overrun)
             data = b""
         if not data:
             raise BlockingIOError

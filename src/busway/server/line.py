@@ -25,6 +25,7 @@ from ..session.serial_server import Emission, SerialServerSession
 from ..transport.serial.alarm import Alarm
 from ..transport.serial.connection import SerialConnection
 from ..transport.serial.opening import Claim
+from ..transport.serial.overruns import Overruns
 from ..transport.serial.reopen import open_when_there
 from .connection import answer_later, report_failures
 from .connections import ServerCounters
@@ -87,7 +88,7 @@ class SerialListener:
         self._emission_alarm: Alarm | None = None
         self._silence_timer: asyncio.TimerHandle | None = None
         self._spin = 0.0
-        self._overruns: int | None = None
+        self._overruns: Overruns | None = None
         self._trace: Trace | None = None
 
     # Life.
@@ -165,8 +166,7 @@ class SerialListener:
         )
         self._connection = connection
         self.diagnosis.is_open = True
-        counted = connection.counters()
-        self._overruns = None if counted is None else counted.overruns + counted.buffer_overruns
+        self._overruns = Overruns(connection.counters)
         _log.info("%s: open", self.name)
 
     def _reopen(self) -> None:
@@ -210,7 +210,7 @@ class SerialListener:
             self._traced().received(data)
         heard = session.requests + session.foreign + session.damaged_frames
         damaged = session.damaged_frames
-        overrun = self._overran()
+        overrun = self._overruns is not None and self._overruns.more()
         pending = self._pending
         emissions: list[Emission] = []
         if errors or overrun:
@@ -225,19 +225,6 @@ class SerialListener:
             else:
                 self._schedule(replace(pending, not_before=session.clear_at()))
         self._follow(emissions)
-
-    def _overran(self) -> bool:
-        """Whether the port has lost characters since the last look, where its driver counts them."""
-        if self._overruns is None or self._connection is None:
-            return False
-        try:
-            counted = self._connection.counters()
-        except LinkDown:
-            return False  # the port tells it by itself
-        if counted is None:
-            return False
-        before, self._overruns = self._overruns, counted.overruns + counted.buffer_overruns
-        return self._overruns > before
 
     def _follow(self, emissions: list[Emission]) -> None:
         """Do what the session asks for: answer, wait for handlers, report, look at the clock again."""

@@ -33,6 +33,7 @@ class ClientCounters:
     tolerated_replies: int = 0
     foreign_protocol: int = 0
     damaged_frames: int = 0
+    overruns: int = 0
     suspended: int = 0
     cancelled: int = 0
     overloaded: int = 0
@@ -93,9 +94,14 @@ class Ledger:
             if outcome is None:
                 self._given_up(demand, position, reason(), now)
 
-    def unreachable(self, now: float, error: ModbusError) -> None:
-        """No connection could be had: everything that waits fails, at once and with the same reason."""
+    def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
+        """No connection could be had: everything that waits fails, at once and with the same reason.
+
+        With ``keep_repeated`` a demand that is about to be repeated stays.
+        """
         for demand in list(self.queue):
+            if keep_repeated and demand.again:
+                continue
             self.queue.remove(demand)
             for position, outcome in enumerate(demand.outcomes):
                 if outcome is None:

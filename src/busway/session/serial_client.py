@@ -295,9 +295,12 @@ class SerialClientSession:
         self.valid_reply = False
         self.counters.connections += 1
 
-    def disconnected(self, now: float, reason: str) -> None:
-        """The port has gone; what was in flight is repeated or fails, what waits stays in the queue."""
-        if self._connected:
+    def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
+        """The port has gone; what was in flight is repeated or fails, what waits stays in the queue.
+
+        ``lost`` says that it went by itself.
+        """
+        if self._connected and lost:
             self.counters.lost_connections += 1
         self._connected = False
         self.recycle = ""
@@ -310,9 +313,12 @@ class SerialClientSession:
                 flight, LinkDown(f"the {what} was lost before the reply: {reason}", sent=True), now, again=True
             )
 
-    def unreachable(self, now: float, error: ModbusError) -> None:
-        """The port can not be opened: everything that waits fails, at once and with the same reason."""
-        self._ledger.unreachable(now, error)
+    def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
+        """The port can not be opened: everything that waits fails, at once and with the same reason.
+
+        With ``keep_repeated`` a demand that is about to be repeated waits for the next attempt.
+        """
+        self._ledger.unreachable(now, error, keep_repeated=keep_repeated)
 
     def written(self, until: float) -> None:
         """The frame that `transmit` gave was handed over; its last character leaves at ``until``."""
@@ -424,6 +430,7 @@ class SerialClientSession:
         flight = self._flight
         if isinstance(found, Damaged):
             self.counters.damaged_frames += 1
+            self.counters.overruns += found.overrun
             if flight is not None:
                 flight.damage = found.raw
             return

@@ -1,7 +1,7 @@
 """Serial ports: bytes in, bytes out, over a UART, a USB adapter or a pseudo-terminal. Knows no Modbus.
 
 Each file has one subject: what a line is set to (`settings`), which port is meant (`ports`), who holds it (`lock`),
-what the driver is asked beside that (`rs485`, `marks`, `counters`, through `ioctl`), when the last character has left
+what the driver is asked beside that (`rs485`, `marks`, `counters`, `overruns`, through `ioctl`), when the last character has left
 (`emission`), how descriptors are waited for (`waiting`), what foreign errors mean (`errors`), when a lost port is tried
 again (`reopen`), and the two ways to use one (`device`): `connection` under asyncio, `blocking` without it.
 

@@ -1,0 +1,38 @@
+"""Whether a port has lost characters since somebody last looked.
+
+Knows the driver's counters; what a loss means for a frame is for others. A port whose driver counts nothing has lost
+nothing as far as anybody can tell, and is not asked again.
+"""
+
+from collections.abc import Callable
+
+from ...errors import LinkDown
+from .counters import LineCounters
+
+
+class Overruns:
+    """Looks at the counters of one open port."""
+
+    __slots__ = ("_counters", "_lost")
+
+    def __init__(self, counters: Callable[[], LineCounters | None]) -> None:
+        """Begin with what was lost until now. ``counters`` reads them, and may raise `LinkDown`."""
+        self._counters = counters
+        self._lost = self._read()
+
+    def more(self) -> bool:
+        """Whether characters were lost since the last look."""
+        if self._lost is None:
+            return False
+        before, now = self._lost, self._read()
+        if now is None:
+            return False
+        self._lost = now
+        return now > before
+
+    def _read(self) -> int | None:
+        try:
+            counted = self._counters()
+        except LinkDown:
+            return None  # the port tells by itself that it has gone
+        return None if counted is None else counted.overruns + counted.buffer_overruns
