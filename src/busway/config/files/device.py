@@ -123,6 +123,7 @@ class ServerSection(ListenerKeys, OptionSection):
 
     unit_policy: Literal["listed", "any"] = "listed"
     unlisted: Literal["exception", "silence"] = "exception"
+    shared_places: bool | None = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of `busway.serve` that are set here."""

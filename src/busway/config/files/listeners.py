@@ -5,13 +5,16 @@ server's own class when the configuration is put together (`busway.assembly`).
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import AfterValidator, Field, model_validator
 
+from ...transport.tls import OF_CLIENTS as ONLY_LINKS
+from ...transport.tls import TlsParameters
 from ..endpoints import parse_endpoint
+from ..options import option_names
 from .lines import Path
-from .options import SecondsOrNone
+from .options import CountOrNone, OptionSection, SecondsOrNone, TextOrNone, with_options_of
 from .schema import Faults, Section
 
 OF_CLIENTS: Final = frozenset({"connect_timeout", "local_address"})
@@ -30,41 +33,51 @@ class ListenerKeys(Section):
     """The options of `ListenerParameters`, of a server or of one listener. None of them is set by being left out."""
 
     backlog: int | None = Field(default=None, ge=1, le=65_535)
+    priority: list[str] | None = None
+    max_priority_connections: int | None = Field(default=None, ge=0, le=1_000_000)
+    max_priority_per_remote: CountOrNone = None
     max_connections: int | None = Field(default=None, ge=1, le=1_000_000)
+    max_per_remote: CountOrNone = None
     write_buffer: int | None = Field(default=None, ge=1024, le=1 << 30)
+    write_timeout: SecondsOrNone = None
     single_adu_segments: bool | None = None
+    header_timeout: SecondsOrNone = None
     frame_timeout: SecondsOrNone = None
-
-
-class ListenerSection(ListenerKeys):
-    """``[[listener]]``: one place to listen, with what holds there and not for the others.
-
-    Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
-    """
-
-    url: Url
-    allow: list[str] = Field(default_factory=list)
-    deny: list[str] = Field(default_factory=list)
-    secure: bool = False
-    certificate: str | None = None
-    key: str | None = None
-    authority: str | None = None
+    idle_timeout: SecondsOrNone = None
+    request_rate: SecondsOrNone = None
+    interface: TextOrNone = None
 
     def limits(self) -> dict[str, Any]:  # of several types
         """The options of `ListenerParameters` that are set here."""
         return {name: getattr(self, name) for name in ListenerKeys.model_fields if name in self.model_fields_set}
 
+
+@with_options_of(TlsParameters, without=ONLY_LINKS)
+class ListenerSection(ListenerKeys, OptionSection):
+    """``[[listener]]``: one place to listen, with what holds there and not for the others.
+
+    Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
+    """
+
+    judged: ClassVar = False  # together with those of [security], where the listener is put together
+
+    url: Url
+    allow: list[str] = Field(default_factory=list)
+    deny: list[str] = Field(default_factory=list)
+    secure: bool | None = None
+
     @model_validator(mode="after")
     def _check_scheme(self) -> "ListenerSection":
         carrier = parse_endpoint(self.url).carrier
-        if carrier == "serial":
-            faults = [
-                ((name,), "has no effect on a serial line")
-                for name in type(self).model_fields
-                if name in self.model_fields_set and name != "url"
-            ]
-            if faults:
-                raise Faults(faults)
+        faults: list[tuple[Path, str]] = []
+        for name in type(self).model_fields:
+            if name in self.model_fields_set and name != "url":
+                if carrier == "serial":
+                    faults.append(((name,), "has no effect on a serial line"))
+                elif carrier != "tls" and name in option_names(TlsParameters):
+                    faults.append(((name,), "is for tls:// listeners"))
+        if faults:
+            raise Faults(faults)
         return self
 
 

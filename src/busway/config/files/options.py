@@ -31,6 +31,7 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 SecondsOrNone = Annotated[float | None, BeforeValidator(_none, json_schema_input_type=float | Literal["none"])]
 CountOrNone = Annotated[int | None, BeforeValidator(_none, json_schema_input_type=int | Literal["none"])]
+TextOrNone = Annotated[str | None, BeforeValidator(_none, json_schema_input_type=str)]
 """Types of keys that may also be ``none``."""
 
 

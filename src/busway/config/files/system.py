@@ -48,6 +48,8 @@ from ...session.serial_client import SerialClientParameters
 from ...transport.serial.opening import OpeningParameters
 from ...transport.serial.settings import SerialSettings
 from ...transport.tcp import SocketParameters
+from ...transport.tls import OF_SERVERS as ONLY_LISTENERS
+from ...transport.tls import TlsParameters
 from .device import DeviceFile, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
@@ -65,6 +67,7 @@ LINK_KINDS: Final = (
     FramingParameters,
     SerialSettings,
     OpeningParameters,
+    TlsParameters,
 )
 """The classes whose options a link may have; which of them, its scheme says."""
 
@@ -102,7 +105,7 @@ def _checked_place(text: str) -> str:
 FilePath = Annotated[str, Field(min_length=1)]
 
 
-@with_options_of(*LINK_KINDS)
+@with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
 class LinkSection(OptionSection):
     """``[[client.link]]``: one endpoint that is asked, under a name, with options of its own."""
 
@@ -112,7 +115,7 @@ class LinkSection(OptionSection):
     url: Url
 
 
-@with_options_of(*LINK_KINDS)
+@with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
 class ClientSection(OptionSection):
     """``[client]``: the links, and options for all of them whose scheme has the option."""
 
@@ -131,12 +134,9 @@ class ClientSection(OptionSection):
         return self
 
 
-class SecuritySection(Section):
-    """``[security]``: certificates of this host, for every ``tls://`` listener and link that names none of its own."""
-
-    certificate: FilePath | None = None
-    key: FilePath | None = None
-    authority: FilePath | None = None
+@with_options_of(TlsParameters, without=frozenset({"server_name"}))
+class SecuritySection(OptionSection):
+    """``[security]``: certificates of this host, for each ``tls://`` listener and link that says nothing else."""
 
 
 class AuditSection(Section):
