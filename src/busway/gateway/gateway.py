@@ -1,0 +1,396 @@
+"""The gateway: fronts, routes and lines, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
+
+Knows servers, routes and lines; knows no file.
+
+1. Each front is a server of its own, so that one can be opened, closed or changed while the others go on.
+2. Draining ends with the answers of what was asked before it, or with its deadline: no new connection is taken, and
+   nothing more is read, meanwhile.
+3. A change of configuration keeps every front and every line that is the same as before, with its connections; routes
+   change for all from one request to the next.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from ..client.settings import LinkSettings, link_settings
+from ..codes import TCP_DEVICE_UNIT
+from ..config.endpoints import Endpoint, parse_endpoint
+from ..errors import ConfigError
+from ..pdu.functions import STANDARD, FunctionTable
+from ..server.listener import Listener
+from ..server.local import LocalHandler
+from ..server.server import Server, ServerStatus
+from ..session.handler import Handler
+from .functions import RememberingTable
+from .handler import FrontCounters, FrontHandler
+from .lines import Line, LineStatus
+from .own_unit import STATES, own_device
+from .routes import RoutingTable
+
+DRAIN_SECONDS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Front:
+    """Where clients reach the gateway.
+
+    Attributes:
+        name: what routes call it.
+        listener: endpoint, access, certificates and limits.
+        deadline: seconds after which its clients have given up; a request that is still queued then is dropped.
+        silent_broadcasts: whether a write to unit 0 is not answered.
+    """
+
+    name: str
+    listener: Listener
+    deadline: float | None = None
+    silent_broadcasts: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LineSettings:
+    """Where routes lead.
+
+    Attributes:
+        name: what routes call it.
+        link: endpoint, timeouts, gaps: as `busway.open` takes them.
+        connections: how many there are to one server.
+        share_reads: whether identical reads in flight are asked once.
+        broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
+    """
+
+    name: str
+    link: LinkSettings
+    connections: int = 1
+    share_reads: bool = True
+    broadcast: bool | None = None
+
+    @classmethod
+    def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
+        """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`."""
+        own = {key: options.pop(key) for key in ("connections", "share_reads", "broadcast") if key in options}
+        return cls(name, link_settings(url, options), **own)
+
+
+@dataclass(frozen=True, slots=True)
+class FrontStatus:
+    """A front as a status shows it."""
+
+    name: str
+    server: ServerStatus
+    counters: FrontCounters
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayStatus:
+    """A gateway as a status shows it.
+
+    Attributes:
+        running: whether it answers.
+        uptime: seconds since the start; 0 while stopped.
+        endpoints: URLs of the fronts as they are bound.
+        fronts, lines: each of them.
+        open_requests: requests that are not answered yet.
+    """
+
+    running: bool
+    uptime: float
+    endpoints: tuple[str, ...]
+    fronts: tuple[FrontStatus, ...]
+    lines: tuple[LineStatus, ...]
+    open_requests: int
+
+
+@dataclass(slots=True)
+class _RunningFront:
+    front: Front
+    handler: FrontHandler
+    server: Server
+
+
+@dataclass(frozen=True)
+class GatewayPlan:
+    """Everything that a gateway is told, checked as a whole.
+
+    Attributes:
+        fronts, lines: each with a name of its own.
+        table: the routes between them.
+        own_unit: unit identifier of the gateway itself; None where it is no device.
+        functions: the table of functions; what is not in it is forwarded unread.
+        server: options of `Server` that hold for all fronts (parameters, limits, sockets, policy, audit …).
+    """
+
+    fronts: tuple[Front, ...]
+    lines: tuple[LineSettings, ...]
+    table: RoutingTable
+    own_unit: int | None = TCP_DEVICE_UNIT
+    functions: FunctionTable = STANDARD
+    server: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.fronts:
+            raise ConfigError("a gateway needs at least one front to listen on", key="front")
+        for key, names in (("front", [one.name for one in self.fronts]), ("line", [one.name for one in self.lines])):
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice is not None:
+                raise ConfigError(f"the name {twice!r} stands twice", key=key)
+        lines = {one.name for one in self.lines}
+        fronts = {one.name for one in self.fronts}
+        for route in self.table.routes:
+            if route.line and route.line not in lines:
+                raise ConfigError(
+                    f"there is no line {route.line!r}, but {', '.join(sorted(lines)) or 'none at all'}",
+                    key="route.line",
+                )
+            unknown = sorted(route.fronts - fronts)
+            if unknown:
+                raise ConfigError(
+                    f"there is no front {unknown[0]!r}, but {', '.join(sorted(fronts))}", key="route.fronts"
+                )
+
+
+class Gateway:
+    """Fronts, routes and lines; an asynchronous context manager that starts and stops.
+
+    Args:
+        plan: what it is told.
+        wrap: puts a handler around that of each front (metrics, for example); None for none.
+    """
+
+    def __init__(self, plan: GatewayPlan, *, wrap: Callable[[Handler], Handler] | None = None) -> None:
+        self.plan = plan
+        self._wrap = wrap
+        self._fronts: dict[str, _RunningFront] = {}
+        self._lines: dict[str, Line] = {}
+        self._started = 0.0
+        self._functions: FunctionTable = RememberingTable(plan.functions)
+        self._own: Handler | None = None
+        if plan.own_unit is not None:
+            self._own = LocalHandler({plan.own_unit: own_device(self._numbers)})
+        self._running = {front.name: self._made(front) for front in plan.fronts}
+
+    # Its life.
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it answers."""
+        return bool(self._fronts)
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs of the fronts as they are bound; empty while stopped."""
+        return [url for each in self._fronts.values() for url in each.server.endpoints]
+
+    async def start(self) -> None:
+        """Open all fronts. Lines connect at the first need. Raises `LinkDown`, `ConfigError`; then nothing is open."""
+        if self.is_running:
+            return
+        try:
+            self._lines = {one.name: _opened(one) for one in self.plan.lines}
+            self._follow(self._running.values())
+            for name, each in self._running.items():
+                await each.server.start()
+                self._fronts[name] = each
+        except BaseException:
+            await self.stop()
+            raise
+        self._started = time.monotonic()
+
+    async def stop(self) -> None:
+        """Close fronts and lines at once. What is not answered yet gets no answer."""
+        fronts, self._fronts = self._fronts, {}
+        for each in fronts.values():
+            await each.server.stop()
+        lines, self._lines = self._lines, {}
+        for line in lines.values():
+            await line.close()
+        self._started = 0.0
+
+    async def drain(self, seconds: float = DRAIN_SECONDS) -> int:
+        """Take nothing new, let what was asked be answered, then stop; the number of requests left unanswered.
+
+        Args:
+            seconds: how long that may take.
+        """
+        for each in self._fronts.values():
+            await each.server.take_no_more()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                for line in self._lines.values():
+                    await line.wait_until_answered()
+        left = self.open_requests
+        await self.stop()
+        return left
+
+    async def change(self, plan: GatewayPlan) -> list[str]:
+        """Follow another plan; what changed, in words.
+
+        Fronts and lines that are the same in both keep their connections. Where a new front can not be opened, the
+        error is raised and everything is as before.
+
+        Raises:
+            LinkDown, ConfigError: a new front or line can not be had.
+        """
+        said: list[str] = []
+        old_fronts = {one.name: one for one in self.plan.fronts}
+        old_lines = {one.name: one for one in self.plan.lines}
+        if (plan.own_unit, plan.functions, plan.server) != (self.plan.own_unit, self.plan.functions, self.plan.server):
+            raise ConfigError(
+                "own unit, functions and the options of servers change with a restart only", key="gateway"
+            )
+        fresh = {one.name: one for one in plan.fronts if old_fronts.get(one.name) != one}
+        started: dict[str, _RunningFront] = {}
+        new_lines = {one.name: _opened(one) for one in plan.lines if old_lines.get(one.name) != one}
+        going = [each for name, each in self._fronts.items() if name not in {one.name for one in plan.fronts}]
+        going += [self._fronts[name] for name in fresh if name in self._fronts]
+        try:
+            for name in [name for name in fresh if name in self._fronts]:
+                await self._fronts[name].server.stop()  # it may hold the very port that the new one wants
+            for name, front in fresh.items():
+                started[name] = self._made(front)
+                await started[name].server.start()
+        except BaseException:
+            for each in started.values():
+                await each.server.stop()
+            for name in fresh:
+                if name in self._fronts:
+                    await self._fronts[name].server.start()
+            for line in new_lines.values():
+                await line.close()
+            raise
+        kept = {name: line for name, line in self._lines.items() if name in {one.name for one in plan.lines}}
+        lines = {one.name: new_lines.get(one.name) or kept[one.name] for one in plan.lines}
+        closing = [line for name, line in self._lines.items() if lines.get(name) is not line]
+        fronts = {one.name: started.get(one.name) or self._fronts[one.name] for one in plan.fronts}
+        said += [f"front {name} {'changed' if name in old_fronts else 'added'}" for name in fresh]
+        said += [f"line {name} {'changed' if name in old_lines else 'added'}" for name in new_lines]
+        said += [f"line {line.name} closed" for line in closing if line.name not in lines]
+        said += [f"front {each.front.name} closed" for each in going if each.front.name not in fronts]
+        if plan.table != self.plan.table:
+            said.append(f"{len(plan.table.routes)} routes")
+        self.plan, self._lines, self._fronts = plan, lines, fronts
+        self._running = dict(fronts)
+        self._follow(fronts.values())
+        for each in going:
+            await each.server.stop()
+        for line in closing:
+            await line.close()
+        return said
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.stop()
+
+    # Its state.
+
+    @property
+    def open_requests(self) -> int:
+        """Requests that are not answered yet."""
+        return sum(line.open_requests for line in self._lines.values())
+
+    @property
+    def servers(self) -> list[Server]:
+        """The servers of the fronts."""
+        return [each.server for each in self._running.values()]
+
+    def status(self) -> GatewayStatus:
+        """How it stands now."""
+        return GatewayStatus(
+            running=self.is_running,
+            uptime=time.monotonic() - self._started if self._started else 0.0,
+            endpoints=tuple(self.endpoints),
+            fronts=tuple(
+                FrontStatus(name, each.server.status(), each.handler.counters) for name, each in self._running.items()
+            ),
+            lines=tuple(line.status() for line in self._lines.values()),
+            open_requests=self.open_requests,
+        )
+
+    def _numbers(self) -> tuple[list[int], list[list[int]]]:
+        """The values of the own unit's registers."""
+        status = self.status()
+        own = [
+            int(status.uptime),
+            len(status.fronts),
+            len(status.lines),
+            sum(len(front.server.connections) for front in status.fronts),
+            sum(front.server.counters.requests for front in status.fronts),
+            sum(front.counters.no_route for front in status.fronts),
+        ]
+        return own, [_line_numbers(line) for line in status.lines]
+
+    # Inside.
+
+    def _made(self, front: Front) -> _RunningFront:
+        handler = FrontHandler(
+            front.name,
+            self._functions,
+            own=self._own,
+            own_unit=TCP_DEVICE_UNIT if self.plan.own_unit is None else self.plan.own_unit,
+            deadline=front.deadline,
+            silent_broadcasts=front.silent_broadcasts,
+        )
+        handler.follow(self.plan.table.of_front(front.name), self._lines)
+        outer = handler if self._wrap is None else self._wrap(handler)
+        return _RunningFront(front, handler, Server((front.listener,), outer, **self.plan.server))
+
+    def _follow(self, fronts: "Sequence[_RunningFront] | Any") -> None:
+        for each in fronts:
+            each.handler.follow(self.plan.table.of_front(each.front.name), self._lines)
+
+
+def _opened(settings: LineSettings) -> Line:
+    line = Line(
+        settings.name,
+        settings.link,
+        connections=settings.connections,
+        share_reads=settings.share_reads,
+        broadcast=settings.broadcast,
+    )
+    line.open()
+    return line
+
+
+def _line_numbers(line: LineStatus) -> list[int]:
+    counters = line.counters
+    return [
+        max((STATES.index(one.state) for one in line.links), default=0),
+        sum(one.in_flight for one in line.links),
+        sum(one.queued for one in line.links),
+        counters.forwarded,
+        counters.answered,
+        counters.exceptions,
+        counters.no_answer,
+        counters.no_path,
+        counters.shared + counters.recalled,
+    ]
+
+
+def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoint, **options: Any) -> GatewayPlan:
+    """The common case: every unit of every front to one line.
+
+    Args:
+        fronts: URLs to listen on.
+        line: URL of the line behind, or of the server.
+        options: of the line, as `LineSettings.of` takes them.
+    """
+    from .routes import ALL_UNITS, Route
+
+    endpoint = parse_endpoint(line)
+    units = ALL_UNITS if endpoint.framing == "mbap" else frozenset(range(1, 248))
+    listeners = [one if isinstance(one, Listener) else Listener(one) for one in fronts]
+    return GatewayPlan(
+        fronts=tuple(Front(parse_endpoint(one.endpoint).url, one) for one in listeners),
+        lines=(LineSettings.of("line", line, **options),),
+        table=RoutingTable((Route(line="line", units=units),)),
+    )

@@ -1,0 +1,376 @@
+"""A line behind a gateway: its links, and the requests that wait for them.
+
+Knows links and demands; knows no front beyond the context of a request.
+
+1. Each request ends exactly once: with the device's answer, with its exception, or with 0A or 0B.
+2. The order on the line is that of its scheduler: round robin over the connections in front, see
+   `busway.session.queue`.
+3. A client that goes away takes its queued requests with it; the one on the wire finishes, and its answer is dropped.
+4. Where a line has several connections to one server, all requests of one client use the same one, so that they
+   arrive in the order in which they were asked.
+"""
+
+import asyncio
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import partial
+
+from ..client.connector import connector_for
+from ..client.conversation import conversation_for
+from ..client.link import Link
+from ..client.settings import LinkSettings
+from ..codes import ExceptionCode
+from ..errors import ConfigError, InvalidRequest, ModbusError
+from ..pdu.general import ExceptionResponse
+from ..pdu.message import Message, Request
+from ..pdu.read_items import ReadBits, ReadRegisters
+from ..session.demand import Demand
+from ..session.handler import LATER, Outcome, RequestContext
+from ..session.ledger import ClientCounters
+from .answers import code_for
+from .memory import Key, Memory, Place
+from .routes import Route
+from .translation import behind, in_front
+
+MAX_CONNECTIONS = 16
+_CLIENTS_REMEMBERED = 4096
+
+
+@dataclass(slots=True)
+class LineCounters:
+    """What happened to the requests of a line.
+
+    Attributes:
+        forwarded: requests that were handed to a link.
+        answered: requests that got the device's answer.
+        exceptions: requests that the device refused.
+        no_path: requests answered 0A: line down, queue full, or not to be asked so.
+        no_answer: requests answered 0B.
+        shared: reads that were answered by another's read in flight.
+        recalled: reads that were answered from memory.
+        abandoned: requests whose client had gone.
+        broadcasts: writes to all units.
+    """
+
+    forwarded: int = 0
+    answered: int = 0
+    exceptions: int = 0
+    no_path: int = 0
+    no_answer: int = 0
+    shared: int = 0
+    recalled: int = 0
+    abandoned: int = 0
+    broadcasts: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """One connection of a line.
+
+    Attributes:
+        state: where it stands.
+        in_flight: requests whose reply is awaited.
+        queued: requests that wait for their turn.
+        counters: what happened on it.
+    """
+
+    state: str
+    in_flight: int
+    queued: int
+    counters: ClientCounters
+
+
+@dataclass(frozen=True, slots=True)
+class LineStatus:
+    """A line as a status shows it."""
+
+    name: str
+    endpoint: str
+    links: tuple[LinkStatus, ...]
+    counters: LineCounters
+
+
+class _Exchange:
+    """One demand on a line, and everybody who waits for it. It has the face of a future for `Link.begin`."""
+
+    __slots__ = ("began", "demand", "key", "line", "link", "request", "since", "unit", "waiters")
+
+    demand: Demand
+    key: Key | None
+    since: int
+
+    def __init__(self, line: "Line", link: Link, request: Request, unit: int) -> None:
+        self.line = line
+        self.link = link
+        self.request = request
+        self.unit = unit
+        self.began = 0.0
+        self.waiters: list[tuple[RequestContext, Request, Route]] = []
+
+    def done(self) -> bool:
+        """Never: `set_result` is called once."""
+        return False
+
+    def set_result(self, result: None) -> None:
+        """All outcomes are there."""
+        self.line.ended(self)
+
+
+class Line:
+    """One line: where routes lead.
+
+    Args:
+        name: what routes call it.
+        settings: of its links.
+        connections: how many there are to one server; 1 on a serial line.
+        share_reads: whether identical reads in flight are asked once.
+        broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: LinkSettings,
+        *,
+        connections: int = 1,
+        share_reads: bool = True,
+        broadcast: bool | None = None,
+    ) -> None:
+        if not 1 <= connections <= MAX_CONNECTIONS:
+            raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {connections}", key="connections")
+        if connections > 1 and settings.endpoint.carrier == "serial":
+            raise ConfigError("a serial port is opened once", key="connections")
+        self.name = name
+        self.settings = settings
+        self.share_reads = share_reads
+        self.takes_broadcasts = settings.endpoint.framing != "mbap" if broadcast is None else broadcast
+        self.counters = LineCounters()
+        self._connections = connections
+        self._links: list[Link] = []
+        self._link_of: OrderedDict[str, Link] = OrderedDict()
+        self._memory: Memory[_Exchange] = Memory()
+        self._open = 0
+        self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open
+
+    # Its life.
+
+    def open(self) -> None:
+        """Make the links; they connect at the first need. In a coroutine. Raises `ConfigError`."""
+        if self._links:
+            return
+        for _ in range(self._connections):
+            session = conversation_for(self.settings)
+            connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
+            self._links.append(Link(connector, session, self.settings))
+
+    async def close(self) -> None:
+        """Close the links. What still waits is answered 0A."""
+        links, self._links = self._links, []
+        self._link_of.clear()
+        for link in links:
+            await link.close()
+
+    async def wait_until_answered(self) -> None:
+        """Wait until no request is open."""
+        if self._open:
+            self._answered = asyncio.Event()
+            await self._answered.wait()
+
+    @property
+    def open_requests(self) -> int:
+        """Requests that are not answered yet."""
+        return self._open
+
+    def status(self) -> LineStatus:
+        """How it stands."""
+        return LineStatus(
+            name=self.name,
+            endpoint=self.settings.endpoint.url,
+            links=tuple(
+                LinkStatus(
+                    link.reconnect.state.value, link.session.in_flight, link.session.queued, link.session.counters
+                )
+                for link in self._links
+            ),
+            counters=self.counters,
+        )
+
+    # Requests.
+
+    def forward(self, context: RequestContext, request: Request, route: Route, *, deadline: float | None) -> Outcome:
+        """Ask a device for a client in front.
+
+        Args:
+            context: who asks; it gets the answer.
+            request: what is asked in front.
+            route: what becomes of it.
+            deadline: seconds after which the client has given up; None if that is not known.
+        """
+        unit = route.unit_behind(context.unit)
+        key = None
+        if isinstance(request, ReadRegisters | ReadBits):
+            if route.cache is not None:
+                data = self._memory.recall(unit, _place(request, route), time.monotonic(), for_seconds=route.cache)
+                if data is not None:
+                    self.counters.recalled += 1
+                    return request.Reply(data)
+            limit = route.max_bits if isinstance(request, ReadBits) else route.max_registers
+            key = (request.code, request.address + route.shift, request.count, limit or 0)
+            exchange = self._memory.reading(unit, key) if self.share_reads else None
+            if exchange is not None:
+                self.counters.shared += 1
+                self._wait(exchange, context, request, route)
+                return LATER
+        try:
+            sent = behind(request, route)
+        except InvalidRequest:
+            return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_ADDRESS)
+        link = self._link_for(context)
+        if link is None:
+            self.counters.no_path += 1
+            return ExceptionResponse(context.function, ExceptionCode.GATEWAY_PATH_UNAVAILABLE)
+        exchange = _Exchange(self, link, request, unit)
+        exchange.key = key
+        error = self._begin(exchange, sent, route, deadline, context)
+        if error is not None:
+            return ExceptionResponse(context.function, self._refused(error))
+        self._wait(exchange, context, request, route)
+        return LATER
+
+    def broadcast(self, context: RequestContext, request: Request, route: Route) -> bool:
+        """Send a write to all units of the line; the answer comes when it was sent. False: it can not be sent now."""
+        link = self._link_for(context)
+        if link is None:
+            return False
+        exchange = _Exchange(self, link, request, 0)
+        exchange.key = None
+        error = self._begin(exchange, (request,), route, None, context)
+        if error is not None:
+            self._refused(error)
+            return False
+        self.counters.broadcasts += 1
+        self._wait(exchange, context, request, route)
+        return True
+
+    def _begin(
+        self,
+        exchange: _Exchange,
+        sent: tuple[Request, ...],
+        route: Route,
+        deadline: float | None,
+        context: RequestContext,
+    ) -> ModbusError | None:
+        """Hand the requests to the link; the error if they were not taken."""
+        parameters = self.settings.parameters
+        link = exchange.link
+        now = link.now()
+        is_write = exchange.request.is_write
+        demand = exchange.demand = Demand(
+            exchange.unit,
+            sent,
+            is_write=is_write,
+            timeout=route.timeout or parameters.timeout,
+            retries=parameters.retries,
+            deadline=None if deadline is None else now + deadline,
+            caller=(context.listener, context.peer),
+        )
+        demand.owner = exchange
+        if is_write:
+            self._memory.write_begins(exchange.unit)
+        try:
+            link.begin(demand, now)
+        except ModbusError as error:
+            if is_write:
+                self._memory.write_ended(exchange.unit)
+            return error
+        if exchange.key is not None:
+            exchange.since = self._memory.read_begins(exchange.unit, exchange.key, exchange)
+            exchange.began = time.monotonic() if route.cache is not None else 0.0
+        self.counters.forwarded += 1
+        self._open += 1
+        return None
+
+    def _wait(self, exchange: _Exchange, context: RequestContext, request: Request, route: Route) -> None:
+        exchange.waiters.append((context, request, route))
+        context.gone = partial(self._gone, exchange, context)
+
+    def _link_for(self, context: RequestContext) -> Link | None:
+        """The connection that a client's requests use; None while the line is closed."""
+        links = self._links
+        if len(links) < 2:
+            return links[0] if links else None
+        client = f"{context.listener} {context.peer}"
+        link = self._link_of.get(client)
+        if link is None:
+            if len(self._link_of) >= _CLIENTS_REMEMBERED:
+                self._link_of.popitem(last=False)
+            users = [*self._link_of.values()]
+            link = min(links, key=users.count)
+            self._link_of[client] = link
+        return link
+
+    # What comes back.
+
+    def ended(self, exchange: _Exchange) -> None:
+        """A demand has all its outcomes: answer everybody who waits for it."""
+        self._leave(exchange)
+        demand = exchange.demand
+        outcomes = demand.outcomes
+        error = demand.error
+        if error is not None:
+            code = self._refused(error)
+            for context, _, _ in exchange.waiters:
+                context.refuse(code)
+            return
+        replies = [outcome for outcome in outcomes if isinstance(outcome, Message)]
+        self.counters.answered += 1
+        for context, request, route in exchange.waiters:
+            reply = in_front(request, route, demand.requests, replies)
+            if route.cache is not None and exchange.began:
+                self._remember(exchange, request, route, reply)
+            context.reply(reply)
+
+    def _remember(self, exchange: _Exchange, request: Request, route: Route, reply: Message) -> None:
+        if isinstance(request, ReadRegisters | ReadBits):
+            assert isinstance(reply, ReadRegisters.Reply | ReadBits.Reply)
+            place = _place(request, route)
+            self._memory.remember(exchange.unit, place, reply.data, since=exchange.since, read_at=exchange.began)
+
+    def _refused(self, error: ModbusError) -> int:
+        """The exception code for an error, counted."""
+        code = code_for(error)
+        counters = self.counters
+        if code == ExceptionCode.GATEWAY_PATH_UNAVAILABLE:
+            counters.no_path += 1
+        elif code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND:
+            counters.no_answer += 1
+        else:
+            counters.exceptions += 1
+        return code
+
+    def _gone(self, exchange: _Exchange, context: RequestContext) -> None:
+        """A client has gone: when nobody is left who waits, the request is taken back as far as it can be."""
+        self.counters.abandoned += 1
+        exchange.waiters = [one for one in exchange.waiters if one[0] is not context]
+        demand = exchange.demand
+        if not exchange.waiters and not demand.ended:
+            if demand.is_write and (demand.next or demand.attempts):
+                return  # it is on the wire: nobody may share or recall a read until it has ended
+            self._leave(exchange)
+            exchange.link.give_up(demand)
+
+    def _leave(self, exchange: _Exchange) -> None:
+        self._open -= 1
+        if not self._open and self._answered is not None:
+            self._answered.set()
+        if exchange.request.is_write:
+            self._memory.write_ended(exchange.unit)
+        elif exchange.key is not None:
+            self._memory.read_ended(exchange.unit, exchange.key, exchange)
+
+
+def _place(request: ReadRegisters | ReadBits, route: Route) -> Place:
+    """What a read in front touches behind."""
+    assert request.reads is not None
+    return request.reads.table, request.address + route.shift, request.count

@@ -1,0 +1,141 @@
+"""What a line remembers of reads: those in flight, which others may share, and values that may still be answered.
+
+Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
+
+Whoever has seen a write end must not be given what was there before it. So:
+
+1. From the moment a write to a unit is asked until it has ended, nothing of the unit is shared or remembered, and what
+   was before is forgotten. A broadcast does so for all units of the line.
+2. A read that was sent before a write ended is not remembered either: its value may be the old one.
+3. A value is as old as the moment its read was sent; it is answered until its time to live has passed since.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from ..codes import BROADCAST_UNIT, Table
+from ..pdu.bits import slice_bits
+
+Shared = TypeVar("Shared")
+Key = tuple[int, int, int, int]
+"""Function, address, count, and the limit it was split by."""
+Place = tuple[Table, int, int]
+"""Table, address of the first item, count."""
+
+BLOCKS_PER_UNIT = 64
+"""Values remembered of a unit; the one unused longest is forgotten."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Items that were read in one request, and when it was asked."""
+
+    data: bytes
+    read_at: float
+
+
+@dataclass(slots=True)
+class _Unit(Generic[Shared]):
+    """What is remembered of one unit."""
+
+    open_writes: int = 0
+    changes: int = 0
+    reading: dict[Key, Shared] = field(default_factory=dict)
+    blocks: "OrderedDict[Place, _Block]" = field(default_factory=OrderedDict)
+
+    def forget(self) -> None:
+        self.changes += 1
+        self.reading.clear()
+        self.blocks.clear()
+
+
+class Memory(Generic[Shared]):
+    """The memory of one line. ``Shared`` is whatever stands for a read in flight."""
+
+    __slots__ = ("_broadcasts", "_units")
+
+    def __init__(self) -> None:
+        self._units: dict[int, _Unit[Shared]] = {}
+        self._broadcasts = 0
+
+    def _unit(self, unit: int) -> _Unit[Shared]:
+        found = self._units.get(unit)
+        if found is None:
+            found = self._units[unit] = _Unit()
+        return found
+
+    # Writes.
+
+    def write_begins(self, unit: int) -> None:
+        """A write to ``unit`` is about to be asked."""
+        self._unit(unit).open_writes += 1
+        self._changed(unit)
+
+    def write_ended(self, unit: int) -> None:
+        """It has ended, however."""
+        self._unit(unit).open_writes -= 1
+        self._changed(unit)
+
+    def _changed(self, unit: int) -> None:
+        for each in self._units.values() if unit == BROADCAST_UNIT else (self._unit(unit),):
+            each.forget()
+
+    def _is_quiet(self, state: _Unit[Shared]) -> bool:
+        broadcast = self._units.get(BROADCAST_UNIT)
+        return not state.open_writes and (broadcast is None or not broadcast.open_writes)
+
+    # Reads in flight.
+
+    def reading(self, unit: int, key: Key) -> Shared | None:
+        """The read in flight that a new one may share."""
+        state = self._units.get(unit)
+        return None if state is None else state.reading.get(key)
+
+    def read_begins(self, unit: int, key: Key, shared: Shared) -> int:
+        """A read is asked. The number is to be handed to `remember`."""
+        state = self._unit(unit)
+        if self._is_quiet(state):
+            state.reading[key] = shared
+        return state.changes
+
+    def read_ended(self, unit: int, key: Key, shared: Shared) -> None:
+        """It has ended, or nobody waits for it any more."""
+        state = self._unit(unit)
+        if state.reading.get(key) is shared:
+            del state.reading[key]
+
+    # Values.
+
+    def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
+        """Keep what a read has brought, unless something was written meanwhile.
+
+        Args:
+            unit: the unit on the line.
+            place: what was read there.
+            data: the items, as a reply carries them.
+            since: what `read_begins` gave.
+            read_at: when it was asked.
+        """
+        state = self._unit(unit)
+        if state.changes != since or not self._is_quiet(state):
+            return
+        state.blocks[place] = _Block(data, read_at)
+        state.blocks.move_to_end(place)
+        if len(state.blocks) > BLOCKS_PER_UNIT:
+            state.blocks.popitem(last=False)
+
+    def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
+        """The items of a range from what is remembered, also out of a larger block; None if nothing so young is."""
+        state = self._units.get(unit)
+        if state is None or not state.blocks:
+            return None
+        table, first, count = place
+        for known, block in reversed(state.blocks.items()):
+            at = first - known[1]
+            if known[0] is table and at >= 0 and at + count <= known[2] and now < block.read_at + for_seconds:
+                state.blocks.move_to_end(known)
+                if table.holds_bits:
+                    return slice_bits(block.data, at, count)
+                return block.data[2 * at : 2 * (at + count)]
+        return None
