@@ -15,7 +15,7 @@ from typing import Protocol
 
 from busway.framing.conversation import Role
 from busway.framing.echo import Echo
-from busway.framing.timing import Parity, SerialTiming
+from busway.framing.timing import SerialTiming
 from busway.pdu.message import Message, Request
 from busway.server.device import Device
 from busway.server.local import LocalHandler
@@ -28,7 +28,6 @@ from busway.session.parameters import ClientParameters
 from busway.session.serial_client import SerialClientParameters, SerialClientSession
 from busway.session.serial_server import Emission, SerialServerSession
 from busway.testing.virtual_line import VirtualLine, VirtualPort
-from busway.transport.serial.settings import SerialSettings
 
 
 class End(Protocol):
@@ -72,7 +71,7 @@ class Bus:
     @property
     def timing(self) -> SerialTiming:
         """The times of the line."""
-        return timing_of(self.line.settings)
+        return self.line.settings.timing
 
     def master(
         self,
@@ -354,14 +353,4 @@ def honest(units: dict[int, Device]) -> Callable[[int, bytes], bytes | None]:
     return answer
 
 
-def timing_of(settings: SerialSettings) -> SerialTiming:
-    """The times of a line that is set so."""
-    return SerialTiming.of_line(
-        settings.baud,
-        data_bits=settings.data_bits,
-        parity=Parity(settings.parity.value),
-        stop_bits=settings.stop_bits,
-    )
-
-
-__all__ = ["Bus", "Call", "DeviceEnd", "MasterEnd", "Message", "ServerEnd", "honest", "timing_of"]
+__all__ = ["Bus", "Call", "DeviceEnd", "MasterEnd", "Message", "ServerEnd", "honest"]

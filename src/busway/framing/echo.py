@@ -11,15 +11,16 @@ Knows bytes and times; knows no frame.
    reply. Once it is known, no copy is held.
 """
 
-from enum import Enum
 from typing import Final
+
+from .word import Word
 
 ECHO_WINDOW: Final = 0.050
 """Seconds after the end of a frame within which its echo begins, adapters and system included."""
 
 
-class Echo(Enum):
-    """Whether the port gives back what is sent."""
+class Echo(Word):
+    """Whether the own characters come back. AUTOMATIC leaves it to be found out from the first exchange."""
 
     OFF = "off"
     ON = "on"

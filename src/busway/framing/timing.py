@@ -9,8 +9,9 @@ Knows bits and seconds; knows no port.
 """
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Final
+
+from .word import Word
 
 FIXED_ABOVE_BAUD: Final = 19_200
 FIXED_T1_5: Final = 0.000_750
@@ -19,8 +20,8 @@ NETWORK_SILENCE: Final = 0.020
 """Stands for t3.5 where RTU travels over a network: longer than what one segment is late behind the other on a LAN."""
 
 
-class Parity(Enum):
-    """The parity bit of a character."""
+class Parity(Word):
+    """The parity bit of each character."""
 
     EVEN = "even"
     ODD = "odd"

@@ -21,7 +21,7 @@ from ..config.options import build_parameters, option_names
 from ..errors import ConfigError, LinkDown
 from ..framing.conversation import Role
 from ..framing.received import Damaged, Received
-from ..framing.timing import Parity, SerialTiming
+from ..framing.timing import SerialTiming
 from ..session.line_framing import FramingParameters, line_framing
 from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.opening import Claim, OpeningParameters
@@ -153,12 +153,7 @@ class LineToHear:
     @property
     def timing(self) -> SerialTiming:
         """The times of the line; of a network where there is no port."""
-        port = self.port
-        if port is None:
-            return SerialTiming.of_network()
-        return SerialTiming.of_line(
-            port.baud, data_bits=port.data_bits, parity=Parity(port.parity.value), stop_bits=port.stop_bits
-        )
+        return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
         """Open port or connection. Raises `LinkDown`, and `ConfigError` where this process has the port already."""

@@ -13,7 +13,7 @@ from ..config.options import build_parameters, option_names
 from ..errors import ConfigError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
-from ..framing.timing import Parity, SerialTiming
+from ..framing.timing import SerialTiming
 from ..pdu.functions import FunctionTable
 from ..session.line_framing import FramingParameters, LineFraming, line_framing
 from ..transport.serial.opening import OpeningParameters
@@ -57,11 +57,7 @@ class ListenerSettings:
     ) -> LineFraming:
         """A framing in the role of a server with ``units``, for one port or connection. Raises `ConfigError`."""
         port = self.port
-        timing = SerialTiming.of_network()
-        if port is not None:
-            timing = SerialTiming.of_line(
-                port.baud, data_bits=port.data_bits, parity=Parity(port.parity.value), stop_bits=port.stop_bits
-            )
+        timing = SerialTiming.of_network() if port is None else port.timing
         return line_framing(
             self.endpoint.framing,
             Role.SERVER,
@@ -69,7 +65,7 @@ class ListenerSettings:
             self.framing,
             functions=functions,
             units=units,
-            echo=Echo.OFF if port is None else Echo(port.echo.value),
+            echo=Echo.OFF if port is None else port.echo,
             strip_parity=port is not None and port.data_bits == 8,
             started=started,
         )

@@ -1,9 +1,10 @@
 """Serial ports: bytes in, bytes out, over a UART, a USB adapter or a pseudo-terminal. Knows no Modbus.
 
 Each file has one subject: what a line is set to (`settings`), which port is meant (`ports`), who holds it (`lock`),
-what the driver is asked beside that (`rs485`, `marks`, `counters`, `overruns`, through `ioctl`), when the last character has left
-(`emission`), how descriptors are waited for (`waiting`), what foreign errors mean (`errors`), when a lost port is tried
-again (`reopen`), and the two ways to use one (`device`): `connection` under asyncio, `blocking` without it.
+what the driver is asked beside that (`rs485`, `marks`, `counters`, `overruns`, through `ioctl`), when the last
+character has left (`emission`), how descriptors are waited for (`waiting`), what foreign errors mean (`errors`), when a
+lost port is tried again (`reopen`), and the two ways to use one (`device`): `connection` under asyncio, `blocking`
+without it.
 
 `serialx` opens the ports. It is imported when the first one is opened, so that whoever uses none does not wait for it.
 """

@@ -9,11 +9,13 @@ Knows the characters of a line and the wires that switch its direction; knows no
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 from typing import Self
 
 from ...config.options import build_parameters
 from ...errors import ConfigError
+from ...framing.echo import Echo
+from ...framing.timing import Parity, SerialTiming, stop_bits_for
+from ...framing.word import Word
 
 LOWEST_BAUD = 50
 HIGHEST_BAUD = 12_000_000
@@ -23,25 +25,7 @@ LONGEST_DIRECTION_DELAY = 1.0
 """Seconds; the kernel's own mode takes 0.1 at most and says so when the port is opened."""
 
 
-class _Word(Enum):
-    """An option's value, written in lower case; capitals are taken too."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> "_Word | None":
-        if not isinstance(value, str) or value == value.lower():
-            return None
-        return cls(value.lower())
-
-
-class Parity(_Word):
-    """The parity bit of each character."""
-
-    EVEN = "even"
-    ODD = "odd"
-    NONE = "none"
-
-
-class Rs485(_Word):
+class Rs485(Word):
     """Who switches the direction of an RS-485 driver.
 
     OFF: nobody here; the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
@@ -52,14 +36,6 @@ class Rs485(_Word):
     OFF = "off"
     KERNEL = "kernel"
     RTS = "rts"
-    AUTOMATIC = "automatic"
-
-
-class Echo(_Word):
-    """Whether the own characters come back. AUTOMATIC leaves it to be found out from the first exchange."""
-
-    OFF = "off"
-    ON = "on"
     AUTOMATIC = "automatic"
 
 
@@ -136,9 +112,7 @@ class SerialSettings:
     @property
     def stop_bits_on_line(self) -> int:
         """The stop bits that each character has, given or by rule."""
-        if self.stop_bits is not None:
-            return self.stop_bits
-        return 2 if self.parity is Parity.NONE else 1
+        return stop_bits_for(self.parity) if self.stop_bits is None else self.stop_bits
 
     @property
     def character_bits(self) -> int:
@@ -150,6 +124,16 @@ class SerialSettings:
         """Seconds that one character takes."""
         return self.character_bits / self.baud
 
+    @property
+    def timing(self) -> SerialTiming:
+        """Character time, t1.5 and t3.5."""
+        return SerialTiming.of_line(
+            self.baud, data_bits=self.data_bits, parity=self.parity, stop_bits=self.stop_bits_on_line
+        )
+
     def __str__(self) -> str:
         """The short form that panels and data sheets use, as in ``19200 8E1``."""
         return f"{self.baud} {self.data_bits}{self.parity.name[0]}{self.stop_bits_on_line}"
+
+
+__all__ = ["HIGHEST_BAUD", "LOWEST_BAUD", "Echo", "Parity", "Rs485", "SerialSettings"]

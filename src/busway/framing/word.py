@@ -1,0 +1,14 @@
+"""Values of options that are words, such as ``even``: written in lower case, and taken in capitals too."""
+
+from enum import Enum
+from typing import Self
+
+
+class Word(Enum):
+    """An option's value; its text is the member's value."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        if not isinstance(value, str) or value == value.lower():
+            return None
+        return cls(value.lower())
