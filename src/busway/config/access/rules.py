@@ -24,6 +24,7 @@ from ...codes import ExceptionCode, Table
 from ...errors import ConfigError
 from ...values.refusal import shown
 from ..endpoints import SCHEMES, parse_endpoint
+from .addresses import AddressList
 from .networks import Networks
 from .notation import Function, Range, merged, parse_files, parse_functions, parse_items, parse_table, parse_units
 from .question import END, FILES, Asker, Piece, Question, Space
@@ -318,7 +319,7 @@ class Policy:
 
     @classmethod
     def of(cls, *rules: Rule, default: str | Action = Action.DENY) -> "Policy":
-        """A policy of rules in their order; ``default`` is ``allow``, ``deny`` or ``read-only``. Raises `ConfigError`."""
+        """A policy of rules in their order; ``default``: ``allow``, ``deny``, ``read-only``. Raises `ConfigError`."""
         return cls(rules, _one_of(Action, default, "default"))
 
     @classmethod
@@ -413,6 +414,19 @@ class Policy:
                 return
         for first, end in left:
             yield None, first, end
+
+
+@dataclass(frozen=True, slots=True)
+class AccessRules:
+    """All that a file says about access.
+
+    Attributes:
+        policy: who may ask what.
+        addresses: who may connect.
+    """
+
+    policy: Policy
+    addresses: AddressList
 
 
 def _code(rule: Rule | None) -> int:

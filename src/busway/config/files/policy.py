@@ -1,0 +1,168 @@
+"""The schema of policies: who may connect, and rules on what may be asked. A file of its own, or a part of another.
+
+Knows what can be written; what it means, and what goes together, is said by `busway.config.access`.
+
+::
+
+    [policy]
+    default = "read-only"
+    allow = ["10.0.0.0/8"]
+
+    [[policy.rule]]
+    name = "setpoints"
+    roles = ["operator"]
+    functions = ["write"]
+    addresses = "4x101-4x110"
+    values = { min = 0, max = 1000 }
+
+or in one word: ``policy = "read-only"``.
+"""
+
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from ...errors import ConfigError
+from ..access.addresses import AddressList
+from ..access.rules import AccessRules, Action, Limits, Policy, Rule
+from .lines import Path
+from .schema import Faults, Section, parse_file
+
+Numbers = int | str | list[int | str]
+ActionWord = Literal["allow", "deny", "read-only"]
+
+
+def parse_policy_file(text: str, name: str) -> AccessRules:
+    """A policy file, checked as a whole.
+
+    Args:
+        text: its content.
+        name: its name, for the sentences.
+
+    Raises:
+        FileError: all that is wrong with it, each with file, line and key.
+    """
+    return parse_file(text, PolicyFile, name).policy.access_rules()
+
+
+class ValuesSection(Section):
+    """``values``: what may be written to each register that the rule is about."""
+
+    min: int | None = None
+    max: int | None = None
+    signed: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> "ValuesSection":
+        try:
+            self.limits()
+        except ConfigError as error:
+            raise ValueError(error.message) from None
+        return self
+
+    def limits(self) -> Limits:
+        """What it says. Raises `ConfigError`."""
+        least, most = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
+        return Limits(least if self.min is None else self.min, most if self.max is None else self.max, self.signed)
+
+
+class RuleSection(Section):
+    """``[[policy.rule]]``: one rule. What is left out is not asked."""
+
+    name: str = ""
+    action: ActionWord = "allow"
+    peers: list[str] | None = None
+    roles: list[str] | None = None
+    listeners: list[str] | None = Field(default=None, min_length=1)
+    units: Numbers | None = None
+    functions: Numbers | None = None
+    table: str | list[str] | None = None
+    addresses: Numbers | None = None
+    files: Numbers | None = None
+    access: Literal["read", "write", "any"] = "any"
+    values: ValuesSection | None = None
+    rate: float | None = None
+    code: Literal[1, 2] = 1
+
+    @model_validator(mode="after")
+    def _check(self) -> "RuleSection":
+        try:
+            self.rule()
+        except ConfigError as error:
+            path: Path = (error.key,) if error.key else ()
+            raise Faults([(path, error.message)]) from None
+        return self
+
+    def rule(self) -> Rule:
+        """What it says. Raises `ConfigError` whose key is the key at fault."""
+        return Rule.of(
+            name=self.name,
+            action=self.action,
+            peers=self.peers,
+            roles=self.roles,
+            listeners=self.listeners or (),
+            units=self.units,
+            functions=self.functions,
+            table=self.table,
+            addresses=self.addresses,
+            files=self.files,
+            access=self.access,
+            values=None if self.values is None else self.values.limits(),
+            rate=self.rate,
+            code=self.code,
+        )
+
+
+class PolicySection(Section):
+    """``[policy]``: the address lists, the default, and the rules in their order."""
+
+    default: ActionWord
+    secure: bool | None = None
+    allow: list[str] = Field(default_factory=list)
+    deny: list[str] = Field(default_factory=list)
+    rule: list[RuleSection] = Field(default_factory=list)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_word(cls, value: Any) -> Any:  # what stands in the file, of any type
+        """``policy = "read-only"`` is the default alone."""
+        return {"default": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _check(self) -> "PolicySection":
+        faults: list[tuple[Path, str]] = []
+        try:
+            self.addresses()
+        except ConfigError as error:
+            faults.append(((error.key,) if error.key else (), error.message))
+        taken: dict[str, int] = {}
+        for number, each in enumerate(self.rule):
+            first = taken.setdefault(each.name or f"rule {number + 1}", number)
+            if first != number:
+                faults.append((("rule", number, "name"), f"rule {first + 1} has the same name"))
+        if not faults:
+            try:
+                self.policy()
+            except ConfigError as error:
+                faults.append((("rule",), error.message))
+        if faults:
+            raise Faults(faults)
+        return self
+
+    def policy(self) -> Policy:
+        """The rules and the default. Raises nothing that reading the file did not."""
+        return Policy(tuple(each.rule() for each in self.rule), Action(self.default))
+
+    def addresses(self) -> AddressList:
+        """The address lists. Raises `ConfigError` whose key is the key at fault."""
+        return AddressList(self.allow, self.deny, self.secure)
+
+    def access_rules(self) -> AccessRules:
+        """Both together. Raises nothing that reading the file did not."""
+        return AccessRules(self.policy(), self.addresses())
+
+
+class PolicyFile(Section):
+    """A file that holds a policy and nothing else."""
+
+    policy: PolicySection
