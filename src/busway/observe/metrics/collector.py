@@ -1,0 +1,197 @@
+"""What is counted anyway, and what `RequestTally` counts, as families of metrics at the moment of a scrape.
+
+Knows the shape of a status and the names of metrics; knows no server, socket or registry.
+
+1. Names begin with ``busway_``; units stand in them (seconds, bytes), counters end in ``_total``.
+2. A field that a status gains appears by itself: whole numbers of counters become counters of their name.
+3. Labels are own listeners, pools, classes, units, functions and rules: nothing that a stranger chooses freely.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from datetime import datetime
+from itertools import accumulate
+from typing import Any, Final
+
+from prometheus_client import CollectorRegistry
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    StateSetMetricFamily,
+)
+from prometheus_client.registry import Collector
+
+from ...version import __version__
+from .requests import BUCKETS, RequestTally
+
+# What prometheus-client calls a family of metrics; each of its kinds is made and filled in another way.
+Family = Any
+
+_COUNTERS: Final[dict[str, tuple[str, str]]] = {
+    "accepted": ("connections_accepted", "Connections that were given a place."),
+    "unauthorised": ("connections_unauthorised", "Connections closed unread: the address is not authorised."),
+    "closed": ("connections_closed", "Connections that have ended."),
+    "evicted": ("connections_evicted", "Connections closed to make room for others."),
+    "broken_streams": ("broken_streams", "Connections closed because what came could not be followed any more."),
+    "frame_timeouts": ("frame_timeouts", "Connections closed because a request began and did not end in time."),
+    "reading_paused": ("reading_paused", "Times that a client did not take its replies and was not read from."),
+    "handler_failures": ("handler_failures", "Requests answered 04 because a handler failed."),
+    "requests": ("received_requests", "Requests that came in, answered or not."),
+    "discarded_frames": ("discarded_frames", "Frames that got no answer: foreign, damaged, or replies."),
+    "refused_busy": ("requests_refused_busy", "Requests answered 06 because all transaction slots were taken."),
+    "received": ("received_bytes", "Bytes received."),
+    "sent": ("sent_bytes", "Bytes sent."),
+}
+"""Name and meaning of the counters of a server, by field; others are named as their field."""
+_LAMP_STATES: Final = ("off", "on", "flashing")
+
+
+class ServerCollector(Collector):
+    """The metrics of one server or gateway.
+
+    Args:
+        ask: gives the status, or None where the server does not say how it is.
+        tally: counts of requests, if they are counted.
+        refusals: gives refused requests by name of the rule, if a policy counts them.
+    """
+
+    def __init__(
+        self,
+        ask: Callable[[], Any],  # a status: a dataclass like busway.server.server.ServerStatus
+        tally: RequestTally | None = None,
+        refusals: Callable[[], Mapping[str, int]] | None = None,
+    ) -> None:
+        self._ask = ask
+        self._tally = tally
+        self._refusals = refusals
+
+    def collect(self) -> Iterator[Family]:
+        """The families, with the numbers of now."""
+        yield InfoMetricFamily("busway", "The version that runs.", value={"version": __version__})
+        status = self._ask()
+        yield GaugeMetricFamily("busway_up", "Whether the server's event loop answered in time.", value=bool(status))
+        if status is not None:
+            yield from server_families(status)
+            yield from connection_families(getattr(status, "connections", ()))
+            yield from listener_families(getattr(status, "listeners", ()))
+        if self._tally is not None:
+            yield from request_families(self._tally)
+        if self._refusals is not None:
+            yield _by_label(
+                "busway_policy_refusals", "Requests that a rule of the policy refused.", "rule", self._refusals()
+            )
+
+
+def registry_of(*collectors: Collector) -> CollectorRegistry:
+    """A registry of its own with these collectors."""
+    registry = CollectorRegistry()
+    for collector in collectors:
+        registry.register(collector)
+    return registry
+
+
+def server_families(status: Any) -> Iterator[Family]:
+    """The server as a whole, and its counters."""
+    yield GaugeMetricFamily("busway_running", "Whether it answers requests.", value=bool(status.running))
+    yield GaugeMetricFamily("busway_uptime_seconds", "Seconds since the start.", value=status.uptime)
+    yield GaugeMetricFamily(
+        "busway_connections_supported", "Connections that there may be.", value=status.supported_connections
+    )
+    for name, count in _numbers(status.counters):
+        known, meaning = _COUNTERS.get(name, (name, f"{name.replace('_', ' ').capitalize()} so far."))
+        yield CounterMetricFamily(f"busway_{known}", meaning, value=count)
+
+
+def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
+    """The connections, counted by listener and pool."""
+    held: Counter[tuple[str, str]] = Counter()
+    waiting: Counter[str] = Counter()
+    for one in connections:
+        held[one.listener, str(getattr(one, "pool", "other"))] += 1
+        waiting[one.listener] += one.waiting
+    family = GaugeMetricFamily("busway_connections", "Connections that there are.", labels=("listener", "pool"))
+    for labels, count in held.items():
+        family.add_metric(labels, count)
+    yield family
+    family = GaugeMetricFamily("busway_requests_waiting", "Requests that wait for a handler.", labels=("listener",))
+    for listener, count in waiting.items():
+        family.add_metric((listener,), count)
+    yield family
+
+
+def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
+    """The listeners: their lamps, their mode, and the diagnostic counters of function 08."""
+    lamps = StateSetMetricFamily("busway_listener_lamp", "What the lamps show.", labels=("listener", "lamp"))
+    is_open = GaugeMetricFamily("busway_listener_open", "Whether it can be reached.", labels=("listener",))
+    muted = GaugeMetricFamily("busway_listener_listen_only", "Whether it answers nothing.", labels=("listener",))
+    expiry = GaugeMetricFamily(
+        "busway_certificate_expiry_timestamp_seconds",
+        "When the certificate expires, in seconds since 1970.",
+        labels=("listener",),
+    )
+    counted: dict[str, Family] = {}
+    for one in listeners:
+        for lamp in fields(one.lamps):
+            shown = getattr(one.lamps, lamp.name).value
+            lamps.add_metric((one.endpoint, lamp.name), {state: state == shown for state in _LAMP_STATES})
+        is_open.add_metric((one.endpoint,), one.is_open)
+        muted.add_metric((one.endpoint,), one.listen_only)
+        expires = _expiry(one)
+        if expires is not None:
+            expiry.add_metric((one.endpoint,), expires)
+        for name, count in (*_numbers(one), *_numbers(one.counters)):
+            family = counted.get(name)
+            if family is None:
+                meaning = f"{name.replace('_', ' ').capitalize()} of the listener."
+                family = counted[name] = CounterMetricFamily(f"busway_listener_{name}", meaning, labels=("listener",))
+            family.add_metric((one.endpoint,), count)
+    yield from (lamps, is_open, muted, *counted.values())
+    if expiry.samples:
+        yield expiry
+
+
+def request_families(tally: RequestTally) -> Iterator[Family]:
+    """The answered requests and how long they took; those that got no answer."""
+    answered = CounterMetricFamily(
+        "busway_requests", "Answered requests.", labels=("peer_class", "unit", "function", "exception")
+    )
+    for series in tally.all_series():
+        answered.add_metric((series.peer_class, series.unit, series.function, series.exception), series.count)
+    yield answered
+    took = HistogramMetricFamily(
+        "busway_request_duration_seconds", "Seconds from a request to its answer.", labels=("function",)
+    )
+    for durations in tally.all_durations():
+        sums = accumulate(durations.counts)
+        bounds = (*map(str, BUCKETS), "+Inf")
+        took.add_metric((durations.function,), list(zip(bounds, sums, strict=True)), durations.total)
+    yield took
+    unanswered = {why.value: count for why, count in tally.unanswered_counts().items()}
+    yield _by_label("busway_requests_unanswered", "Requests that a handler gave no answer.", "reason", unanswered)
+
+
+def _by_label(name: str, meaning: str, label: str, counts: Mapping[str, int]) -> Family:
+    family = CounterMetricFamily(name, meaning, labels=(label,))
+    for value, count in counts.items():
+        family.add_metric((str(value),), count)
+    return family
+
+
+def _numbers(counters: Any) -> Iterator[tuple[str, int]]:
+    """The whole numbers among the fields of a dataclass, by name."""
+    if is_dataclass(counters):
+        for field in fields(counters):
+            value = getattr(counters, field.name)
+            if isinstance(value, int) and not isinstance(value, bool):
+                yield field.name, value
+
+
+def _expiry(listener: Any) -> float | None:
+    """When the certificate of a listener ends, if it has one."""
+    expires = getattr(listener, "certificate_expires", None)
+    if isinstance(expires, datetime):
+        return expires.timestamp()
+    return float(expires) if isinstance(expires, int | float) else None

@@ -1,0 +1,167 @@
+"""Metrics over HTTP, for Prometheus to scrape: ``GET /metrics`` on an address of their own.
+
+Knows a source of a status and a collector over it; knows no server.
+
+1. A scrape asks the source in its own event loop, and waits no longer than `ASK_SECONDS`: where the loop is stuck, the
+   scrape says ``busway_up 0`` and still tells what was counted.
+2. The format is what the scraper asks for: OpenMetrics or the text format of Prometheus.
+3. Only reading: whoever reaches the address learns numbers, and can change nothing.
+"""
+
+import asyncio
+import concurrent.futures
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
+
+from ...errors import ConfigError
+from ...session.handler import Handler
+from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
+from .handler import Classify, MeteredHandler, classify_by_listener, metered
+
+if TYPE_CHECKING:
+    from prometheus_client import CollectorRegistry
+
+ASK_SECONDS: Final = 2.0
+
+
+class MetricsSource(Protocol):
+    """A server or gateway that can be metered."""
+
+    def status(self) -> Any:
+        """How it stands: a dataclass like `busway.server.server.ServerStatus`."""
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around its handler; before it is started."""
+
+
+@runtime_checkable
+class CountsRefusals(Protocol):
+    """A handler that counts what its rules refuse."""
+
+    @property
+    def refusals(self) -> Mapping[str, int]:
+        """Refused requests by name of the rule."""
+
+
+def start_metrics(source: MetricsSource, where: str, *, classify: Classify = classify_by_listener) -> "MetricsEndpoint":
+    """Count the requests of a server or gateway from now on, and show the metrics over HTTP.
+
+    Call it in the event loop in which the source will run, before it is started::
+
+        async with start_metrics(server, "127.0.0.1:9502"), server:
+            ...
+
+    Args:
+        source: what is metered.
+        where: address to listen on, ``127.0.0.1:9502``; port 0 takes a free one. Whoever reaches it can read.
+        classify: the class of whoever asks, a label of the requests.
+
+    Raises:
+        ConfigError: ``where`` is no address, ``prometheus-client`` is not installed, or the source runs already.
+        LinkDown: the address can not be listened on.
+    """
+    return MetricsEndpoint(source, where, classify=classify)
+
+
+class MetricsEndpoint:
+    """The metrics of one source, and where they are scraped. An asynchronous context manager that closes itself.
+
+    Attributes:
+        url: where they are scraped.
+        tally: the counts of requests.
+    """
+
+    def __init__(self, source: MetricsSource, where: str, *, classify: Classify = classify_by_listener) -> None:
+        """As `start_metrics`."""
+        host, port = parse_host_port(where, "metrics")
+        need_prometheus()
+        from .collector import ServerCollector, registry_of
+
+        self._source = source
+        self._loop = asyncio.get_running_loop()
+        bound = bind_tcp(host, port)
+        try:
+            handler = _wrap(source, classify)
+        except BaseException:
+            bound.close()
+            raise
+        self.tally = handler.tally
+        self._registry = registry_of(ServerCollector(self._ask, handler.tally, refusals_of(handler.inner)))
+        self.url = f"http://{bound_name(bound)}/metrics"
+        self._service = HttpService(bound, self.answer, name="busway metrics")
+        self._service.start()
+
+    async def answer(self, request: HttpRequest) -> HttpResponse:
+        """The answer to ``GET /metrics``; also for a service of somebody else's."""
+        if request.path not in ("/", "/metrics"):
+            raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
+        if request.method != "GET":
+            raise HttpError(HTTPStatus.METHOD_NOT_ALLOWED, "metrics can only be read")
+        return await asyncio.to_thread(render, self._registry, request.headers.get("accept", ""))
+
+    async def close(self) -> None:
+        """Be scraped no more; returns when socket and thread have gone. A second call does nothing."""
+        # In a thread: a scrape may just be waiting for this event loop.
+        await asyncio.to_thread(self._service.stop)
+
+    def _ask(self) -> Any:  # a status, as the source gives it
+        """The status, asked for in the source's event loop; None where that does not answer in time."""
+
+        async def status() -> Any:
+            return self._source.status()
+
+        asking = status()
+        try:
+            future = asyncio.run_coroutine_threadsafe(asking, self._loop)
+        except RuntimeError:  # the loop is closed
+            asking.close()
+            return None
+        try:
+            return future.result(ASK_SECONDS)
+        except concurrent.futures.TimeoutError:
+            future.cancel()
+            return None
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
+def need_prometheus() -> None:
+    """Raises `ConfigError` unless ``prometheus-client`` is installed."""
+    try:
+        import prometheus_client  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            "prometheus-client is not installed; it comes with: pip install 'busway[metrics]'", key="metrics"
+        ) from error
+
+
+def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
+    """All metrics of a registry, in the format that an ``Accept`` header prefers."""
+    from prometheus_client.exposition import choose_encoder
+
+    encode, content_type = choose_encoder(accept)
+    return HttpResponse(encode(registry), content_type)
+
+
+def refusals_of(handler: Handler) -> Callable[[], Mapping[str, int]] | None:
+    """What gives the refusals by rule, if a handler counts them."""
+    return (lambda: handler.refusals) if isinstance(handler, CountsRefusals) else None
+
+
+def _wrap(source: MetricsSource, classify: Classify) -> MeteredHandler:
+    made: list[MeteredHandler] = []
+
+    def wrap(inner: Handler) -> Handler:
+        made.append(metered(inner, classify=classify))
+        return made[0]
+
+    source.wrap_handler(wrap)
+    return made[0]

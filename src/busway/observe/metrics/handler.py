@@ -1,0 +1,201 @@
+"""A handler around a handler, which counts what is answered and how long it took.
+
+Knows outcomes; knows nothing of what the requests want, nor how counts are shown.
+
+1. Every request that the inner handler answers is counted once, when the answer is there: at once, by the short road,
+   or later. What a session answers without asking a handler (06 while all slots are taken, function 0) is counted by
+   the server.
+2. The short road stays short: each compiled answer gets a closure around it that counts. Read plans are not offered,
+   since nothing sees them being used.
+3. It sees and hands on: no outcome is changed.
+"""
+
+import time
+from collections.abc import Callable, Container, Mapping
+from typing import Final
+
+from ...codes import ExceptionCode
+from ...pdu.direct import Answer
+from ...pdu.functions import AnyRequest, FunctionTable
+from ...pdu.general import ExceptionResponse
+from ...pdu.message import Message
+from ...session.handler import LATER, Deferral, Handler, Outcome, Refusal, RequestContext, UnitHolder
+from .requests import Durations, PeerClass, RequestTally, Series, Unanswered
+
+Classify = Callable[[RequestContext], PeerClass]
+
+_MEMO_LIMIT: Final = 512
+_LINES: Final = ("rtu://", "ascii://")
+
+
+def classify_by_listener(context: RequestContext) -> PeerClass:
+    """`PeerClass.LINE` on serial lines, otherwise `PeerClass.OTHER`."""
+    return PeerClass.LINE if context.listener.startswith(_LINES) else PeerClass.OTHER
+
+
+class MeteredHandler:
+    """Counts for another handler. Everything but the counting is the other's.
+
+    Args:
+        inner: what answers.
+        tally: where it is counted; a new one for the inner handler's functions if left out.
+        classify: the class of whoever asks.
+        clock: seconds, of which only differences count.
+    """
+
+    def __init__(
+        self,
+        inner: Handler,
+        tally: RequestTally | None = None,
+        *,
+        classify: Classify = classify_by_listener,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.inner = inner
+        self.tally = tally or RequestTally(inner.functions.codes())
+        self._classify = classify
+        self._clock = clock
+        self._generation = inner.generation
+        self._memo: dict[tuple[PeerClass, int, int], tuple[Mapping[int, Answer], Mapping[int, Answer]]] = {}
+
+    @property
+    def functions(self) -> FunctionTable:
+        """Of the inner handler."""
+        return self.inner.functions
+
+    @property
+    def generation(self) -> int:
+        """Of the inner handler."""
+        return self.inner.generation
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        """The inner handler's short road, each answer with a counter around it."""
+        if self._generation != self.inner.generation or len(self._memo) >= _MEMO_LIMIT:
+            self._generation = self.inner.generation
+            self._memo.clear()
+        answers = self.inner.direct(context)
+        if not answers:
+            return answers
+        peer_class = self._classify(context)
+        key = (peer_class, context.unit, id(answers))
+        known = self._memo.get(key)
+        if known is None:  # ``answers`` is kept, so that no other mapping takes its id
+            counted = {code: self._counted(answer, peer_class, context.unit, code) for code, answer in answers.items()}
+            known = self._memo[key] = answers, counted
+        return known[1]
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """Have the inner handler answer; count when it has."""
+        waiting = _Waiting(self, context)
+        if context.executed is None:
+            context.watch(waiting.finished)
+        try:
+            outcome = self.inner.handle(context, request)
+        except Refusal as refusal:
+            waiting.answered(refusal.code)
+            raise
+        except Exception:
+            waiting.answered(ExceptionCode.SERVER_DEVICE_FAILURE)
+            raise
+        if isinstance(outcome, Message | Deferral) and outcome is not LATER:
+            waiting.finished(outcome)
+        else:
+            waiting.watch_departure()
+        return outcome
+
+    def _counted(self, answer: Answer, peer_class: PeerClass, unit: int, function: int) -> Answer:
+        tally, clock = self.tally, self._clock
+        series: Series | None = None  # made when the first answer is there: most functions of a unit are never asked
+        durations: Durations | None = None
+
+        def counted(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+            nonlocal series, durations
+            began = clock()
+            reply = answer(buffer, at, end)
+            if reply is None:
+                return None
+            if series is None or durations is None:
+                series, durations = tally.series(peer_class, unit, function), tally.durations(function)
+            durations.add(clock() - began)
+            if reply[0] < 0x80:
+                series.count += 1
+            else:
+                tally.series(peer_class, unit, function, reply[1]).count += 1
+            return reply
+
+        return counted
+
+
+class MeteredUnitHolder(MeteredHandler):
+    """A `MeteredHandler` around a handler that says its units, which a serial line needs."""
+
+    @property
+    def serial_units(self) -> Container[int]:
+        """Of the inner handler."""
+        assert isinstance(self.inner, UnitHolder)
+        return self.inner.serial_units
+
+
+def metered(
+    inner: Handler, tally: RequestTally | None = None, *, classify: Classify = classify_by_listener
+) -> MeteredHandler:
+    """A `MeteredHandler` that can do on a serial line what the inner handler can."""
+    kind = MeteredUnitHolder if isinstance(inner, UnitHolder) else MeteredHandler
+    return kind(inner, tally, classify=classify)
+
+
+class _Waiting:
+    """A request from the moment the handler is asked until it has been counted, once."""
+
+    __slots__ = ("_began", "_context", "_is_counted", "_metered", "_was_muted")
+
+    def __init__(self, metered: MeteredHandler, context: RequestContext) -> None:
+        self._metered = metered
+        self._context = context
+        self._was_muted = _is_muted(context)
+        self._is_counted = False
+        self._began = metered._clock()
+
+    def finished(self, reply: Message | Deferral) -> None:
+        """The outcome is there."""
+        if not isinstance(reply, Message):
+            self._unanswered(Unanswered.SILENT)
+        else:
+            self.answered(reply.exception if isinstance(reply, ExceptionResponse) else None)
+
+    def answered(self, exception: int | None) -> None:
+        """The answer is there, whether an exception or none; in listen-only mode it does not leave."""
+        context = self._context
+        if context.executed is not None:
+            self._unanswered(Unanswered.BROADCAST)
+        elif self._was_muted or _is_muted(context):
+            self._unanswered(Unanswered.SILENT)
+        elif not self._is_counted:
+            self._is_counted = True
+            tally = self._metered.tally
+            peer_class = self._metered._classify(context)
+            tally.series(peer_class, context.unit, context.function, exception).count += 1
+            tally.durations(context.function).add(self._metered._clock() - self._began)
+
+    def watch_departure(self) -> None:
+        """The answer comes later, unless the client goes away."""
+        if self._is_counted:
+            return  # the handler has replied before it returned
+        before = self._context.gone
+
+        def gone() -> None:
+            self._unanswered(Unanswered.GONE)
+            if before is not None:
+                before()
+
+        self._context.gone = gone
+
+    def _unanswered(self, why: Unanswered) -> None:
+        if not self._is_counted:
+            self._is_counted = True
+            self._metered.tally.unanswered(why)
+
+
+def _is_muted(context: RequestContext) -> bool:
+    """Whether the listener is in listen-only mode."""
+    return bool(getattr(context.diagnostics, "listen_only", False))

@@ -1,0 +1,152 @@
+"""Counts of answered requests, by who asked, unit, function and exception; and how long they took.
+
+Knows numbers; knows no handler, no clock and nothing of how they are shown.
+
+1. Counted on one thread, the one that answers; read from any: a reading is never torn, at most one request late.
+2. The number of series is bounded by `MAX_SERIES`, whatever clients ask for: functions outside the table count as
+   ``other``, and units as ``other`` once there are too many series.
+"""
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Iterable
+from enum import Enum
+from typing import Final
+
+from ...codes import ExceptionCode, FunctionCode
+
+OTHER: Final = "other"
+NO_EXCEPTION: Final = "none"
+MAX_SERIES: Final = 4096
+"""Of the counter of requests: 256 units of 16 series each. Beyond, a unit's number is not shown any more."""
+BUCKETS: Final = (0.000_01, 0.000_1, 0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+"""Upper bounds in seconds: an answer of this process takes microseconds, one from behind a gateway up to seconds."""
+
+_KNOWN_EXCEPTIONS: Final = frozenset(int(code) for code in ExceptionCode)
+
+
+class PeerClass(Enum):
+    """Who asks, as far as it is a label."""
+
+    PRIORITY = "priority"
+    """An address of the pool of priority connections."""
+    OTHER = "other"
+    """Any other address."""
+    LINE = "line"
+    """The master of a serial line."""
+
+
+class Unanswered(Enum):
+    """Why a request that reached the handler got no answer."""
+
+    BROADCAST = "broadcast"
+    SILENT = "silent"
+    GONE = "gone"
+
+
+class Series:
+    """Requests with the same labels.
+
+    Attributes:
+        count: how many were answered so.
+    """
+
+    __slots__ = ("count", "exception", "function", "peer_class", "unit")
+
+    def __init__(self, peer_class: str, unit: str, function: str, exception: str) -> None:
+        self.peer_class = peer_class
+        self.unit = unit
+        self.function = function
+        self.exception = exception
+        self.count = 0
+
+
+class Durations:
+    """How long the answers of one function took.
+
+    Attributes:
+        counts: answers per bucket, not summed up; the last one holds what took longer than every bound.
+        total: seconds of all of them.
+    """
+
+    __slots__ = ("counts", "function", "total")
+
+    def __init__(self, function: str) -> None:
+        self.function = function
+        self.counts = [0] * (len(BUCKETS) + 1)
+        self.total = 0.0
+
+    def add(self, seconds: float) -> None:
+        """One more answer."""
+        self.counts[bisect_left(BUCKETS, seconds)] += 1
+        self.total += seconds
+
+
+class RequestTally:
+    """All the counts of one server.
+
+    Args:
+        functions: codes of the functions that get a label of their own.
+        units: ``False`` leaves the units out of the labels.
+    """
+
+    def __init__(self, functions: Iterable[int] = tuple(FunctionCode), *, units: bool = True) -> None:
+        self._functions = frozenset(functions)
+        self._units = units
+        self._series: dict[tuple[str, str, str, str], Series] = {}
+        self._durations: dict[str, Durations] = {}
+        self._unanswered: Counter[Unanswered] = Counter()
+
+    # What is counted.
+
+    def series(self, peer_class: PeerClass, unit: int, function: int, exception: int | None = None) -> Series:
+        """Where such requests are counted; whoever counts many keeps it."""
+        unit_label = str(unit) if self._units else ""
+        labels = (peer_class.value, unit_label, self._function(function), _exception(exception))
+        found = self._series.get(labels)
+        if found is None and len(self._series) >= MAX_SERIES:
+            labels = (labels[0], OTHER, *labels[2:])
+            found = self._series.get(labels)
+        if found is None:
+            found = self._series[labels] = Series(*labels)
+        return found
+
+    def durations(self, function: int) -> Durations:
+        """Where the durations of a function are kept."""
+        label = self._function(function)
+        found = self._durations.get(label)
+        if found is None:
+            found = self._durations[label] = Durations(label)
+        return found
+
+    def unanswered(self, why: Unanswered) -> None:
+        """A request got no answer."""
+        self._unanswered[why] += 1
+
+    # What is read, from any thread.
+
+    def all_series(self) -> list[Series]:
+        """The series so far; their counts go on."""
+        return list(self._series.copy().values())
+
+    def all_durations(self) -> list[Durations]:
+        """The durations so far; they go on."""
+        return list(self._durations.copy().values())
+
+    def unanswered_counts(self) -> dict[Unanswered, int]:
+        """How many requests got no answer, and why."""
+        return {why: self._unanswered[why] for why in Unanswered}
+
+    def total(self) -> int:
+        """Requests answered so far."""
+        return sum(series.count for series in self.all_series())
+
+    def _function(self, code: int) -> str:
+        return str(code) if code in self._functions else OTHER
+
+
+def _exception(code: int | None) -> str:
+    """The label of an exception code: two digits, as documents write it."""
+    if code is None:
+        return NO_EXCEPTION
+    return f"{code:02X}" if code in _KNOWN_EXCEPTIONS else OTHER

@@ -1,0 +1,166 @@
+"""The small HTTP service: over real sockets, with clients that keep to nothing."""
+
+import asyncio
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+from control_sockets import connected, exchange, received
+
+from busway.errors import ConfigError, LinkDown
+from busway.observe.http import (
+    BODY_LIMIT,
+    HEAD_LIMIT,
+    HttpError,
+    HttpLimits,
+    HttpRequest,
+    HttpResponse,
+    HttpService,
+    bind_tcp,
+    bound_name,
+    parse_head,
+    parse_host_port,
+)
+
+
+async def echo(request: HttpRequest) -> HttpResponse:
+    """Answers with what was asked."""
+    if request.path == "/broken":
+        raise ValueError("a bug")
+    if request.path == "/hang":
+        await asyncio.get_running_loop().create_future()
+    return HttpResponse(f"{request.method} {request.path} {request.headers.get('x-one')} ".encode() + request.body)
+
+
+@contextmanager
+def serving(limits: HttpLimits | None = None, **options: object) -> Iterator[str]:
+    """A service that echoes, and where it is."""
+    bound = bind_tcp("127.0.0.1", 0)
+    service = HttpService(bound, echo, limits=limits, **options)  # type: ignore[arg-type]
+    service.start()
+    try:
+        yield f"http://{bound_name(bound)}"
+    finally:
+        service.stop()
+
+
+def status_of(answer: bytes) -> int:
+    """The status of a raw answer."""
+    assert answer.startswith(b"HTTP/1.1 "), answer
+    return int(answer[9:12])
+
+
+def test_a_request_is_answered_and_its_connection_closed() -> None:
+    with serving() as address:
+        answer = exchange(
+            address, b"POST /a?b=c HTTP/1.1\r\nHost: x\r\nX-One:  two \r\nContent-Length: 3\r\n\r\nabcdef"
+        )
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert body == b"POST /a two abc"
+    assert b"Content-Length: 15\r\n" in head
+    assert b"Connection: close" in head
+
+
+def test_a_request_in_pieces_is_put_together() -> None:
+    with serving() as address, connected(address) as connection:
+        for byte in b"GET /a HTTP/1.1\r\n\r\n":
+            connection.sendall(bytes((byte,)))
+        assert received(connection).endswith(b"GET /a None ")
+
+
+@pytest.mark.parametrize(
+    ("request_bytes", "status"),
+    [
+        (b"nonsense\r\n\r\n", 400),
+        (b"GET /\r\n\r\n", 400),
+        (b"GET http://elsewhere/ HTTP/1.1\r\n\r\n", 400),
+        (b"GET / HTTP/2\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nno colon\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost : x\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: x\r\nHost: y\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nContent-Length: -1\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nContent-Length: " + b"9" * 20 + b"\r\n\r\n", 400),
+        (f"POST / HTTP/1.1\r\nContent-Length: {BODY_LIMIT + 1}\r\n\r\n".encode(), 413),
+        (b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", 411),
+        (b"GET /" + b"a" * HEAD_LIMIT + b" HTTP/1.1\r\n\r\n", 431),
+        (b"a" * (2 * HEAD_LIMIT + 10), 431),
+        (b"GET /broken HTTP/1.1\r\n\r\n", 500),
+    ],
+)
+def test_what_is_no_request_is_refused(request_bytes: bytes, status: int) -> None:
+    with serving() as address:
+        assert status_of(exchange(address, request_bytes)) == status
+
+
+def test_a_client_that_sends_half_a_request_is_closed_in_time() -> None:
+    with serving(HttpLimits(seconds=0.05)) as address, connected(address) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\n")
+        assert received(connection) == b""
+
+
+def test_a_client_that_goes_away_leaves_nothing() -> None:
+    with serving() as address:
+        for part in (b"", b"GET / HT", b"POST / HTTP/1.1\r\nContent-Length: 5\r\n\r\nab"):
+            with connected(address) as connection:
+                connection.sendall(part)
+        assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 200
+
+
+def test_more_connections_than_allowed_are_refused_at_once() -> None:
+    with serving(HttpLimits(seconds=30, connections=2)) as address, ExitStack() as stack:
+        for _ in range(2):
+            stack.enter_context(connected(address)).sendall(b"GET /hang HTTP/1.1\r\n\r\n")
+        assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 503
+
+
+def test_a_connection_that_is_not_admitted_is_closed_unread() -> None:
+    with serving(admit=lambda accepted: False) as address:
+        assert exchange(address, b"GET / HTTP/1.1\r\n\r\n") == b""
+
+
+def test_stopping_cuts_off_what_hangs_and_leaves_no_thread_and_no_socket() -> None:
+    with serving(HttpLimits(seconds=600)) as address:
+        assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 200
+        hanging = connected(address)
+        hanging.sendall(b"GET /hang HTTP/1.1\r\n\r\n")
+    with hanging:
+        assert received(hanging) == b""
+    assert not [thread for thread in threading.enumerate() if thread.name == "busway http"]
+    with pytest.raises(ConnectionRefusedError):
+        connected(address)
+
+
+def test_a_service_that_was_never_started_can_be_stopped() -> None:
+    bound = bind_tcp("127.0.0.1", 0)
+    HttpService(bound, echo).stop()
+    assert bound.fileno() == -1
+
+
+def test_a_head_is_taken_apart() -> None:
+    request = parse_head(b"GET /a/b?c HTTP/1.0\r\nHost: x:1\r\nEmpty:\r\n\r\n")
+    assert request == HttpRequest("GET", "/a/b", {"host": "x:1", "empty": ""})
+    with pytest.raises(HttpError, match="first line"):
+        parse_head(b"\r\n\r\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("127.0.0.1:9502", ("127.0.0.1", 9502)), ("[::1]:0", ("::1", 0)), ("name:65535", ("name", 65535))],
+)
+def test_host_and_port_are_told_apart(text: str, expected: tuple[str, int]) -> None:
+    assert parse_host_port(text, "metrics") == expected
+
+
+@pytest.mark.parametrize("text", ["", "127.0.0.1", ":9502", "::1:9502", "a:b", "a:-1", "a:65536", "a:٣"])
+def test_what_is_no_host_and_port_is_named(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"metrics: an address such as 127\.0\.0\.1:9502"):
+        parse_host_port(text, "metrics")
+
+
+def test_a_port_that_is_taken_is_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        name = bound_name(taken)
+        with pytest.raises(LinkDown, match=name):
+            bind_tcp("127.0.0.1", int(name.rpartition(":")[2]))
