@@ -1,0 +1,126 @@
+"""Connections of a link over TLS (MODBUS/TCP Security, port 802), for both kinds of links.
+
+Knows TCP, TLS and what their failures mean; knows no conversation.
+
+1. The server is verified: its chain, its time, and its name against the host of the URL or ``server_name``. Without
+   that nothing is sent; where it is switched off, each connection says so in the log.
+2. Certificates are read when the link is made, and again when their files have changed.
+3. With TLS 1.3 a client believes itself connected before the server has looked at its certificate: a refusal comes with
+   the first read, and ends the connection with the same sentence.
+"""
+
+import contextlib
+import logging
+import socket
+import ssl
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ..config.endpoints import Endpoint
+from ..errors import LinkDown
+from ..transport.tcp import SocketParameters, link_down
+from ..transport.tls import TlsParameters, Verify
+from ..transport.tls_context import WatchedContext, client_context
+from ..transport.tls_failures import TlsFailure
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from ..transport.tls_socket import TlsSocket
+
+_log = logging.getLogger("busway.client")
+
+
+class TlsConnector:
+    """TLS over TCP, by the parameters of both.
+
+    Raises:
+        ConfigError: a file can not be used, or the authority is missing.
+    """
+
+    def __init__(self, endpoint: Endpoint, sockets: SocketParameters, security: TlsParameters) -> None:
+        self._endpoint = endpoint
+        self._sockets = sockets
+        self._security = security
+        self._host = endpoint.host or "127.0.0.1"
+        self._port = endpoint.port or 0
+        self._local = (sockets.local_address, 0) if sockets.local_address else None
+        self._context = WatchedContext(security, client_context, name=endpoint.url)
+        self._server_name = security.server_name or self._host
+
+    async def connect(self, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> Any:  # a `TlsLayer`, as a transport
+        """A transport over which both sides have agreed. Raises `LinkDown`."""
+        import asyncio  # here: blocking programs, and every start of the command line, do without it
+
+        from ..transport.tls_layer import TlsLayer
+
+        loop = asyncio.get_running_loop()
+        context = self._context_now()
+        agreed: asyncio.Future[None] = loop.create_future()
+
+        def established(layer: TlsLayer) -> asyncio.BufferedProtocol:
+            if not agreed.done():
+                agreed.set_result(None)
+            return protocol()
+
+        def failed(layer: TlsLayer, failure: TlsFailure) -> None:
+            if not agreed.done():
+                agreed.set_exception(failure)
+
+        def new_layer() -> TlsLayer:
+            return TlsLayer(
+                loop,
+                context,
+                server_side=False,
+                server_name=self._server_name,
+                timeout=self._security.handshake_timeout,
+                established=established,
+                failed=failed,
+            )
+
+        try:
+            async with asyncio.timeout(self._sockets.connect_timeout):
+                below, layer = await loop.create_connection(new_layer, self._host, self._port, local_addr=self._local)
+        except (OSError, ValueError) as error:
+            raise self._down(error) from error
+        try:
+            with contextlib.suppress(OSError):  # a peer that is gone already says so to the handshake
+                self._sockets.apply(below.get_extra_info("socket"))
+            await agreed
+        except OSError as error:
+            layer.abort()
+            raise self._down(error) from error
+        except BaseException:
+            layer.abort()
+            raise
+        return layer
+
+    def dial(self) -> "TlsSocket":
+        """A connection of a blocking link, over which both sides have agreed. Raises `LinkDown`."""
+        from ..transport.tls_socket import TlsSocket
+
+        context = self._context_now()
+        try:
+            connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
+            with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
+                self._sockets.apply(connection)
+            return TlsSocket(
+                connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout
+            )
+        except (OSError, ValueError) as error:
+            raise self._down(error) from error
+
+    def release(self) -> None:
+        """Nothing is held."""
+
+    def _context_now(self) -> ssl.SSLContext:
+        if self._security.verify is Verify.OFF_INSECURE:
+            _log.warning(
+                "%s: whoever answers there is believed to be the server (verify=off-insecure): "
+                "anybody on the way can read and change what is said",
+                self._endpoint.url,
+            )
+        return self._context.current()
+
+    def _down(self, error: BaseException) -> LinkDown:
+        return link_down(error, endpoint=self._endpoint.url)

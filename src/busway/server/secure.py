@@ -1,0 +1,237 @@
+"""The gate of a secure listener: newcomers come in when TLS is agreed on and their certificate has been looked at.
+
+Knows connections that are not admitted yet; knows no request. What a role may do is policy's business.
+
+1. Order: address (before a byte is read) → a place among the handshakes → TLS, with a client's certificate → its role
+   → a place among the connections. Every refusal is counted by its reason, and has a line in the log.
+2. The context is taken when a connection is accepted: certificates and authorities that have changed hold from the
+   next connection on, and those that stand are not disturbed.
+3. At most ``max_handshakes`` are under way; a newcomer takes the place of the oldest of them, so that clients who begin
+   and fall silent keep nobody out.
+4. A resumed session brings the certificate it was made with; it is looked at again, because its time may be over.
+"""
+
+import asyncio
+import logging
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from ..transport.certificates.facts import DAY, CertificateFacts, facts_of_der, facts_of_file
+from ..transport.roles import require_cryptography, role_of_certificate
+from ..transport.tls import TlsParameters
+from ..transport.tls_context import WatchedContext, server_context
+from ..transport.tls_failures import FailureKind, TlsFailure
+from ..transport.tls_layer import TlsLayer, TlsState
+from .connection import ServerConnection
+from .peers import peer_name
+
+if TYPE_CHECKING:
+    from .connections import ConnectionManagement
+
+_log = logging.getLogger("busway.server")
+
+_FIRST_SUBJECT: Final = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SecurityStatus:
+    """TLS of a listener, as a status shows it.
+
+    Attributes:
+        subject: of the listener's own certificate.
+        not_after: when it expires, seconds since 1970.
+        days_left: until then; negative behind that.
+        reloads: how often the files were read anew since the start.
+        handshakes: under way.
+        established: agreed on so far.
+        resumed: of these, sessions that were resumed.
+        refused: refusals by reason, as "expired" or "no certificate".
+        without_role: established with a certificate that has no role.
+    """
+
+    subject: str
+    not_after: float
+    days_left: float
+    reloads: int
+    handshakes: int
+    established: int
+    resumed: int
+    refused: dict[str, int]
+    without_role: int
+
+
+def gate(management: "ConnectionManagement", parameters: TlsParameters) -> "Gate":
+    """The gate of a listener; calling it gives the protocol of a newcomer.
+
+    Raises:
+        ConfigError: a file can not be used, or ``cryptography`` is missing.
+    """
+    management.gate = made = Gate(management, parameters)
+    return made
+
+
+class Gate:
+    """Lets clients of one listener in. Made by `gate`."""
+
+    def __init__(self, management: "ConnectionManagement", parameters: TlsParameters) -> None:
+        require_cryptography("a tls:// listener")
+        self._management = management
+        self._parameters = parameters
+        self._context = WatchedContext(parameters, server_context, name=management.listener)
+        self._own: CertificateFacts | None = None
+        self._own_of = -1
+        self._warned = 0.0
+        self._waiting: dict[TlsLayer, str] = {}  # handshakes under way, in the order they came, and whose they are
+        self._leaving: dict[TlsLayer, None] = {}  # refused, and given a moment to read why
+        self._refused: Counter[str] = Counter()
+        self._established = 0
+        self._resumed = 0
+        self._without_role = 0
+        self._look_at_own()
+
+    def __call__(self) -> asyncio.BaseProtocol:
+        """The protocol of a connection that the system has accepted."""
+        return _Newcomer(self)
+
+    def reload(self) -> None:
+        """Read certificate, key and authorities now. Raises `ConfigError`; then they stay as they were."""
+        self._context.name = self._management.listener
+        self._context.reload()
+        self._look_at_own()
+
+    def close(self) -> None:
+        """End the handshakes under way."""
+        for layer in list(self._waiting):
+            layer.failure = TlsFailure(FailureKind.GONE, "the listener was closed")
+            layer.abort()
+        for layer in list(self._leaving):
+            layer.abort()
+
+    @property
+    def pending(self) -> int:
+        """Handshakes under way."""
+        return len(self._waiting)
+
+    def status(self) -> SecurityStatus:
+        """How it stands now."""
+        own = self._look_at_own()
+        return SecurityStatus(
+            subject=own.subject,
+            not_after=own.not_after,
+            days_left=own.days_left(),
+            reloads=self._context.generation,
+            handshakes=len(self._waiting),
+            established=self._established,
+            resumed=self._resumed,
+            refused=dict(self._refused),
+            without_role=self._without_role,
+        )
+
+    def _look_at_own(self) -> CertificateFacts:
+        """The own certificate; once a day and at each change, what is to be said about its time is said."""
+        context = self._context
+        if self._own is None or self._own_of != context.generation:
+            assert self._parameters.certificate is not None  # or there would be no context
+            self._own = facts_of_file(self._parameters.certificate)[_FIRST_SUBJECT]
+            self._own_of = context.generation
+            self._warned = 0.0
+        now = time.time()
+        if now - self._warned >= DAY:
+            self._warned = now
+            problem = self._own.validity(now)
+            if problem:
+                name = self._management.listener
+                _log.warning("%s: the certificate %s %s", name, self._own.subject, problem)
+        return self._own
+
+    # What newcomers and their TLS report.
+
+    def arrived(self, transport: asyncio.Transport) -> None:
+        """A connection was accepted."""
+        management = self._management
+        if not management.accept(transport):
+            transport.abort()
+            return
+        while len(self._waiting) >= self._parameters.max_handshakes:
+            oldest = next(iter(self._waiting))
+            limit = self._parameters.max_handshakes
+            oldest.refuse(
+                TlsFailure(FailureKind.CROWDED_OUT, f"{limit} handshakes are the limit, and it was the oldest")
+            )
+        self._context.name = management.listener  # with the port that it has got
+        context = self._context.current()
+        self._look_at_own()
+        layer = TlsLayer(
+            management.loop,
+            context,
+            server_side=True,
+            timeout=self._parameters.handshake_timeout,
+            established=self._agreed,
+            failed=self._failed,
+            gone=self._gone,
+        )
+        self._waiting[layer] = peer_name(transport.get_extra_info("peername"))
+        transport.set_protocol(layer)
+        layer.connection_made(transport)
+
+    def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
+        """TLS stands: look at the certificate, and let the client in."""
+        tls = layer.get_extra_info("ssl_object")
+        certificate = tls.getpeercert(binary_form=True)
+        try:
+            role, subject = self._identity(self._waiting[layer], certificate)
+        except TlsFailure as failure:
+            layer.refuse(failure)
+            return None
+        del self._waiting[layer]
+        self._established += 1
+        self._resumed += bool(tls.session_reused)
+        self._without_role += role is None
+        return ServerConnection(self._management, role=role, subject=subject, accepted=True)
+
+    def _identity(self, peer: str, certificate: bytes | None) -> tuple[str | None, str]:
+        """Role and subject of a client. Raises `TlsFailure` where it is not let in."""
+        if not certificate:
+            raise TlsFailure(FailureKind.NO_CERTIFICATE, "the client sent no certificate")
+        reading = role_of_certificate(certificate)
+        facts = facts_of_der(certificate)
+        if time.time() > facts.not_after:
+            raise TlsFailure(FailureKind.EXPIRED, "the client's certificate has expired since the session began")
+        if reading.role is None:
+            about = f" ({reading.reason})" if reading.reason else ""
+            if self._parameters.require_role:
+                sentence = f"the client's certificate {facts.subject} has no role{about}, and one is required"
+                raise TlsFailure(FailureKind.NO_ROLE, sentence)
+            if reading.reason:
+                _log.warning("%s: the certificate %s has no role: %s", peer, facts.subject, reading.reason)
+        return reading.role, facts.subject
+
+    def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
+        """A newcomer is not let in, or has gone."""
+        peer = self._waiting.pop(layer, "?")
+        self._refused[failure.kind.value] += 1
+        _log.warning("%s: refused at %s: %s", peer, self._management.listener, failure)
+        if layer.state is TlsState.REFUSED:
+            while len(self._leaving) >= self._parameters.max_handshakes:
+                oldest = next(iter(self._leaving))
+                del self._leaving[oldest]
+                oldest.abort()
+            self._leaving[layer] = None
+
+    def _gone(self, layer: TlsLayer) -> None:
+        """The connection of somebody who was refused has ended."""
+        self._leaving.pop(layer, None)
+
+
+class _Newcomer(asyncio.Protocol):
+    """What a connection has until its TLS takes over, within the call that tells of it."""
+
+    def __init__(self, gate: Gate) -> None:
+        self._gate = gate
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """It was accepted."""
+        assert isinstance(transport, asyncio.Transport)
+        self._gate.arrived(transport)

@@ -1,0 +1,142 @@
+"""Certificates for tests: good ones, and one of each kind that has to be refused.
+
+Knows what can be wrong with a certificate; knows no connection. Needs the package ``cryptography``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ..transport.certificates.authority import Authority, Issued
+from ..transport.roles import ROLE_EXTENSION
+
+HOSTS: Final = ("localhost", "127.0.0.1", "::1")
+_EXPIRED_DAYS: Final = -1.0
+_STAND_IN: Final = "1.3.6.1.4.1.50316.802.2"
+"""As long as the role's number: what a certificate is built with before its number is changed into the role's."""
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateFiles:
+    """Files of one certificate.
+
+    Attributes:
+        certificate, key, authority: paths; ``authority`` is whom its holder trusts.
+        issued: the certificate itself.
+    """
+
+    certificate: Path
+    key: Path
+    authority: Path
+    issued: Issued
+
+    def options(self) -> dict[str, str]:
+        """Keywords and URL options that name the files."""
+        return {"certificate": str(self.certificate), "key": str(self.key), "authority": str(self.authority)}
+
+    def query(self) -> str:
+        """The same behind the ``?`` of a URL."""
+        return "&".join(f"{name}={value}" for name, value in self.options().items())
+
+
+class CertificateStore:
+    """A directory with an authority, a foreign authority, and what they sign.
+
+    Args:
+        directory: where the files are written.
+
+    Attributes:
+        authority: whom everybody trusts.
+        foreign: whom nobody knows.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.authority = Authority.create("test authority")
+        self.foreign = Authority.create("foreign authority")
+        self.authority_file = directory / "ca.pem"
+        self.authority_file.write_bytes(self.authority.issued.certificate_pem())
+
+    def server(
+        self,
+        name: str = "server",
+        *,
+        hosts: Sequence[str] = HOSTS,
+        days: float = 30.5,
+        authority: Authority | None = None,
+    ) -> CertificateFiles:
+        """A server's; of the trusted authority unless another is named."""
+        return self.write(name, (authority or self.authority).server(hosts, name=name, days=days))
+
+    def client(
+        self, name: str = "client", *, role: str | None = None, days: float = 30.5, authority: Authority | None = None
+    ) -> CertificateFiles:
+        """A client's; of the trusted authority unless another is named."""
+        return self.write(name, (authority or self.authority).client(name, role=role, days=days))
+
+    def expired_server(self) -> CertificateFiles:
+        """A server's whose time is over since yesterday."""
+        return self.server("expired server", days=_EXPIRED_DAYS)
+
+    def expired_client(self, *, role: str | None = None) -> CertificateFiles:
+        """A client's whose time is over since yesterday."""
+        return self.client("expired client", role=role, days=_EXPIRED_DAYS)
+
+    def self_signed(self, name: str = "self-signed", *, hosts: Sequence[str] = HOSTS) -> CertificateFiles:
+        """One that nobody but itself vouches for."""
+        return self.write(name, Authority.self_signed(name, hosts))
+
+    def client_with_role_value(self, value: bytes, *, name: str = "odd role") -> CertificateFiles:
+        """A client's whose role extension holds these bytes."""
+        return self.write(name, self.authority.client_with(name, [value]))
+
+    def client_with_two_roles(self, first: bytes, second: bytes, *, name: str = "two roles") -> CertificateFiles:
+        """A client's in which the role extension stands twice."""
+        return self.write(name, self._two_roles(name, first, second))
+
+    def write(self, name: str, issued: Issued) -> CertificateFiles:
+        """Write certificate and key as NAME.pem and NAME.key."""
+        stem = name.replace(" ", "-")
+        files = CertificateFiles(
+            self.directory / f"{stem}.pem", self.directory / f"{stem}.key", self.authority_file, issued
+        )
+        issued.write(files.certificate, files.key)
+        return files
+
+    def _two_roles(self, name: str, first: bytes, second: bytes) -> Issued:
+        """Built with another number for the second role, then changed and signed again: no library makes such a one."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives import hashes
+        from cryptography.hazmat.primitives.asymmetric import ec
+
+        made = self.authority.client_with(name, [first], more={_STAND_IN: second})
+        number, stand_in = (_identifier(one) for one in (ROLE_EXTENSION, _STAND_IN))
+        content = made.certificate.tbs_certificate_bytes
+        assert content.count(stand_in) == 1
+        content = content.replace(stand_in, number)
+        signature = self.authority.issued.key.sign(content, ec.ECDSA(hashes.SHA256()))
+        algorithm = bytes.fromhex("300A 0608 2A8648CE3D040302")  # ecdsa-with-SHA256
+        whole = _tagged(0x30, content + algorithm + _tagged(0x03, b"\x00" + signature))
+        return Issued(x509.load_der_x509_certificate(whole), made.key)
+
+
+def _identifier(dotted: str) -> bytes:
+    """An object identifier in DER."""
+    first, second, *rest = (int(part) for part in dotted.split("."))
+    content = bytes([first * 40 + second])
+    for number in rest:
+        digits = [number & 0x7F]
+        while number := number >> 7:
+            digits.append(number & 0x7F | 0x80)
+        content += bytes(reversed(digits))
+    return _tagged(0x06, content)
+
+
+def _tagged(tag: int, content: bytes) -> bytes:
+    """A value in DER."""
+    size = len(content)
+    if size < 0x80:
+        return bytes([tag, size]) + content
+    length = size.to_bytes((size.bit_length() + 7) // 8, "big")
+    return bytes([tag, 0x80 | len(length)]) + length + content
