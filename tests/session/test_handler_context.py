@@ -59,3 +59,22 @@ def test_a_reply_to_a_client_that_has_gone_goes_nowhere():
     handler.contexts[0].reply(ExceptionResponse(3, 4))
     assert sent == []
     assert handler.contexts[0].replied
+
+
+def test_who_watches_a_reply_learns_of_it_or_that_the_client_has_gone():
+    seen: list[object] = []
+
+    class Watched(_Promises):
+        def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+            context.watch(seen.append, gone=lambda: seen.append("gone"))
+            return super().handle(context, request)
+
+    handler, sent = Watched(), list[bytes]()
+    session = _session(handler, sent)
+    session.receive(_read(1) + _read(2), 24)
+    reply = ExceptionResponse(3, 4)
+    handler.contexts[0].reply(reply)
+    session.close()
+    handler.contexts[1].reply(reply)
+    assert seen == [reply, "gone"]
+    assert handler.gone == [2]

@@ -375,6 +375,20 @@ class Device:
             return None
         return run
 
+    def peek(self, table: Table, address: int, count: int) -> bytes | None:
+        """Items in wire order as they are now, without a hook being called; None unless all of them exist."""
+        run = self._stores[table].find(address, count)
+        return None if run is None else run.get(address - run.first, count)
+
+    def peek_file(self, file: int, record: int, count: int) -> bytes | None:
+        """Records of a file, likewise."""
+        found = self.files.get(file)
+        try:
+            run = None if found is None else found.accessed(record, count, writes=False)
+        except Refusal:
+            run = None
+        return None if run is None else run.get(record - run.first, count)
+
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
         """As `DataModel.check`."""
         store = self._stores[table]

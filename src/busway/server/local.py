@@ -11,16 +11,17 @@ Knows devices and the rules of units on TCP; knows no connection.
 5. A device that is listed as several units executes a broadcast of a serial line once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
 from ..pdu.direct import Answer, ReadPlan
+from ..pdu.file_records import WriteFileRecord
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
-from ..pdu.message import Request
-from ..session.handler import SILENCE, Outcome, RequestContext
+from ..pdu.message import Message, Request
+from ..session.handler import SILENCE, Deferral, Outcome, RequestContext
 from .device import Device
 
 
@@ -122,6 +123,26 @@ class LocalHandler:
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Execute a request on the unit's device."""
+        device = self._executing(context, request)
+        if not isinstance(device, Device):
+            return device
+        assert isinstance(request, Request)
+        with device.lock:
+            return request.apply(device, context)
+
+    def observe_write(
+        self, context: RequestContext, request: Request, see: Callable[[tuple[bytes | None, ...]], None]
+    ) -> Outcome:
+        """As `WriteObserver.observe_write`: the look and the execution happen under one hold of the device's lock."""
+        device = self._executing(context, request)
+        if not isinstance(device, Device):
+            return device
+        with device.lock:
+            see(_replaced(device, request))
+            return request.apply(device, context)
+
+    def _executing(self, context: RequestContext, request: AnyRequest) -> Device | Message | Deferral:
+        """The device that is to execute a request; or the answer, or `SILENCE`, where none is."""
         device = self.find(context.unit)
         if device is None:
             if self._silent:
@@ -135,6 +156,11 @@ class LocalHandler:
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_FUNCTION)
         if isinstance(request, MalformedRequest):
             return ExceptionResponse(context.function, request.code)
-        assert isinstance(request, Request)
-        with device.lock:
-            return request.apply(device, context)
+        return device
+
+
+def _replaced(device: Device, request: Request) -> tuple[bytes | None, ...]:
+    """What a write would replace, range by range; the caller holds the device's lock."""
+    if isinstance(request, WriteFileRecord):
+        return tuple(device.peek_file(group.file, group.record, group.count) for group in request.groups)
+    return tuple(device.peek(span.table, span.address, span.count) for span in request.spans() if span.writes)

@@ -15,7 +15,7 @@ from typing import Final, Protocol, runtime_checkable
 from ..pdu.direct import Answer, ReadPlan
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
-from ..pdu.message import Message
+from ..pdu.message import Message, Request
 from ..pdu.model import Diagnostics, Refusal
 
 
@@ -51,6 +51,7 @@ class RequestContext:
 
     __slots__ = (
         "_finish",
+        "_gone_seen",
         "diagnostics",
         "executed",
         "function",
@@ -83,20 +84,29 @@ class RequestContext:
         self.transaction = transaction
         self.executed: set[int] | None = None
         self.gone: Callable[[], None] | None = None
+        self._gone_seen: tuple[Callable[[], None], ...] = ()
         self._finish = finish
 
     def abandon(self) -> None:
         """The client has gone, or has given up: no reply can be given any more, and who works on one may stop."""
         self._finish = None
+        watchers, self._gone_seen = self._gone_seen, ()
+        for seen in watchers:
+            seen()
         gone, self.gone = self.gone, None
         if gone is not None:
             gone()
 
-    def watch(self, seen: Callable[[Message | Deferral], None]) -> None:
-        """Have ``seen`` called with the late reply, just before it goes its way; not where none can be given."""
+    def watch(self, seen: Callable[[Message | Deferral], None], *, gone: Callable[[], None] | None = None) -> None:
+        """Have ``seen`` called with the late reply, just before it goes its way; not where none can be given.
+
+        ``gone`` is called instead if the client goes away first.
+        """
         finish = self._finish
         if finish is None:
             return
+        if gone is not None:
+            self._gone_seen = (*self._gone_seen, gone)
 
         def finish_seen(context: RequestContext, reply: Message | Deferral) -> None:
             seen(reply)
@@ -150,6 +160,22 @@ class ReadPlanner(Protocol):
 
 
 @runtime_checkable
+class WriteObserver(Protocol):
+    """A handler that shows what a write replaces, and executes it in one step with the look at it."""
+
+    def observe_write(
+        self, context: RequestContext, request: Request, see: Callable[[tuple[bytes | None, ...]], None]
+    ) -> Outcome:
+        """As ``handle``; just before the request is executed, ``see`` is called with what it would replace.
+
+        That is one element for each range that it writes, in the order of `Request.spans`, of file records for each
+        group: the items in wire order, or None where they do not exist. Nothing else is executed between the look and
+        the request. If ``see`` raises `Refusal`, the request is not executed. ``see`` is not called for what is refused
+        before.
+        """
+
+
+@runtime_checkable
 class UnitHolder(Protocol):
     """A handler that says which units it answers for: what a serial line needs, where nobody speaks for others."""
 
@@ -168,4 +194,5 @@ __all__ = [
     "Refusal",
     "RequestContext",
     "UnitHolder",
+    "WriteObserver",
 ]
