@@ -11,20 +11,23 @@ the file names (certificates, the audit log) is opened by the component that it 
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..config.access.addresses import AddressList
+from ..config.access.rules import AccessRules
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.files.lines import Path as Place
 from ..config.files.system import SystemFile, read_system_file
-from ..config.options import build_parameters
+from ..config.options import build_parameters, option_names
 from ..errors import ConfigError
 from ..server.listener import Listener
+from ..server.listener_settings import listener_settings
 from ..server.parameters import ListenerParameters
 from ..transport.tls import OF_CLIENTS, TlsParameters
+from .examining import examine_files, judge_roles
 from .judging import Judge, nearest
 from .links import NamedLink, named_links
+from .paths import rooted, within
 from .reading import read_text
 
 if TYPE_CHECKING:
@@ -34,8 +37,6 @@ if TYPE_CHECKING:
 
 ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 """Hosts of listeners that stand for every interface."""
-TLS_FILES = frozenset({"certificate", "key", "password_file", "authority"})
-"""Options that are paths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,10 @@ class Configuration:
         name: the file's name.
         file: its sections.
         listeners: where a server of it listens, each with what holds there.
+        limits: of the listeners that have none of their own.
+        access: rules on what may be asked, and on who may connect; None if there are none.
+        audit: path of the audit log; None if there is none.
+        control: path or address of the control socket; None for the usual one.
         links: the links by name.
         warnings: what is odd but can be, each with file, line and key.
     """
@@ -53,6 +58,10 @@ class Configuration:
     name: str
     file: SystemFile
     listeners: tuple[Listener, ...]
+    limits: ListenerParameters
+    access: AccessRules | None
+    audit: str | None
+    control: str | None
     links: Mapping[str, NamedLink]
     warnings: tuple[ConfigError, ...]
 
@@ -102,82 +111,112 @@ class Configuration:
         return link
 
 
-def load_configuration(path: str | os.PathLike[str]) -> Configuration:
+def load_configuration(
+    path: str | os.PathLike[str], *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> Configuration:
     """The configuration of a file: server, listeners, client, security, policy and units.
 
     Args:
         path: the file, in TOML. Every device file is one.
+        examine: whether the files that it names are opened too, to say now what would fail later.
+        changes: options of listeners that go before those of the file.
 
     Raises:
         ConfigError: the file can not be read, or something in it can not be; then it has all ``problems``, each with
             file, line and key.
     """
     name = os.fspath(path)
-    return parse_configuration(read_text(name), name)
+    return parse_configuration(read_text(name), name, examine=examine, changes=changes)
 
 
-def parse_configuration(text: str, name: str) -> Configuration:
+def parse_configuration(
+    text: str, name: str, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> Configuration:
     """The configuration that a text declares.
 
     Args:
         text: the content of the file.
         name: its name, for sentences; paths in it are relative to its folder.
+        examine, changes: as of `load_configuration`.
 
     Raises:
         FileError: all that is wrong, each with file, line and key.
     """
     file, source = read_system_file(text, name)
     judge = Judge(source)
-    listeners = _listeners(file, name, judge)
+    makers = _Makers(file, name, judge, changes or {})
+    limits = makers.limits()
+    listeners = [makers.listener(place, parse_endpoint(url)) for place, url in file.places()]
     links = named_links(file, lambda options: rooted(options, name), judge)
-    return Configuration(name, file, tuple(listeners), links, judge.end())
+    judge_roles(file, judge)
+    if examine:
+        examine_files(file, name, listeners, judge)
+    warnings = judge.end()
+    return Configuration(
+        name,
+        file,
+        tuple(listeners),
+        limits or ListenerParameters(),
+        None if file.policy is None else file.policy.access_rules(),
+        None if file.audit is None else within(name, file.audit.path),
+        _control(file, name),
+        links,
+        warnings,
+    )
 
 
-def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Options whose paths are no longer relative to the folder of the file of a name."""
-    return {key: within(name, value) if key in TLS_FILES else value for key, value in options.items()}
-
-
-def within(name: str, path: str) -> str:
-    """A path as the file of a name means it: relative to the file's folder."""
-    return str(Path(name).parent / path)
-
-
-def _listeners(file: SystemFile, name: str, judge: Judge) -> list[Listener]:
-    """The listeners; what is wrong with one is told to the judge."""
-    makers = _Makers(file, name, judge)
-    return [made for place, url in file.places() if (made := makers.listener(place, parse_endpoint(url))) is not None]
+def _control(file: SystemFile, name: str) -> str | None:
+    path = file.control.path
+    if path is None or not file.control.enabled:
+        return None
+    is_address = path.startswith("http://") or path.rpartition(":")[2].isdecimal()
+    return path if is_address else within(name, path)
 
 
 class _Makers:
     """Makes listeners of what stands in a file: each part's own settings go before the general ones."""
 
-    def __init__(self, file: SystemFile, name: str, judge: Judge) -> None:
+    def __init__(self, file: SystemFile, name: str, judge: Judge, changes: Mapping[str, Any]) -> None:
         self._file = file
         self._name = name
         self._judge = judge
-        self._limits = file.server.limits()
+        self._changes = changes
+        self._general = file.server.options()
         self._security = {key: value for key, value in file.security.options().items() if key not in OF_CLIENTS}
 
-    def listener(self, place: Place, endpoint: Endpoint) -> Listener | None:
-        """The listener whose URL stands at a place."""
+    def limits(self) -> ListenerParameters | None:
+        """The limits of the listeners that have none of their own."""
+        return self._limits({}, ("server",))
+
+    def _limits(self, own: Mapping[str, Any], at: Place) -> ListenerParameters | None:
+        known = option_names(ListenerParameters)
+        general = {key: value for key, value in self._general.items() if key in known}
+        chosen = {**general, **own, **self._changes}
+        return self._judge.make(
+            lambda: build_parameters(ListenerParameters, chosen),
+            lambda key: nearest(key, own, at, general, ("server",)),
+        )
+
+    def listener(self, place: Place, endpoint: Endpoint) -> Listener:
+        """The listener whose URL stands at a place; without what the judge had to refuse."""
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
             self._judge.warn(place, f"{endpoint.url} listens on every interface of this host")
-        section = self._file.listener[int(place[1])] if place[0] == "listener" else None
-        at = place if section is None else place[:2]
-        own = {} if section is None else section.limits()
-        limits = self._judge.make(
-            lambda: build_parameters(ListenerParameters, {**self._limits, **own}),
-            lambda key: nearest(key, own, at, self._limits, ("server",)),
+        if place[0] != "listener":
+            tls = self._tls({}, place) if endpoint.carrier == "tls" else None
+            return self._checked(Listener(endpoint, tls=tls), place)
+        section, at = self._file.listener[int(place[1])], place[:2]
+        access = self._judge.make(
+            lambda: AddressList(section.allow, section.deny, section.secure),
+            lambda key: nearest(key, ("allow", "deny"), at, (), at),
         )
-        access = None
-        if section is not None:
-            access = self._judge.make(
-                lambda: AddressList(section.allow, section.deny, section.secure),
-                lambda key: nearest(key, ("allow", "deny"), at, (), at),
-            )
-        tls = None if endpoint.carrier != "tls" else self._tls({} if section is None else section.options(), at)
-        return Listener(endpoint, access=access, tls=tls, limits=limits)
+        limits = self._limits(section.limits(), at) if section.limits() else None
+        tls = self._tls(section.options(), at) if endpoint.carrier == "tls" else None
+        return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place)
+
+    def _checked(self, listener: Listener, place: Place) -> Listener:
+        """The listener, whose URL the server has judged with its options."""
+        self._judge.make(lambda: listener_settings(listener, limits=ListenerParameters()), lambda key: place)
+        return listener
 
     def _tls(self, own: Mapping[str, Any], at: Place) -> TlsParameters | None:
         def make() -> TlsParameters:

@@ -46,7 +46,7 @@ class Judge:
 
     def warn(self, path: Path, sentence: str) -> None:
         """Something is odd."""
-        self.warnings.append(self._source.problem(path, sentence))
+        self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:
         """The warnings. Raises `FileError` if anything is wrong."""

@@ -32,6 +32,7 @@ COMMANDS = {
     "serve": "Be a device.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
+    "config": "Check and explain configuration files.",
     "demo": "Run a small plant and poll it.",
 }
 """The commands, in the order in which help lists them. ``busway.cli.<name>`` holds the function ``<name>``."""

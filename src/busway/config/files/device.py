@@ -121,16 +121,15 @@ UnitNumber = Annotated[int, Field(ge=0, le=255)]
 class ServerSection(ListenerKeys, OptionSection):
     """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
 
+    profile: Literal["standard", "strict"] = "standard"
+    standard_port: bool = False
     unit_policy: Literal["listed", "any"] = "listed"
     unlisted: Literal["exception", "silence"] = "exception"
     shared_places: bool | None = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of `busway.serve` that are set here."""
-        policies = {"unit_policy": self.unit_policy, "unlisted": self.unlisted}
-        return policies | {
-            name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
-        }
+        return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
 
 class TableSection(Section):

@@ -206,3 +206,27 @@ def _sections_in(annotation: Any) -> Iterator[type[Section]]:
         yield annotation
     for each in get_args(annotation):
         yield from _sections_in(each)
+
+
+def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: what JSON has
+    """What a file looks like, as JSON Schema (draft 2020-12), for editors and other programs.
+
+    It knows names, types and plain ranges; what goes together is only known to the reader of the file.
+    """
+    document = schema.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_plain(document), "title": title}
+
+
+def _plain(node: Any) -> Any:
+    """A part of a schema, without the titles and empty defaults that repeat the names of keys."""
+    if isinstance(node, list):
+        return [_plain(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    kept = {}
+    for key, value in node.items():
+        if key == "properties" or key == "$defs":
+            kept[key] = {name: _plain(each) for name, each in value.items()}
+        elif not (key == "title" and isinstance(value, str)) and not (key == "default" and value in (None, {})):
+            kept[key] = _plain(value)
+    return kept

@@ -18,7 +18,7 @@ is a configuration file too.
     url = "tls://:802"
 
     [policy]
-    read_only = true
+    default = "read-only"
 
     [[client.link]]
     name = "boiler"
@@ -36,9 +36,9 @@ Rules:
 """
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from ...errors import ConfigError
 from ...session.breaker import BreakerParameters
@@ -50,10 +50,12 @@ from ...transport.serial.settings import SerialSettings
 from ...transport.tcp import SocketParameters
 from ...transport.tls import OF_SERVERS as ONLY_LISTENERS
 from ...transport.tls import TlsParameters
+from ...values.refusal import shown
 from .device import DeviceFile, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
+from .policy import ActionWord, PolicySection
 from .schema import Faults, Section, Source, read_source
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
@@ -97,16 +99,44 @@ def host_and_port(text: str) -> tuple[str, int]:
     return bare, int(port)
 
 
+def _unchanged(value: object) -> object:
+    return value
+
+
 def _checked_place(text: str) -> str:
     host_and_port(text)
     return text
 
 
+def _number_or_hold(value: object) -> object:
+    if value in HOLD_WORDS or (isinstance(value, int | float) and not isinstance(value, bool)):
+        return value
+    raise ValueError(f"must be seconds, {' or '.join(HOLD_WORDS)}, not {shown(value)}")
+
+
+HOLD_WORDS: Final = ("forever", "request")
+HoldTime = Annotated[
+    float | str, BeforeValidator(_number_or_hold, json_schema_input_type=float | Literal["forever", "request"])
+]
 FilePath = Annotated[str, Field(min_length=1)]
 
 
+class ManagementKeys(OptionSection):
+    """The options of `ManagementParameters`. None of them is set by being left out."""
+
+    hold: HoldTime | None = None
+    reconnect_first: float | None = None
+    reconnect_most: float | None = None
+    max_connections: int | None = None
+
+    def options(self) -> dict[str, Any]:  # of several types
+        """The options of a link that are set here, by name."""
+        own = {name: getattr(self, name) for name in ManagementKeys.model_fields if name in self.model_fields_set}
+        return super().options() | own
+
+
 @with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
-class LinkSection(OptionSection):
+class LinkSection(ManagementKeys):
     """``[[client.link]]``: one endpoint that is asked, under a name, with options of its own."""
 
     judged: ClassVar = False  # together with those of [client], where the link is put together
@@ -116,7 +146,7 @@ class LinkSection(OptionSection):
 
 
 @with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
-class ClientSection(OptionSection):
+class ClientSection(ManagementKeys):
     """``[client]``: the links, and options for all of them whose scheme has the option."""
 
     link: list[LinkSection] = Field(default_factory=list)
@@ -158,6 +188,11 @@ class ControlSection(Section):
     path: FilePath | None = None
 
 
+DeclaredPolicy = Annotated[
+    PolicySection, BeforeValidator(_unchanged, json_schema_input_type=ActionWord | PolicySection)
+]
+
+
 class SystemFile(DeviceFile):
     """A whole configuration file."""
 
@@ -168,6 +203,7 @@ class SystemFile(DeviceFile):
     audit: AuditSection | None = None
     metrics: MetricsSection | None = None
     control: ControlSection = ControlSection()
+    policy: DeclaredPolicy | None = None
     unit: list[UnitSection] = Field(default_factory=list)
 
     def places(self) -> list[tuple[Path, str]]:

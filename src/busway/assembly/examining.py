@@ -1,0 +1,74 @@
+"""What can be said about a configuration before it runs: rules that can never fit, files that can not be used.
+
+Knows what goes together; opens files, and no connection.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ..config.endpoints import parse_endpoint
+from ..config.files.lines import Path as Place
+from ..config.files.system import SystemFile
+from ..errors import ConfigError
+from ..server.listener import Listener
+from .judging import Judge
+from .paths import TLS_FILES, within
+
+
+def judge_roles(file: SystemFile, judge: Judge) -> None:
+    """Warn of rules for roles where no client can have one."""
+    if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
+        return
+    for index, rule in enumerate(file.policy.rule):
+        if rule.roles is not None:
+            judge.warn(("policy", "rule", index, "roles"), "nobody has a role: there is no tls:// listener")
+
+
+def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], judge: Judge) -> None:
+    """Open what the file names, and tell the judge what can not be used."""
+    wrong = len(judge.problems)
+    for place, path in _named_files(file):
+        _readable(place, within(name, path), judge)
+    if file.audit is not None:
+        folder = Path(within(name, file.audit.path)).parent
+        if not folder.is_dir() or not os.access(folder, os.W_OK):
+            judge.refuse(("audit", "path"), f"nothing can be written in {folder}")
+    if len(judge.problems) > wrong:
+        return
+    for (place, _), listener in zip(file.places(), listeners, strict=True):
+        if listener.tls is not None:
+            _usable(place, listener, judge)
+
+
+def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
+    sections: list[tuple[Place, object]] = [(("security",), file.security), (("client",), file.client)]
+    sections += [(("listener", index), each) for index, each in enumerate(file.listener)]
+    sections += [(("client", "link", index), each) for index, each in enumerate(file.client.link)]
+    for place, section in sections:
+        for key in TLS_FILES:
+            path = getattr(section, key)
+            if path is not None:
+                yield (*place, key), path
+
+
+def _readable(place: Place, path: str, judge: Judge) -> None:
+    if Path(path).is_dir() and place[-1] == "authority":
+        return
+    try:
+        with open(path, "rb"):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        judge.refuse(place, f"{path} can not be read: {reason[:1].lower()}{reason[1:]}")
+
+
+def _usable(place: Place, listener: Listener, judge: Judge) -> None:
+    """Certificates and keys that are read, but do not fit, or have ended."""
+    from ..transport.tls_context import server_context
+
+    assert listener.tls is not None
+    try:
+        server_context(listener.tls)
+    except ConfigError as error:
+        judge.refuse(place, error.message if error.key is None else f"{error.key}: {error.message}")

@@ -1,0 +1,88 @@
+"""What a configuration says, as rows for people: what listens where, who may do what, which links and units there are.
+
+Knows a configuration; changes nothing.
+"""
+
+from collections.abc import Iterator
+
+from ..codes import Table
+from ..config.access.addresses import AddressList
+from ..config.endpoints import parse_endpoint
+from ..config.files.device import UnitSection
+from ..server.listener import Listener
+from ..server.parameters import ListenerParameters
+from .configuration import Configuration
+
+Row = tuple[str, str, str]
+"""Kind, name, what is said about it."""
+
+
+def overview(configuration: Configuration) -> Iterator[Row]:
+    """The rows, in the order of the file's sections."""
+    file = configuration.file
+    for listener in configuration.listeners:
+        yield "listener", str(listener.endpoint), "; ".join(_listener(listener, configuration.limits))
+    yield "policy", "", _policy(configuration)
+    yield "server", "", "; ".join(_server(configuration))
+    for link in configuration.links.values():
+        options = ", ".join(f"{name} {value}" for name, value in link.options.items()) or "defaults"
+        yield "link", link.name, f"{link.url}; {options}"
+    for section in file.unit:
+        for number in section.unit:
+            yield "unit", str(number), _unit(section)
+
+
+def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
+    carrier = parse_endpoint(listener.endpoint).carrier
+    if carrier == "serial":
+        yield "serial line"
+        return
+    access = listener.access
+    if isinstance(access, AddressList):
+        if access.allow:
+            yield f"allows {', '.join(access.allow)}"
+        if access.deny:
+            yield f"denies {', '.join(access.deny)}"
+        if access.secure:
+            yield "refuses all others"
+    limits = listener.limits or general
+    marked = f" for {', '.join(limits.priority)}" if limits.priority else ""
+    yield f"{limits.max_priority_connections} priority places{marked}, {limits.max_connections} others"
+    if listener.tls is not None:
+        yield f"certificate {listener.tls.certificate}, authority {listener.tls.authority}"
+        if listener.tls.require_role:
+            yield "a role is required"
+
+
+def _policy(configuration: Configuration) -> str:
+    access = configuration.access
+    if access is None:
+        return "none: whoever may connect may do everything"
+    rules = access.policy.rules
+    named = f"{len(rules)} rules ({', '.join(rule.name for rule in rules)}), " if rules else ""
+    return f"{named}else {access.policy.default.value}"
+
+
+def _server(configuration: Configuration) -> Iterator[str]:
+    file = configuration.file
+    yield f"audit {configuration.audit}" if configuration.audit else "no audit log"
+    yield f"metrics on {file.metrics.listen}" if file.metrics else "no metrics"
+    if not file.control.enabled:
+        yield "no control socket"
+    elif configuration.control:
+        yield f"control socket {configuration.control}"
+    else:
+        yield "control socket in the usual place"
+
+
+def _unit(section: UnitSection) -> str:
+    parts = [section.name] if section.name else []
+    for table in Table:
+        declared = section.table(table)
+        points = section.points_in(table)
+        if declared is not None:
+            parts.append(f"{declared.size} {table.label}s")
+        elif points:
+            parts.append(f"{sum(point.size for point in points)} {table.label}s")
+    parts.append(f"{len(section.point)} points")
+    return ", ".join(parts)

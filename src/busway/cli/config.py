@@ -1,0 +1,71 @@
+"""``busway config``: say what a configuration file means, or what is wrong with it, without serving anything.
+
+1. ``check`` opens what the file names (certificates, the audit log's folder), and no connection.
+2. What was understood goes to stdout; what is odd, or wrong, to stderr, each with file, line and key.
+"""
+
+import json
+import sys
+from collections.abc import Callable
+
+import typer
+
+from ..errors import ConfigError
+from .exits import ExitCode
+from .output import print_aligned
+
+EXAMPLES = """\b
+Examples:
+  busway config check plant.toml
+  busway config show plant.toml
+  busway config schema > busway.schema.json
+"""
+
+
+def config(
+    action: str = typer.Argument(..., metavar="ACTION", help="check, show or schema."),
+    file: str | None = typer.Argument(None, metavar="[FILE]", help="The configuration file, for check and show."),
+    device: bool = typer.Option(False, "--device", help="schema: of device files alone."),
+) -> int:
+    """Check and explain configuration files."""
+    actions: dict[str, Callable[[str], None]] = {"check": _check, "show": _show}
+    if action == "schema":
+        if file is not None:
+            raise ConfigError("schema takes no file", key=file)
+        _print_schema(device)
+    elif action in actions:
+        if device:
+            raise ConfigError("is for schema", key="--device")
+        if file is None:
+            raise ConfigError(f"{action} needs a file", key="FILE")
+        actions[action](file)
+    else:
+        raise ConfigError(f"must be check, show or schema, not {action!r}", key="ACTION")
+    return ExitCode.DONE
+
+
+def _check(file: str) -> None:
+    from ..assembly.configuration import load_configuration
+    from ..assembly.overview import overview
+
+    configuration = load_configuration(file, examine=True)
+    print_aligned(list(overview(configuration)))
+    for warning in configuration.warnings:
+        print(warning, file=sys.stderr)
+
+
+def _show(file: str) -> None:
+    from ..assembly.configuration import load_configuration
+    from ..assembly.effective import effective
+
+    for line in effective(load_configuration(file)):
+        print(line)
+
+
+def _print_schema(device: bool) -> None:
+    from ..config.files.device import DeviceFile
+    from ..config.files.schema import json_schema
+    from ..config.files.system import SystemFile
+
+    made = json_schema(DeviceFile, "busway device file") if device else json_schema(SystemFile, "busway configuration")
+    print(json.dumps(made, indent=2, ensure_ascii=False))
