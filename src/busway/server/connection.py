@@ -3,31 +3,27 @@
 Knows when bytes come and go; knows nothing of what they say.
 
 1. What arrived is worked through in one call and answered with one write.
-2. While a client does not take its replies, nothing more is read from it (Messaging on TCP/IP V1.0b §4.1).
+2. While a client does not take its replies, nothing more is read from it (Messaging on TCP/IP V1.0b §4.1), nor while
+   its host is over its rate.
 3. No task, future or timer per request; a task only for a handler's awaitable.
-4. A frame that was begun is watched by connection management, which has one timer for all of them.
+4. What has a time is watched by connection management, which has one timer for all of them.
 """
 
 import asyncio
-import logging
 import time
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from ..codes import ExceptionCode
-from ..errors import ModbusError
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
-from ..pdu.message import Message
-from ..session.handler import Refusal
-from ..session.server import Deferred, HandlerFailure, TcpServerSession
 from ..transport.buffers import receive_buffer
+from .failures import answer_later
+from .framed import Session
+from .peers import host_of, peer_name
+from .pools import Pool
+from .status import ConnectionState
 
 if TYPE_CHECKING:
     from .connections import ConnectionManagement
-    from .framed import FramedSession
-
-_log = logging.getLogger("busway.server")
 
 
 class ServerConnection(asyncio.BufferedProtocol):
@@ -35,41 +31,52 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     Args:
         management: where its place and its session come from.
-        role: of the client's certificate, where a secure transport has found one.
+        role, subject: of the client's certificate, where a secure transport has found one.
         accepted: whether a gate before it has asked `ConnectionManagement.accept` already.
 
     Attributes:
-        session: its conversation; None until the connection is made.
-        peer: ``host:port`` of the client.
-        role: of its certificate; None without one.
+        session: its conversation; None until it has a place, and after its end.
+        peer, host: ``host:port`` of the client, and the host alone.
+        role, subject: of its certificate; None and empty without one.
+        marked: whether it is a device that the priority pool is for: no limit of ours closes or slows it.
+        pool: where it has its place.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
+        charged: requests that its host's rate was charged with.
     """
 
     __slots__ = (
         "_accepted",
         "_buffer",
         "_half_closed",
+        "_is_rated",
+        "_is_stuck",
         "_management",
         "_parameters",
         "_tasks",
         "_trace",
         "_transport",
         "_window",
+        "charged",
+        "host",
         "last_used",
+        "marked",
         "opened",
         "peer",
+        "pool",
         "received",
         "role",
         "sent",
         "session",
+        "subject",
     )
 
-    def __init__(self, management: "ConnectionManagement", *, role: str | None = None, accepted: bool = False) -> None:
-        self.role = role
-        self._accepted = accepted
+    def __init__(
+        self, management: "ConnectionManagement", *, role: str | None = None, subject: str = "", accepted: bool = False
+    ) -> None:
         self._management = management
         self._parameters = management.parameters
+        self._accepted = accepted
         self._buffer = receive_buffer(management.loop)
         # The TLS of asyncio slices what it is given and fills the slice: of a bytearray, that would be a copy.
         self._window: bytearray | memoryview = memoryview(self._buffer) if accepted else self._buffer
@@ -77,23 +84,32 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._tasks: set[asyncio.Task[None]] | None = None
         self._trace: Trace | None = None
         self._half_closed = False
-        self.session: TcpServerSession | FramedSession | None = None
-        self.peer = ""
+        self._is_rated = False
+        self._is_stuck = False
+        self.session: Session | None = None
+        self.peer = self.host = ""
+        self.role = role
+        self.subject = subject
+        self.marked = False
+        self.pool = Pool.OTHER
         self.opened = self.last_used = 0.0
         self.received = self.sent = 0
+        self.charged = 0
 
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Accepted: ask connection management for a place."""
         self._transport = transport
-        self.peer = peer_name(transport.get_extra_info("peername"))
+        address = transport.get_extra_info("peername")
+        self.peer, self.host = peer_name(address), host_of(address)
         self.opened = self.last_used = time.monotonic()
-        if not self._accepted and not self._management.accept(transport):
+        if self._accepted or self._management.accept(transport):
+            self._transport.set_write_buffer_limits(high=self._parameters.write_buffer)
+            self.session = self._management.admit(self)
+            self._is_rated = self._management.rates is not None and not self.marked
+        if self.session is None:
             self._transport.abort()
-            return
-        self._transport.set_write_buffer_limits(high=self._parameters.write_buffer)
-        self.session = self._management.admit(self)
 
     def get_buffer(self, sizehint: int) -> bytearray | memoryview:
         """Where the event loop receives into."""
@@ -118,9 +134,10 @@ class ServerConnection(asyncio.BufferedProtocol):
             # More than came now: it began with an earlier segment, and its time goes on.
             self._management.watch_frame(self, begun_now=session.unfinished <= nbytes)
         if session.broken:
-            _log.warning("%s: closed: %s", self.peer, session.broken)
-            self._management.counters.broken_streams += 1
+            self._management.broken(self, session.broken)
             self._transport.close()
+        elif self._is_rated:
+            self._management.charge(self, session)
 
     def eof_received(self) -> bool:
         """The client sends no more; replies that are still to come go out first."""
@@ -129,13 +146,15 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def pause_writing(self) -> None:
         """The client does not take its replies: stop reading."""
-        self._management.counters.reading_paused += 1
+        self._is_stuck = True
         self._transport.pause_reading()
+        self._management.stuck(self)
 
     def resume_writing(self) -> None:
         """It takes them again."""
-        if not self._transport.is_closing():
-            self._transport.resume_reading()
+        self._is_stuck = False
+        self._management.taken(self)
+        self.go_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It has ended, whoever ended it."""
@@ -156,6 +175,23 @@ class ServerConnection(asyncio.BufferedProtocol):
             if self._half_closed and not self.session.waiting:
                 self._transport.close()
 
+    def attend(self) -> None:
+        """The session has come to something by itself, after a silence."""
+        session = self.session
+        if session is not None and session.deferred:
+            self._start_waiting(session)
+        if session is not None and session.failures:
+            self._report(session)
+
+    def hold(self) -> None:
+        """Read nothing more, until `go_on`."""
+        self._transport.pause_reading()
+
+    def go_on(self) -> None:
+        """Read again, unless there is another reason not to."""
+        if not (self._is_stuck or self._management.is_held(self) or self._transport.is_closing()):
+            self._transport.resume_reading()
+
     def close(self) -> None:
         """Close after what is written has gone out."""
         if self._transport is not None:
@@ -166,12 +202,44 @@ class ServerConnection(asyncio.BufferedProtocol):
         if self._transport is not None:
             self._transport.abort()
 
+    def make_room(self) -> None:
+        """Somebody else has its place now."""
+        self._management.evict(self)
+
     @property
     def is_busy(self) -> bool:
         """Whether a request is in work or a reply still on its way."""
         if self.session is None:
             return False
-        return bool(self.session.waiting or self._transport.get_write_buffer_size())
+        return bool(self.session.waiting or self.unsent)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether a timeout may close it for not being used."""
+        return not (self.marked or self.is_busy or self.unfinished or self._management.is_held(self))
+
+    @property
+    def unfinished(self) -> int:
+        """Bytes of a request that has begun and not ended."""
+        return self.session.unfinished if self.session is not None else 0
+
+    @property
+    def unsent(self) -> int:
+        """Bytes of replies that wait to be taken."""
+        return int(self._transport.get_write_buffer_size())
+
+    @property
+    def state(self) -> ConnectionState:
+        """What it does."""
+        if self.session is None or self._transport.is_closing():
+            return ConnectionState.CLOSING
+        if self._is_stuck or self._management.is_held(self):
+            return ConnectionState.HELD
+        if self.is_busy:
+            return ConnectionState.BUSY
+        return ConnectionState.RECEIVING if self.unfinished else ConnectionState.IDLE
+
+    # Inside.
 
     def _write(self, replies: list[bytes]) -> None:
         self.last_used = time.monotonic()
@@ -191,15 +259,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._trace = trace_for(self._management.framing, self.peer, is_server=True, carrier=self._transport)
         return self._trace
 
-    def attend(self) -> None:
-        """The session has come to something by itself, after a silence."""
-        session = self.session
-        if session is not None and session.deferred:
-            self._start_waiting(session)
-        if session is not None and session.failures:
-            self._report(session)
-
-    def _start_waiting(self, session: "TcpServerSession | FramedSession") -> None:
+    def _start_waiting(self, session: Session) -> None:
         deferred, session.deferred = session.deferred, []
         if self._tasks is None:
             self._tasks = set()
@@ -208,54 +268,6 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
-    def _report(self, session: "TcpServerSession | FramedSession") -> None:
+    def _report(self, session: Session) -> None:
         failures, session.failures = session.failures, []
-        self._management.counters.handler_failures += len(failures)
-        self._management.diagnosis.internal_fault = time.monotonic()
-        report_failures(self.peer, failures)
-
-
-def report_failures(peer: str, failures: Iterable[HandlerFailure]) -> None:
-    """Log what handlers raised."""
-    for failure in failures:
-        _log.error(
-            "%s: unit %s, function %s: the handler failed and the client was answered 04",
-            peer,
-            failure.context.unit,
-            failure.context.function,
-            exc_info=failure.error,
-        )
-
-
-async def answer_later(deferred: Deferred) -> None:
-    """Await what a handler promised, and reply."""
-    context = deferred.context
-    try:
-        reply: Message = await deferred.awaitable
-    except Refusal as refusal:
-        context.refuse(refusal.code)
-    except asyncio.CancelledError:
-        if not context.replied:
-            context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
-        raise
-    except ModbusError as error:
-        _log.error("%s: unit %s: the handler failed: %s", context.peer, context.unit, error)
-        context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
-    except Exception:
-        _log.exception("%s: unit %s, function %s: the handler failed", context.peer, context.unit, context.function)
-        context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
-    else:
-        context.reply(reply)
-
-
-def host_of(address: object) -> str:
-    """The host of a socket address, without port; the text of anything else."""
-    return str(address[0]) if isinstance(address, tuple) and address else str(address or "")
-
-
-def peer_name(address: object) -> str:
-    """``host:port`` of a socket address, ``[host]:port`` for IPv6."""
-    if isinstance(address, tuple) and len(address) >= 2:
-        host, port = address[0], address[1]
-        return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
-    return str(address or "?")
+        self._management.reception.failed(self.peer, failures)

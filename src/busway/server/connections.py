@@ -2,115 +2,108 @@
 
 Knows connections and their limits; knows no request.
 
-1. A newcomer beyond the limit takes the place of the connection that has been unused longest; where all are busy,
-   of the oldest.
-2. A client that began a frame and fell silent loses its place after ``frame_timeout``.
-3. What happens is counted, and can be seen.
+1. Whether a host may connect is asked before anybody makes room for it.
+2. Who makes room is decided by `busway.server.pools`; what is overdue by `busway.server.deadlines`.
+3. No timeout, rate or newcomer closes or slows a connection of a marked device. It ends with an error, with the
+   server, or when the system finds its other end gone.
+4. There is one timer for all connections of a listener.
+5. What happens is counted, and can be seen.
 """
 
 import asyncio
 import logging
 import time
-from collections.abc import Container
-from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
-from ..session.diagnostics import CommunicationState
-from ..session.handler import Handler
-from ..session.parameters import Scope, ServerParameters
-from ..session.server import TcpServerSession, TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
-from .authorisation import Authorise, everybody
-from .connection import ServerConnection, host_of, peer_name
+from .connection import ServerConnection
+from .counters import ServerCounters
+from .deadlines import Deadlines, Overdue
 from .diagnosis import Diagnosis
-from .framed import FramedSession
-from .listener_settings import ListenerSettings
+from .framed import Session
 from .parameters import ListenerParameters
-from .status import ListenerStatus
+from .peers import host_of, peer_name
+from .pools import Pools
+from .rates import Rates
+from .reception import Reception, add_living
+from .status import ConnectionStatus, ListenerStatus
+
+if TYPE_CHECKING:
+    from .secure import Gate
 
 _log = logging.getLogger("busway.server")
 
-
-@dataclass(slots=True)
-class ServerCounters:
-    """What happened on a server since it was made; ``requests`` and what follows is complete when a connection ends."""
-
-    accepted: int = 0
-    unauthorised: int = 0
-    closed: int = 0
-    evicted: int = 0
-    broken_streams: int = 0
-    frame_timeouts: int = 0
-    reading_paused: int = 0
-    handler_failures: int = 0
-    requests: int = 0
-    discarded_frames: int = 0
-    refused_busy: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class ConnectionStatus:
-    """One connection as a status shows it. Times are seconds, sizes bytes."""
-
-    peer: str
-    listener: str
-    age: float
-    idle: float
-    received: int
-    sent: int
-    requests: int
-    waiting: int
+_SENTENCES: Final = {
+    Overdue.HEADER: "closed: the header of a request began and did not end within %g s",
+    Overdue.FRAME: "closed: a request began and did not end within %g s",
+    Overdue.WRITE: "closed: it has taken none of its replies for %g s",
+    Overdue.IDLE: "closed: it was not used for %g s",
+}
+_COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
 
 class ConnectionManagement:
     """The connections of one listener.
 
+    Args:
+        reception: what the listener knows beside its connections.
+        pools: places, its own or shared with other listeners.
+        sockets: parameters of the sockets of newcomers.
+
     Attributes:
-        loop: the event loop they live on.
-        listener: URL of the listener, as it is bound.
-        counters: shared by all listeners of a server.
-        framing: ``mbap``, ``rtu`` or ``ascii``.
-        diagnostics: communication counters of the listener (functions 08, 11, 12).
-        diagnosis: for the lamps.
-        authorise: whether a host may connect.
+        gate: where newcomers agree on TLS before they get here; None without TLS.
     """
 
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        handler: Handler,
-        *,
-        listener: str,
-        parameters: ListenerParameters,
-        session_parameters: ServerParameters,
-        sockets: SocketParameters,
-        counters: ServerCounters,
-        slots: TransactionSlots,
-        settings: ListenerSettings,
-        units: Container[int] = (),
-        authorise: Authorise = everybody,
-    ) -> None:
-        self.loop = loop
-        self.listener = listener
-        self.parameters = parameters
-        self.counters = counters
-        self.framing = settings.endpoint.framing
-        self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes is True)
-        self.diagnostics.ascii_delimiter = settings.framing.delimiter
-        self.diagnosis = Diagnosis()
-        self.authorise = authorise
-        self._settings = settings
-        self._units = units
-        self._handler = handler
-        self._session_parameters = session_parameters
+    def __init__(self, reception: Reception, pools: Pools[ServerConnection], sockets: SocketParameters) -> None:
+        self.reception = reception
+        self.pools = pools
         self._sockets = sockets
-        self._server_slots = slots
         self._connections: dict[ServerConnection, None] = {}  # in the order they came
-        self._begun: dict[ServerConnection, float] = {}  # connections with an unfinished frame, and since when
-        self._frame_timer: asyncio.TimerHandle | None = None
+        self._deadlines: Deadlines[ServerConnection] = Deadlines(reception.parameters)
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_at = 0.0
         self._emptied: asyncio.Event | None = None
+        self.gate: Gate | None = None
 
     def __len__(self) -> int:
         return len(self._connections)
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The event loop they live on."""
+        return self.reception.loop
+
+    @property
+    def listener(self) -> str:
+        """URL of the listener, as it is bound."""
+        return self.reception.listener
+
+    @property
+    def parameters(self) -> ListenerParameters:
+        """Limits of the connections."""
+        return self.reception.parameters
+
+    @property
+    def counters(self) -> ServerCounters:
+        """Counters, shared by all listeners of a server."""
+        return self.reception.counters
+
+    @property
+    def framing(self) -> str:
+        """``mbap``, ``rtu`` or ``ascii``."""
+        return self.reception.framing
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """For the lamps."""
+        return self.reception.diagnosis
+
+    @property
+    def rates(self) -> Rates | None:
+        """Of requests; None without a limit."""
+        return self.reception.rates
+
+    # Coming and going.
 
     def accept(self, transport: asyncio.BaseTransport) -> bool:
         """Whether a newcomer may stay, asked before a byte of it is read; the parameters of its socket are set.
@@ -118,134 +111,169 @@ class ConnectionManagement:
         A refusal is counted and logged; closing is the caller's.
         """
         address = transport.get_extra_info("peername")
-        if not self.authorise(host_of(address)):
-            self.counters.unauthorised += 1
-            _log.warning("%s: closed before anything was read: it is not authorised", peer_name(address))
+        if not self.reception.welcomes(host_of(address), peer_name(address)):
             return False
         socket = transport.get_extra_info("socket")
         if socket is not None:
             self._sockets.apply(socket)
         return True
 
-    def admit(self, connection: ServerConnection) -> TcpServerSession | FramedSession:
-        """Give a newcomer its session, and a place."""
-        while len(self._connections) >= self.parameters.max_connections:
-            self._evict()
-        self._connections[connection] = None
-        self.counters.accepted += 1
-        if self.framing != "mbap":
-            return FramedSession(
-                self.loop,
-                self._handler,
-                self._units,
-                framing=self._settings.line_framing(self._units, self._handler.functions),
-                diagnostics=self.diagnostics,
-                deliver=connection.deliver,
-                attend=connection.attend,
-                peer=connection.peer,
-                listener=self.listener,
+    def admit(self, connection: ServerConnection) -> Session | None:
+        """Give a newcomer a place, and its session; None where nobody can make room for it."""
+        reception = self.reception
+        connection.marked = reception.is_marked(connection.host)
+        admission = self.pools.admit(connection)
+        if not admission.accepted:
+            self.counters.refused_full += 1
+            reception.say(
+                logging.WARNING,
+                connection.host,
+                "%s: refused: all %d places are taken by marked devices",
+                connection.peer,
+                len(self.pools),
             )
-        slots = self._server_slots
-        if self._session_parameters.scope is Scope.CONNECTION:
-            slots = TransactionSlots(self._session_parameters.max_transactions)
-        return TcpServerSession(
-            self._handler,
-            diagnostics=self.diagnostics,
-            slots=slots,
-            deliver=connection.deliver,
-            peer=connection.peer,
-            listener=self.listener,
-            role=connection.role,
-        )
+            return None
+        if admission.evicted is not None:
+            admission.evicted.make_room()
+        self._connections[connection] = None
+        reception.came(connection)
+        if self.parameters.idle_timeout is not None and self._timer is None:
+            self._set_timer(time.monotonic())
+        return reception.session_for(connection)
 
-    def leave(
-        self, connection: ServerConnection, session: TcpServerSession | FramedSession, error: Exception | None
-    ) -> None:
-        """A connection has ended."""
+    def evict(self, connection: ServerConnection) -> None:
+        """A connection has lost its place to a newcomer."""
+        self.counters.evicted += 1
+        self.reception.say(
+            logging.WARNING,
+            "",
+            "%s: closed to make room; %d connections are there with the newcomer",
+            connection.peer,
+            len(self.pools),
+        )
         self._connections.pop(connection, None)
-        self._begun.pop(connection, None)
-        if not self._begun and self._frame_timer is not None:
-            self._frame_timer.cancel()
-            self._frame_timer = None
-        if not self._connections and self._emptied is not None:
-            self._emptied.set()
-        self.counters.closed += 1
-        self.counters.requests += session.requests
-        self.counters.discarded_frames += session.discarded
-        self.counters.refused_busy += session.refused_busy
+        connection.abort()
+
+    def leave(self, connection: ServerConnection, session: Session, error: Exception | None) -> None:
+        """A connection has ended."""
+        self.pools.leave(connection)
+        self._connections.pop(connection, None)
+        self._deadlines.forget(connection)
+        if not self._connections:
+            self._stop_timer()
+            if self._emptied is not None:
+                self._emptied.set()
+        self.reception.left(connection, session)
         if error is not None:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
-    def _evict(self) -> None:
-        """Make room: the connection unused longest goes, or the oldest if all are busy."""
-        idle = [one for one in self._connections if not one.is_busy]
-        chosen = min(idle, key=lambda one: one.last_used) if idle else next(iter(self._connections))
-        self.counters.evicted += 1
-        _log.warning("%s: closed to make room, %d connections are the limit", chosen.peer, len(self._connections))
-        del self._connections[chosen]
-        chosen.abort()
+    def broken(self, connection: ServerConnection, reason: str) -> None:
+        """The stream of a connection can not be followed any more."""
+        self.counters.broken_streams += 1
+        self.reception.broken()
+        self.reception.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
+
+    # Limits while they last.
 
     def watch_frame(self, connection: ServerConnection, *, begun_now: bool) -> None:
         """A connection holds a part of a frame; ``begun_now`` if it came whole out of the last segment."""
-        timeout = self.parameters.frame_timeout
-        if timeout is None:
+        if connection.marked:
             return
-        if begun_now:
-            self._begun[connection] = self.loop.time()
-        if self._frame_timer is None:
-            self._frame_timer = self.loop.call_later(timeout, self._look_at_frames)
+        now = time.monotonic()
+        self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
 
-    def _look_at_frames(self) -> None:
-        """Close those whose frame has not ended in time; be back when the next one may be due."""
-        self._frame_timer = None
-        timeout = self.parameters.frame_timeout
-        assert timeout is not None  # or there would be no timer
-        now = self.loop.time()
-        for connection, since in list(self._begun.items()):
-            if connection.session is None or not connection.session.unfinished:
-                del self._begun[connection]
-            elif now >= since + timeout:
-                del self._begun[connection]
-                self.counters.frame_timeouts += 1
-                _log.warning("%s: closed: a request began and did not end within %g s", connection.peer, timeout)
-                connection.abort()
-        if self._begun:
-            self._frame_timer = self.loop.call_at(min(self._begun.values()) + timeout, self._look_at_frames)
+    def stuck(self, connection: ServerConnection) -> None:
+        """A client does not take its replies."""
+        self.counters.reading_paused += 1
+        if not connection.marked:
+            now = time.monotonic()
+            self._set_timer_by(self._deadlines.stuck(connection, now), now)
+
+    def taken(self, connection: ServerConnection) -> None:
+        """It takes them again."""
+        self._deadlines.taken(connection)
+
+    def charge(self, connection: ServerConnection, session: Session) -> None:
+        """Charge a host with what a connection of it has asked; hold the connection if that was more than its rate."""
+        assert self.rates is not None  # or nobody would ask
+        now = time.monotonic()
+        requests, connection.charged = session.requests - connection.charged, session.requests
+        wait = self.rates.charge(connection.host, requests, now)
+        if wait:
+            self.counters.rate_limited += 1
+            connection.hold()
+            self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
+
+    def is_held(self, connection: ServerConnection) -> bool:
+        """Whether nothing is read from it because of the rate of its host."""
+        return self._deadlines.is_held(connection)
+
+    def _set_timer(self, now: float) -> None:
+        self._set_timer_by(self._deadlines.next_due(now, anybody=bool(self._connections)), now)
+
+    def _set_timer_by(self, due: float | None, now: float) -> None:
+        """See to it that the timer goes off at ``due``, or before."""
+        if due is None or (self._timer is not None and self._timer_at <= due):
+            return
+        self._stop_timer()
+        self._timer_at = due
+        self._timer = self.loop.call_later(max(due - now, 0.0), self._look)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _look(self) -> None:
+        """Close what is overdue, let go on what has waited; be back when the next may be due."""
+        self._timer = None
+        now = time.monotonic()
+        for connection, what in self._deadlines.due(self._connections, now):
+            if what is Overdue.HELD:
+                connection.go_on()
+            elif connection.session is not None:
+                self._close_overdue(connection, what)
+        self._set_timer(now)
+
+    def _close_overdue(self, connection: ServerConnection, what: Overdue) -> None:
+        counted = _COUNTED_AS[what]
+        setattr(self.counters, counted, getattr(self.counters, counted) + 1)
+        level = logging.WARNING
+        if what is Overdue.IDLE:
+            level = logging.INFO
+        elif what is not Overdue.WRITE:
+            self.reception.broken()
+        seconds = getattr(self.parameters, what.value) or self.parameters.frame_timeout
+        self.reception.say(level, connection.host, f"%s: {_SENTENCES[what]}", connection.peer, seconds)
+        connection.abort()
+
+    # What is shown.
 
     def status(self) -> list[ConnectionStatus]:
         """The connections, the oldest first."""
         now = time.monotonic()
-        return [
-            ConnectionStatus(
-                peer=one.peer,
-                listener=self.listener,
-                age=now - one.opened,
-                idle=now - one.last_used,
-                received=one.received,
-                sent=one.sent,
-                requests=one.session.requests if one.session else 0,
-                waiting=one.session.waiting if one.session else 0,
-            )
-            for one in self._connections
-        ]
+        return [self.reception.guest_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
         """The listener itself."""
-        now = time.monotonic()
-        self.diagnosis.traffic = max((one.last_used for one in self._connections), default=self.diagnosis.traffic)
-        return ListenerStatus(
-            endpoint=self.listener,
-            is_open=self.diagnosis.is_open,
-            lamps=self.diagnosis.lamps(now, listen_only=self.diagnostics.listen_only),
-            counters=replace(self.diagnostics.counters),
-            event_count=self.diagnostics.event_count,
-            listen_only=self.diagnostics.listen_only,
-            requests=self.diagnostics.counters.server_message_count,
-        )
+        diagnosis = self.diagnosis
+        diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
+        pools = [one.pool for one in self._connections]
+        security = self.gate.status() if self.gate is not None else None
+        return self.reception.status(pools.count, security=security)
 
-    def sessions(self) -> list[TcpServerSession | FramedSession]:
-        """The conversations of the living connections."""
-        return [one.session for one in self._connections if one.session is not None]
+    def add_living(self, counters: ServerCounters) -> None:
+        """Add what the living connections have not handed over yet."""
+        for one in self._connections:
+            if one.session is not None:
+                add_living(counters, one, one.session)
+
+    # The end.
+
+    def pause_all(self) -> None:
+        """Read nothing more from any connection; what is in work is still answered."""
+        for connection in self._connections:
+            connection.hold()
 
     async def wait_until_empty(self) -> None:
         """Wait until no connection is left."""

@@ -14,7 +14,7 @@ from ..session.diagnostics import CommunicationState
 from ..session.handler import Handler
 from ..session.line_framing import LineFraming
 from ..session.serial_server import Emission, SerialServerSession
-from ..session.server import Deferred, HandlerFailure
+from ..session.server import Deferred, HandlerFailure, TcpServerSession
 
 
 class FramedSession:
@@ -129,3 +129,7 @@ class FramedSession:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+
+Session = TcpServerSession | FramedSession
+"""A conversation as a driver of connections knows it."""

@@ -27,9 +27,9 @@ from ..transport.serial.connection import SerialConnection
 from ..transport.serial.opening import Claim
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.reopen import open_when_there
-from .connection import answer_later, report_failures
-from .connections import ServerCounters
+from .counters import ServerCounters
 from .diagnosis import Diagnosis
+from .failures import answer_later, report_failures
 from .listener_settings import ListenerSettings
 from .status import ListenerStatus
 

@@ -4,12 +4,13 @@ Knows which parameter classes go with which scheme; each class knows what its fi
 with a scheme is refused there.
 """
 
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.options import build_parameters, option_names
+from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, with_profile
 from ..errors import ConfigError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
@@ -18,12 +19,10 @@ from ..pdu.functions import FunctionTable
 from ..session.line_framing import FramingParameters, LineFraming, line_framing
 from ..transport.serial.opening import OpeningParameters
 from ..transport.serial.settings import SerialSettings
+from ..transport.tls import OF_CLIENTS, TlsParameters, tls_parameters
 from .authorisation import Authorise
 from .listener import Listener
 from .parameters import ListenerParameters
-
-if TYPE_CHECKING:
-    from ..transport.tls import TlsParameters
 
 _ONLY_RTU: Final = frozenset({"strict_timing", "gap_limit"})
 _ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_only"})
@@ -42,6 +41,7 @@ class ListenerSettings:
         limits: of its connections.
         access: who may connect, beside the server's own question; None leaves it to that.
         tls: certificate, key and authorities; None where the carrier is not TLS.
+        is_optional: whether the others go on where it can not be had.
     """
 
     endpoint: Endpoint
@@ -50,7 +50,8 @@ class ListenerSettings:
     opening: OpeningParameters
     limits: ListenerParameters
     access: Authorise | None
-    tls: "TlsParameters | None"
+    tls: TlsParameters | None
+    is_optional: bool = False
 
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None
@@ -72,7 +73,7 @@ class ListenerSettings:
 
 
 def listener_settings(
-    listener: Listener, *, limits: ListenerParameters, tls: "TlsParameters | None" = None
+    listener: Listener, *, limits: ListenerParameters, tls: TlsParameters | None = None
 ) -> ListenerSettings:
     """The settings of a listener; ``limits`` and ``tls`` are the server's, for those that have none of their own.
 
@@ -82,10 +83,14 @@ def listener_settings(
     endpoint = parse_endpoint(listener.endpoint)
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
-    for name, value in endpoint.options.items():
+    given: Mapping[str, object] = endpoint.options
+    if endpoint.framing != "mbap":
+        given = with_profile(given, STRICT_LINE_LISTENERS, takes={name for names in offered.values() for name in names})
+    for name, value in given.items():
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:
-            known = ", ".join(sorted(name for names in offered.values() for name in names)) or "none"
+            names_there = {name for names in offered.values() for name in names}
+            known = ", ".join(sorted({*names_there, OPTION})) if names_there else "none"
             raise ConfigError(f"unknown option of a listener on {endpoint.url}; there are {known}", key=name)
         chosen[kind][name] = value
     port = None
@@ -98,8 +103,19 @@ def listener_settings(
         build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
         listener.limits or limits,
         listener.access,
-        (listener.tls or tls) if endpoint.carrier == "tls" else None,
+        _security(listener.tls or tls, chosen[TlsParameters]) if endpoint.carrier == "tls" else None,
     )
+
+
+def _security(parameters: TlsParameters | None, options: dict[str, object]) -> TlsParameters:
+    """The parameters of TLS; what stands in the URL goes before the rest. Raises `ConfigError`."""
+    chosen = tls_parameters({**({} if parameters is None else _fields(parameters)), **options})
+    chosen.check_server()
+    return chosen
+
+
+def _fields(parameters: TlsParameters) -> dict[str, object]:
+    return {name: getattr(parameters, name) for name in option_names(TlsParameters)}
 
 
 def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
@@ -113,4 +129,7 @@ def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
             kinds += [SerialSettings, OpeningParameters]
         else:
             without |= {"strict_timing"}
+    if endpoint.carrier == "tls":
+        kinds.append(TlsParameters)
+        without |= OF_CLIENTS
     return {kind: [name for name in option_names(kind) if name not in without] for kind in kinds}

@@ -8,12 +8,11 @@ Knows listeners and their life; knows no request.
 
 import asyncio
 import contextlib
-import socket
+import logging
 import time
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass, fields, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from ..codes import LAST_SERIAL_UNIT
 from ..config.endpoints import Endpoint
@@ -24,44 +23,29 @@ from ..session.server import TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, both, everybody
 from .connection import ServerConnection
-from .connections import ConnectionManagement, ConnectionStatus, ServerCounters
+from .connections import ConnectionManagement
+from .counters import ServerCounters
+from .exposure import Guard, warn_of_exposure
 from .limits import raise_open_file_limit
 from .line import SerialListener
 from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
 from .parameters import ListenerParameters
-from .status import ListenerStatus
+from .pools import Pools
+from .port_502 import with_port_502
+from .reception import Reception
+from .status import ServerStatus
+from .tcp import TcpListener, settle
 from .udp import UdpListener
 
 if TYPE_CHECKING:
     from ..transport.tls import TlsParameters
+    from .policy.audit import AuditLog
+    from .policy.rules import Policy
 
-_STOP_SECONDS = 0.5
-_TURNS_TO_SETTLE = 4
-"""Turns of the loop until a connection that is being accepted stands, and until one that was closed has gone."""
+_log = logging.getLogger("busway.server")
 
-
-@dataclass(frozen=True, slots=True)
-class ServerStatus:
-    """A server as a status shows it.
-
-    Attributes:
-        running: whether it answers.
-        uptime: seconds since the start; 0 while stopped.
-        endpoints: URLs of the listeners as they are bound.
-        connections: the connections, the oldest first.
-        supported_connections: how many there may be, all listeners together.
-        counters: what happened since the server was made or reset.
-        listeners: the listeners, with their lamps and diagnostic counters.
-    """
-
-    running: bool
-    uptime: float
-    endpoints: tuple[str, ...]
-    connections: tuple[ConnectionStatus, ...]
-    supported_connections: int
-    counters: ServerCounters
-    listeners: tuple[ListenerStatus, ...] = ()
+_STOP_SECONDS: Final = 0.5
 
 
 class Server:
@@ -76,6 +60,16 @@ class Server:
         sockets: of sockets, `SocketParameters`.
         authorise: asked with a client's host before anything of it is read; False closes the connection.
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
+        policy: who may ask what; None lets everybody who may connect read and write.
+        audit: where denied requests and writes are recorded.
+        port_502: whether port 502 is listened on beside each other port of ``tcp://`` (Messaging on TCP/IP V1.0b
+            §3.1.3): True, and then it must be had; False; or None: where the host can be reached from the network and
+            the port was chosen, and where it can not be had, that is only said.
+        local_connections: asked for a status: how many connections this program has itself towards other devices.
+
+    Attributes:
+        authorise: as given; a change holds from the next start.
+        counters: what has happened, without what living connections have not handed over yet; see `status`.
 
     Raises:
         ConfigError: an endpoint that can not be listened on.
@@ -91,25 +85,31 @@ class Server:
         sockets: SocketParameters | None = None,
         authorise: Authorise = everybody,
         tls: "TlsParameters | None" = None,
+        policy: "Policy | None" = None,
+        audit: "AuditLog | None" = None,
+        port_502: bool | None = None,
+        local_connections: Callable[[], int] | None = None,
     ) -> None:
-        limits = listener or ListenerParameters()
-        self._settings = [listener_settings(one, limits=limits, tls=tls) for one in as_listeners(endpoints)]
+        self._limits = listener or ListenerParameters()
+        wanted = [listener_settings(one, limits=self._limits, tls=tls) for one in as_listeners(endpoints)]
+        self._settings = with_port_502(wanted, port_502)
         for settings in self._settings:
-            if settings.endpoint.carrier == "tls" and settings.tls is None:
-                raise ConfigError(f"{settings.endpoint}: a certificate and its key are needed", key="tls")
             if settings.endpoint.framing != "mbap":
                 settings.line_framing(_serial_units(handler, settings.endpoint), handler.functions)
         self.authorise = authorise
         self._handler = handler
         self._parameters = parameters or ServerParameters()
         self._sockets = sockets or SocketParameters()
-        self._listeners: list[asyncio.Server] = []
+        self._streams: list[TcpListener] = []
         self._datagrams: list[UdpListener] = []
         self._lines: list[SerialListener] = []
-        self._managements: list[ConnectionManagement] = []
         self._bound: list[str] = []
         self._started = 0.0
+        self._local_connections = local_connections
+        self._guard: Guard | None = handler if isinstance(handler, Guard) else None
         self.counters = ServerCounters()
+        if policy is not None or audit is not None:
+            self._guard_by(policy, audit)
 
     @property
     def endpoints(self) -> list[str]:
@@ -119,7 +119,7 @@ class Server:
     @property
     def is_running(self) -> bool:
         """Whether it answers."""
-        return bool(self._listeners or self._datagrams or self._lines)
+        return bool(self._streams or self._datagrams or self._lines)
 
     def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
         """Put a handler around the one that answers: to count, to record, to decide. Only while stopped.
@@ -130,6 +130,18 @@ class Server:
         if self.is_running:
             raise ConfigError("a running server keeps its handler", key="handler")
         self._handler = wrap(self._handler)
+        if isinstance(self._handler, Guard):
+            self._guard = self._handler
+
+    def replace_policy(self, policy: "Policy") -> None:
+        """Let another policy hold, from the next request on.
+
+        Raises:
+            ConfigError: the server was made without one.
+        """
+        if self._guard is None:
+            raise ConfigError("the server was made without a policy", key="policy")
+        self._guard.replace_policy(policy)
 
     async def start(self) -> None:
         """Open all listeners. A serial port that is not there is waited for.
@@ -142,24 +154,62 @@ class Server:
         raise_open_file_limit()
         loop = asyncio.get_running_loop()
         slots = TransactionSlots(self._parameters.max_transactions)
-        self._managements.clear()
+        shared: Pools[ServerConnection] = Pools(self._limits.pools)
         try:
             for settings in self._settings:
-                endpoint = settings.endpoint
-                if endpoint.carrier == "serial":
-                    await self._open_line(loop, settings)
-                elif endpoint.carrier == "udp":
-                    await self._open_datagram(loop, settings, slots)
-                else:
-                    await self._open(loop, settings, slots)
+                await self._open(loop, settings, slots, shared)
         except ModbusError as error:
             await self.stop()
-            raise error.at(endpoint=endpoint.url) from error.__cause__
+            raise error.at(endpoint=settings.endpoint.url) from error.__cause__
         except OSError as error:
             await self.stop()
-            down = LinkDown(f"can not listen: {network_reason(error)}", endpoint=endpoint.url)
+            down = LinkDown(f"can not listen: {network_reason(error)}", endpoint=settings.endpoint.url)
             raise down from error
+        except BaseException:
+            await self.stop()
+            raise
         self._started = time.monotonic()
+        warn_of_exposure(self._bound, guarded=self._guard is not None)
+
+    async def _open(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        settings: ListenerSettings,
+        slots: TransactionSlots,
+        shared: Pools[ServerConnection],
+    ) -> None:
+        endpoint = settings.endpoint
+        if endpoint.carrier == "serial":
+            await self._open_line(loop, settings)
+            return
+        reception = Reception(
+            loop,
+            self._handler,
+            settings,
+            session_parameters=self._parameters,
+            counters=self.counters,
+            slots=slots,
+            units=() if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
+            authorise=both(self.authorise, settings.access),
+        )
+        if endpoint.carrier == "udp":
+            datagrams = UdpListener(reception, self._sockets)
+            await datagrams.open()
+            self._datagrams.append(datagrams)
+            self._bound += datagrams.names
+            return
+        limits = settings.limits
+        pools = shared if limits.shared_places and limits is self._limits else Pools(limits.pools)
+        streams = TcpListener(ConnectionManagement(reception, pools, self._sockets), settings, self._sockets)
+        try:
+            await streams.open()
+        except OSError as error:
+            if not settings.is_optional:
+                raise
+            _log.warning("%s: not listened on beside the other port: %s", endpoint.url, network_reason(error))
+            return
+        self._streams.append(streams)
+        self._bound += streams.names
 
     async def _open_line(self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings) -> None:
         line = SerialListener(
@@ -174,88 +224,39 @@ class Server:
         self._lines.append(line)
         self._bound.append(line.name)
 
-    async def _open_datagram(
-        self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings, slots: TransactionSlots
-    ) -> None:
-        endpoint = settings.endpoint
-        listener = UdpListener(
-            loop,
-            settings,
-            self._handler,
-            () if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
-            parameters=settings.limits,
-            session_parameters=self._parameters,
-            counters=self.counters,
-            slots=slots,
-            authorise=both(self.authorise, settings.access),
-        )
-        transport, _ = await loop.create_datagram_endpoint(
-            lambda: listener, local_addr=(endpoint.host or "0.0.0.0", endpoint.port or 0)
-        )
-        self._datagrams.append(listener)
-        bound = transport.get_extra_info("socket")
-        self._sockets.apply_buffers(bound)
-        listener.listener = _bound_name(endpoint.scheme, bound)
-        self._bound.append(listener.listener)
-
-    async def _open(self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings, slots: TransactionSlots) -> None:
-        endpoint = settings.endpoint
-        management = ConnectionManagement(
-            loop,
-            self._handler,
-            listener=endpoint.url,
-            parameters=settings.limits,
-            session_parameters=self._parameters,
-            sockets=self._sockets,
-            counters=self.counters,
-            slots=slots,
-            settings=settings,
-            units=() if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
-            authorise=both(self.authorise, settings.access),
-        )
-        listener = await loop.create_server(
-            _protocols(management, settings),
-            endpoint.host or None,
-            endpoint.port or 0,
-            backlog=settings.limits.backlog,
-            reuse_address=True,
-        )
-        self._listeners.append(listener)
-        self._managements.append(management)
-        for bound in listener.sockets:
-            self._sockets.apply_buffers(bound)
-        names = [_bound_name(endpoint.scheme, one) for one in listener.sockets]
-        management.listener = names[0]
-        management.diagnosis.is_open = True
-        self._bound += names
+    async def take_no_more(self) -> None:
+        """Take no new connection and read no further request; answers still go out. Before a `stop` that may wait."""
+        for streams in self._streams:
+            streams.accept_no_more()
+        await settle()
+        for streams in self._streams:
+            streams.management.pause_all()
 
     async def stop(self) -> None:
         """Close all listeners and connections. Replies that are written go out; after half a second nothing waits."""
-        listeners, self._listeners = self._listeners, []
-        self._bound.clear()
-        try:
-            await _accept_no_more(listeners)
-        finally:
-            for listener in listeners:
-                listener.close()
-        for management in self._managements:
-            management.close_all()
-        for management in self._managements:
-            management.diagnosis.is_open = False
+        streams, self._streams = self._streams, []
         datagrams, self._datagrams = self._datagrams, []
-        for each in datagrams:
-            each.close()
         lines, self._lines = self._lines, []
-        waits = [management.wait_until_empty() for management in self._managements]
-        waits += [each.wait_closed() for each in datagrams]
+        self._bound.clear()
+        self._started = 0.0
+        try:
+            for each in streams:
+                each.accept_no_more()
+            await settle()
+        finally:
+            for each in streams:
+                each.close()
+            for one in datagrams:
+                one.close()
+        waits = [each.management.wait_until_empty() for each in streams]
+        waits += [one.wait_closed() for one in datagrams]
         waits += [line.close() for line in lines]
         self.counters.requests += sum(line.requests for line in lines)
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(asyncio.gather(*waits), _STOP_SECONDS)
-        for management in self._managements:
-            management.close_all(at_once=True)
-        await _settle()
-        self._started = 0.0
+        for each in streams:
+            each.management.close_all(at_once=True)
+        await settle()
 
     async def reset(self) -> None:
         """Stop, clear the counters, start again."""
@@ -265,11 +266,8 @@ class Server:
 
     def reset_counters(self) -> None:
         """Set the counters to zero, of the living connections too; connections and listeners stay as they are."""
-        now = self._counters_now()
-        for field in fields(ServerCounters):
-            kept = getattr(self.counters, field.name)
-            # What a connection still holds is handed over when it ends, and must not count again then.
-            setattr(self.counters, field.name, kept - getattr(now, field.name))
+        # What a connection still holds is handed over when it ends, and must not count again then.
+        self.counters.take_off(self._counters_now())
 
     async def serve_until_cancelled(self) -> None:
         """Start if need be, and serve until the task is cancelled; then stop."""
@@ -281,34 +279,42 @@ class Server:
 
     def status(self) -> ServerStatus:
         """How it stands now."""
+        connections = tuple(one for listener in self._with_peers() for one in listener.status())
+        pools = {id(each.management.pools): each.management.pools.limits for each in self._streams}
         return ServerStatus(
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self._bound),
-            connections=tuple(one for listener in self._with_peers() for one in listener.status()),
-            supported_connections=sum(one.parameters.max_connections for one in self._managements),
+            connections=connections,
+            supported_connections=sum(limits.priority + limits.other for limits in pools.values()),
+            remote_connections=len(connections),
+            local_connections=self._local_connections() if self._local_connections is not None else 0,
             counters=self._counters_now(),
             listeners=(
-                *(management.listener_status() for management in self._managements),
-                *(listener.listener_status() for listener in self._datagrams),
+                *(listener.listener_status() for listener in self._with_peers()),
                 *(line.status() for line in self._lines),
             ),
         )
 
     def _with_peers(self) -> "list[ConnectionManagement | UdpListener]":
-        return [*self._managements, *self._datagrams]
+        return [*(each.management for each in self._streams), *self._datagrams]
 
     def _counters_now(self) -> ServerCounters:
         """The counters, with what the living connections have not handed over yet."""
-        living = [one for listener in self._with_peers() for one in listener.sessions()]
-        return replace(
-            self.counters,
-            requests=self.counters.requests
-            + sum(session.requests for session in living)
-            + sum(line.requests for line in self._lines),
-            discarded_frames=self.counters.discarded_frames + sum(session.discarded for session in living),
-            refused_busy=self.counters.refused_busy + sum(session.refused_busy for session in living),
-        )
+        counters = self.counters.copy()
+        counters.requests += sum(line.requests for line in self._lines)
+        for listener in self._with_peers():
+            listener.add_living(counters)
+        return counters
+
+    def _guard_by(self, policy: "Policy | None", audit: "AuditLog | None") -> None:
+        """Put a policy around the handler."""
+        from .policy.handler import PolicyHandler
+        from .policy.rules import Action, Policy
+
+        everything = Policy(default=Action.ALLOW)
+        guard = PolicyHandler(self._handler, everything if policy is None else policy, audit)
+        self._guard = self._handler = guard
 
     async def __aenter__(self) -> Self:
         await self.start()
@@ -320,34 +326,6 @@ class Server:
         await self.stop()
 
 
-def _protocols(management: ConnectionManagement, settings: ListenerSettings) -> Callable[[], asyncio.BaseProtocol]:
-    """What makes the protocol of each newcomer: over TLS, a gate that lets it in after the handshake."""
-    if settings.tls is None:
-        return lambda: ServerConnection(management)
-    from .secure import gate
-
-    return gate(management, settings.tls)
-
-
-async def _accept_no_more(listeners: Sequence[asyncio.Server]) -> None:
-    """Take no newcomer, and let those that are being accepted arrive.
-
-    asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in nobody's
-    hands, until the garbage collection finds it.
-    """
-    loop = asyncio.get_running_loop()
-    for listener in listeners:
-        for bound in listener.sockets:
-            with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness
-                loop.remove_reader(bound.fileno())
-    await _settle()
-
-
-async def _settle() -> None:
-    for _ in range(_TURNS_TO_SETTLE):
-        await asyncio.sleep(0)
-
-
 def _serial_units(handler: Handler, endpoint: Endpoint) -> Container[int]:
     """The units that a handler answers for on a line. Raises `ConfigError` where it does not say, or has none."""
     if not isinstance(handler, UnitHolder):
@@ -357,6 +335,4 @@ def _serial_units(handler: Handler, endpoint: Endpoint) -> Container[int]:
     return handler.serial_units
 
 
-def _bound_name(scheme: str, bound: socket.socket) -> str:
-    host, port = bound.getsockname()[:2]
-    return f"{scheme}://[{host}]:{port}" if bound.family == socket.AF_INET6 else f"{scheme}://{host}:{port}"
+__all__ = ["Server", "ServerStatus"]

@@ -1,9 +1,66 @@
-"""A listener as a status shows it."""
+"""Servers, listeners and connections as a status shows them (Messaging on TCP/IP V1.0b §5.1.2). Times are seconds."""
 
 from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
 
 from ..session.diagnostics import Counters
+from ..transport.interfaces import Interface
+from .counters import ServerCounters
 from .diagnosis import Lamps
+from .pools import Pool
+
+if TYPE_CHECKING:
+    from .secure import SecurityStatus
+
+
+class ConnectionState(Enum):
+    """What a connection does.
+
+    Attributes:
+        IDLE: nothing is in work.
+        RECEIVING: a request has begun and not ended.
+        BUSY: a request is in work, or a reply on its way.
+        HELD: nothing is read: its host is over its rate, or it does not take its replies.
+        CLOSING: it is closed as soon as what was written has gone out.
+    """
+
+    IDLE = "idle"
+    RECEIVING = "receiving"
+    BUSY = "busy"
+    HELD = "held"
+    CLOSING = "closing"
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionStatus:
+    """One connection, or one peer over UDP.
+
+    Attributes:
+        peer: ``host:port``.
+        listener: URL of the listener.
+        state: what it does.
+        pool: where it has its place.
+        role, subject: of the client's certificate; None and empty without one.
+        age: since it was accepted.
+        idle: since it was used last.
+        received, sent: bytes.
+        requests: transactions so far.
+        waiting: transactions in work.
+    """
+
+    peer: str
+    listener: str
+    state: ConnectionState
+    pool: Pool
+    role: str | None
+    subject: str
+    age: float
+    idle: float
+    received: int
+    sent: int
+    requests: int
+    waiting: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +76,11 @@ class ListenerStatus:
         listen_only: whether nothing is answered until a restart.
         requests: requests for own units since the start.
         foreign: frames of others that passed by; 0 on TCP.
-        damaged: disturbances; on UDP, datagrams that were no whole frame.
+        damaged: disturbances; on UDP, datagrams that were no whole frame; on TCP, streams that could not be followed.
         abandoned: answers that did not leave because somebody else had spoken.
+        priority_connections, other_connections: places of both pools that are taken.
+        interfaces: what the system says of the addresses it is bound to, as far as it is known here.
+        security: certificate and handshakes of a ``tls://`` listener; None for others.
     """
 
     endpoint: str
@@ -33,3 +93,34 @@ class ListenerStatus:
     foreign: int = 0
     damaged: int = 0
     abandoned: int = 0
+    priority_connections: int = 0
+    other_connections: int = 0
+    interfaces: tuple[Interface, ...] = ()
+    security: "SecurityStatus | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class ServerStatus:
+    """A server.
+
+    Attributes:
+        running: whether it answers.
+        uptime: seconds since the start; 0 while stopped.
+        endpoints: URLs of the listeners as they are bound.
+        connections: the connections, the oldest first.
+        supported_connections: how many there may be, all listeners and both pools together.
+        remote_connections: how many there are.
+        local_connections: how many this program has itself towards others, where the server was told whom to ask.
+        counters: what happened since the server was made or reset.
+        listeners: the listeners, with their lamps and diagnostic counters.
+    """
+
+    running: bool
+    uptime: float
+    endpoints: tuple[str, ...]
+    connections: tuple[ConnectionStatus, ...]
+    supported_connections: int
+    remote_connections: int
+    local_connections: int
+    counters: ServerCounters
+    listeners: tuple[ListenerStatus, ...] = ()

@@ -1,0 +1,73 @@
+"""What a server counts."""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
+
+
+@dataclass(slots=True)
+class ClassCounters:
+    """Connections of one class of devices, marked ones or the others, and what they did; sizes are bytes."""
+
+    accepted: int = 0
+    closed: int = 0
+    requests: int = 0
+    received: int = 0
+    sent: int = 0
+
+
+@dataclass(slots=True)
+class ServerCounters:
+    """What happened on a server since it was made; ``requests`` and what follows is complete when a connection ends.
+
+    Attributes:
+        accepted, closed: connections, and peers over UDP.
+        unauthorised: newcomers that were refused by their address.
+        refused_full: newcomers for whom nobody could make room.
+        evicted: connections that made room.
+        broken_streams: connections that could not be followed any more.
+        header_timeouts, frame_timeouts: requests that did not end in time, in their header or after it.
+        write_timeouts: clients that did not take their replies.
+        idle_timeouts: connections that were not used.
+        reading_paused: times that nothing more was read from a client that did not take its replies.
+        rate_limited: times that a host was over its rate: held back, or over UDP its datagram dropped.
+        handler_failures: handlers that raised.
+        requests: requests, by all ways.
+        discarded_frames: frames that got no answer, datagrams that were none.
+        refused_busy: requests answered 06 because all slots were taken.
+        priority, other: the same by class of device.
+    """
+
+    accepted: int = 0
+    unauthorised: int = 0
+    refused_full: int = 0
+    closed: int = 0
+    evicted: int = 0
+    broken_streams: int = 0
+    header_timeouts: int = 0
+    frame_timeouts: int = 0
+    write_timeouts: int = 0
+    idle_timeouts: int = 0
+    reading_paused: int = 0
+    rate_limited: int = 0
+    handler_failures: int = 0
+    requests: int = 0
+    discarded_frames: int = 0
+    refused_busy: int = 0
+    priority: ClassCounters = field(default_factory=ClassCounters)
+    other: ClassCounters = field(default_factory=ClassCounters)
+
+    def of_class(self, *, marked: bool) -> ClassCounters:
+        """The counters of a class of devices."""
+        return self.priority if marked else self.other
+
+    def take_off(self, counted: "ServerCounters") -> None:
+        """Count from here on, and not what is counted there."""
+        for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
+            for one in fields(mine):
+                value = getattr(mine, one.name)
+                if isinstance(value, int):
+                    setattr(mine, one.name, value - getattr(theirs, one.name))
+
+    def copy(self) -> Self:
+        """A copy that does not change any more."""
+        return replace(self, priority=replace(self.priority), other=replace(self.other))

@@ -1,0 +1,161 @@
+"""The times of a listener's connections: what is overdue, and when to look again.
+
+Pure: knows connections by name and times handed in; closes nothing and has no timer. One look serves all connections.
+
+1. A frame that has begun has a time for its header and one for the whole; both run from its first byte.
+2. Replies that a client does not take have a time; taking some of them starts it anew.
+3. A connection that is held back has a time at which it is let go on.
+4. Idle connections are looked for 16 times in their time, so that the look costs nothing with thousands of them: they
+   are closed up to a sixteenth late.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Generic, Protocol, TypeVar
+
+from .parameters import ListenerParameters
+
+HEADER_SIZE: Final = 7
+"""Bytes of an MBAP header (Messaging on TCP/IP V1.0b §3.1.3)."""
+_LOOKS: Final = 16
+
+
+class Timed(Protocol):
+    """What is to be known of a connection."""
+
+    last_used: float
+
+    @property
+    def unfinished(self) -> int:
+        """Bytes of a frame that has begun and not ended."""
+
+    @property
+    def unsent(self) -> int:
+        """Bytes of replies that wait to be taken."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is in work, on its way or held back, and a timeout may close it."""
+
+
+One = TypeVar("One", bound=Timed)
+
+
+class Overdue(Enum):
+    """What has come to an end."""
+
+    HEADER = "header_timeout"
+    FRAME = "frame_timeout"
+    WRITE = "write_timeout"
+    IDLE = "idle_timeout"
+    HELD = "held"
+
+
+@dataclass(slots=True)
+class _Stuck:
+    since: float
+    unsent: int
+
+
+class Deadlines(Generic[One]):
+    """The running times of one listener."""
+
+    def __init__(self, parameters: ListenerParameters) -> None:
+        self._parameters = parameters
+        self._begun: dict[One, float] = {}
+        self._stuck: dict[One, _Stuck] = {}
+        self._held: dict[One, float] = {}
+        self._next_look: float | None = None
+
+    # What happens.
+
+    def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
+        """A part of a frame is there: of a new one, whose time begins, or of one whose time goes on. When it is due."""
+        since = self._begun[one] = now if anew else self._begun.get(one, now)
+        return self._frame_deadline(one, since)
+
+    def stuck(self, one: One, now: float) -> float | None:
+        """Replies are not taken any more. When to look whether they are."""
+        timeout = self._parameters.write_timeout
+        if timeout is None:
+            return None
+        self._stuck[one] = _Stuck(now, one.unsent)
+        return now + timeout
+
+    def taken(self, one: One) -> None:
+        """They are taken again."""
+        self._stuck.pop(one, None)
+
+    def hold(self, one: One, until: float) -> float:
+        """It is held back until then."""
+        self._held[one] = until
+        return until
+
+    def is_held(self, one: One) -> bool:
+        """Whether it is held back."""
+        return one in self._held
+
+    def forget(self, one: One) -> None:
+        """It has ended."""
+        self._begun.pop(one, None)
+        self._stuck.pop(one, None)
+        self._held.pop(one, None)
+
+    # What is due.
+
+    def next_due(self, now: float, *, anybody: bool) -> float | None:
+        """When to call `due` next; None while nothing is waited for. ``anybody``: whether there are connections."""
+        times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
+        times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
+        times += self._held.values()
+        if self._parameters.idle_timeout is not None and anybody:
+            if self._next_look is None:
+                self._next_look = now + self._parameters.idle_timeout / _LOOKS
+            times.append(self._next_look)
+        return min((one for one in times if one is not None), default=None)
+
+    def due(self, everybody: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
+        """What is over at ``now``, each once."""
+        found = [*self._frames(now), *self._writes(now)]
+        for one, until in list(self._held.items()):
+            if now >= until:
+                del self._held[one]
+                found.append((one, Overdue.HELD))
+        idle = self._parameters.idle_timeout
+        if idle is not None and self._next_look is not None and now >= self._next_look:
+            self._next_look = None
+            found += [(one, Overdue.IDLE) for one in everybody if now >= one.last_used + idle and one.is_idle]
+        return found
+
+    def _frame_deadline(self, one: One, since: float) -> float | None:
+        whole, header = self._parameters.frame_timeout, self._parameters.header_timeout
+        if header is not None and one.unfinished < HEADER_SIZE:
+            return since + (header if whole is None else min(header, whole))
+        return None if whole is None else since + whole
+
+    def _frames(self, now: float) -> list[tuple[One, Overdue]]:
+        found = []
+        whole = self._parameters.frame_timeout
+        for one, since in list(self._begun.items()):
+            deadline = self._frame_deadline(one, since)
+            if not one.unfinished:
+                del self._begun[one]
+            elif deadline is not None and now >= deadline:
+                del self._begun[one]
+                in_header = whole is None or deadline < since + whole
+                found.append((one, Overdue.HEADER if in_header else Overdue.FRAME))
+        return found
+
+    def _writes(self, now: float) -> list[tuple[One, Overdue]]:
+        found = []
+        timeout = self._parameters.write_timeout or 0.0
+        for one, stuck in list(self._stuck.items()):
+            if now < stuck.since + timeout:
+                continue
+            if one.unsent < stuck.unsent:
+                stuck.since, stuck.unsent = now, one.unsent
+            else:
+                del self._stuck[one]
+                found.append((one, Overdue.WRITE))
+        return found

@@ -1,0 +1,40 @@
+"""What is said when a server starts where the network can reach it.
+
+Knows bound URLs and whether a policy stands before the devices; changes nothing.
+
+1. A listener on every address of the host (``0.0.0.0``, ``::``) is taken, and said (Messaging on TCP/IP V1.0b §4.3.3).
+2. A server that takes writes from whoever reaches it says so once, and how to change that.
+"""
+
+import logging
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from .naming import is_everywhere, is_loopback
+
+if TYPE_CHECKING:
+    from .policy.rules import Policy
+
+_log = logging.getLogger("busway.server")
+
+
+@runtime_checkable
+class Guard(Protocol):
+    """A handler that asks a policy before it lets a request through to another one."""
+
+    def replace_policy(self, policy: "Policy") -> None:
+        """Ask another policy from now on."""
+
+
+def warn_of_exposure(bound: Sequence[str], *, guarded: bool) -> None:
+    """Say it, for the URLs that were bound; ``guarded``: whether a policy stands before the devices."""
+    network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
+    for url in filter(is_everywhere, network):
+        _log.warning("%s: listens on every address of this host; name one to listen there alone", url)
+    reachable = [url for url in network if not is_loopback(url)]
+    if reachable and not guarded:
+        _log.warning(
+            "%s: takes writes from everybody who reaches it; policy=Policy.read_only() or a policy of your own "
+            "changes that (busway.server.policy.rules)",
+            ", ".join(reachable),
+        )

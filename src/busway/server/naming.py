@@ -1,0 +1,49 @@
+"""Bound sockets of a listener, the names that they go by, and who can reach them.
+
+Knows endpoints and sockets; knows no connection.
+"""
+
+import asyncio
+import ipaddress
+import socket
+from urllib.parse import urlsplit
+
+from ..transport.listening import bound_sockets
+from .listener_settings import ListenerSettings
+
+
+async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerSettings) -> list[socket.socket]:
+    """The sockets of an endpoint, bound.
+
+    Raises:
+        OSError: one can not be had, or the host is not known; then none is bound.
+        ConfigError: it shall listen on one interface, and the system has no means for that.
+    """
+    endpoint = settings.endpoint
+    addresses = await loop.getaddrinfo(
+        endpoint.host or None,
+        endpoint.port or 0,
+        type=socket.SOCK_DGRAM if endpoint.carrier == "udp" else socket.SOCK_STREAM,
+        flags=socket.AI_PASSIVE,
+    )
+    return bound_sockets(addresses, interface=settings.limits.interface)
+
+
+def bound_name(scheme: str, bound: socket.socket) -> str:
+    """The URL of a bound socket."""
+    host, port = bound.getsockname()[:2]
+    return f"{scheme}://[{host}]:{port}" if bound.family == socket.AF_INET6 else f"{scheme}://{host}:{port}"
+
+
+def is_everywhere(url: str) -> bool:
+    """Whether a bound URL stands for every address of this host."""
+    return urlsplit(url).hostname in ("0.0.0.0", "::")
+
+
+def is_loopback(url: str) -> bool:
+    """Whether only programs of this host can reach a bound URL."""
+    host = urlsplit(url).hostname or ""
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False

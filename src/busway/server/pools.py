@@ -1,0 +1,206 @@
+"""The places of connections: who gets one, and who makes room (Messaging on TCP/IP V1.0b §4.2.1, §4.3.1).
+
+Pure: knows who is connected and since when unused; closes nothing, logs nothing, looks at no clock.
+
+1. There are two pools. A connection of a marked device takes a place of the priority pool, from where nothing ever
+   moves it. Each device has a limit there, so that one does not take all.
+2. A marked newcomer is always accepted: beyond its limit it takes a place of the other pool, and moves up when one of
+   the priority pool becomes free.
+3. In the other pool a newcomer pushes out the connection unused longest, or the oldest where all are busy. One that is
+   not marked never pushes out one that is: where only such are left, it is refused itself.
+4. Only a marked newcomer that finds nothing but marked connections takes the place of one: of its own device's oldest,
+   if there is one. Nothing else keeps both the bound and rule 2.
+5. A device that is not marked may have a limit of its own; its next connection replaces its oldest. With a limit of 1
+   a client that has started anew replaces what is left of it (§4.2.2).
+"""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, TypeVar
+
+
+class Pool(Enum):
+    """Where a connection has its place."""
+
+    PRIORITY = "priority"
+    OTHER = "other"
+
+
+class Member(Protocol):
+    """What is to be known of a connection.
+
+    Attributes:
+        host: of the device at the other end.
+        marked: whether it is a device that the priority pool is for.
+        pool: set when it gets a place.
+        last_used: seconds; never goes back.
+    """
+
+    host: str
+    marked: bool
+    pool: Pool
+    last_used: float
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a request is in work or a reply on its way."""
+
+
+One = TypeVar("One", bound=Member)
+
+
+@dataclass(frozen=True, slots=True)
+class PoolLimits:
+    """How many there may be.
+
+    Attributes:
+        priority: places of the priority pool.
+        other: places of the other one.
+        priority_per_device: of the priority places, for one device.
+        per_device: of the other places, for one device that is not marked; None for all of them.
+    """
+
+    priority: int
+    other: int
+    priority_per_device: int
+    per_device: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Admission(Generic[One]):
+    """What becomes of a newcomer.
+
+    Attributes:
+        accepted: whether it has a place.
+        evicted: who has lost one for it; the caller closes it.
+    """
+
+    accepted: bool
+    evicted: One | None = None
+
+
+class Pools(Generic[One]):
+    """Both pools."""
+
+    def __init__(self, limits: PoolLimits) -> None:
+        self.limits = limits
+        self._priority: dict[One, None] = {}
+        self._priority_of: Counter[str] = Counter()
+        self._other: dict[One, int] = {}  # in the order they came, with the number of each
+        self._numbered: dict[int, One] = {}
+        self._of_device: dict[str, dict[One, None]] = {}  # of those in the other pool that are not marked
+        self._by_use: deque[tuple[float, int]] = deque()  # the longest unused first, as they stood once
+        self._next_number = 0
+
+    def __len__(self) -> int:
+        return len(self._priority) + len(self._other)
+
+    def count(self, pool: Pool) -> int:
+        """Places of a pool that are taken."""
+        return len(self._priority if pool is Pool.PRIORITY else self._other)
+
+    def admit(self, newcomer: One) -> Admission[One]:
+        """Give a newcomer a place, if need be somebody else's."""
+        if newcomer.marked and self._has_priority_place(newcomer.host):
+            self._prefer(newcomer)
+            return Admission(True)
+        evicted = self._of_same_device(newcomer)
+        if evicted is None and len(self._other) >= self.limits.other:
+            evicted = self._longest_unused() or self._marked_one(newcomer)
+            if evicted is None:
+                return Admission(False)
+        if evicted is not None:
+            self._remove(evicted)
+        self._take(newcomer)
+        return Admission(True, evicted)
+
+    def leave(self, member: One) -> None:
+        """A connection has ended; one that has lost its place already may say so again."""
+        if member in self._other:
+            self._remove(member)
+        elif member in self._priority:
+            del self._priority[member]
+            self._priority_of[member.host] -= 1
+            if not self._priority_of[member.host]:
+                del self._priority_of[member.host]
+            self._move_up()
+
+    # Who goes.
+
+    def _of_same_device(self, newcomer: One) -> One | None:
+        """The oldest connection of a device that has all it may have."""
+        limit = self.limits.per_device
+        if limit is None or newcomer.marked:
+            return None
+        own = self._of_device.get(newcomer.host, {})
+        return next(iter(own)) if len(own) >= limit else None
+
+    def _longest_unused(self) -> One | None:
+        """Of those that are not marked: the one unused longest, or the oldest if all are busy."""
+        found = self._first_idle()
+        if found is None:
+            # Sorted once for many newcomers: what has not been used since then stands in its order still, and all
+            # others have been used later. A storm of newcomers costs a step for each, not a look at everybody.
+            self._by_use = deque(
+                sorted((member.last_used, number) for member, number in self._other.items() if not member.marked)
+            )
+            found = self._first_idle()
+        return found or next((member for member in self._other if not member.marked), None)
+
+    def _first_idle(self) -> One | None:
+        busy: list[tuple[float, int]] = []
+        found = None
+        while self._by_use and found is None:
+            used, number = self._by_use.popleft()
+            member = self._numbered.get(number)
+            if member is None or member.last_used != used:
+                continue
+            if member.is_busy:
+                busy.append((used, number))
+            else:
+                found = member
+        self._by_use.extendleft(reversed(busy))
+        return found
+
+    def _marked_one(self, newcomer: One) -> One | None:
+        """Rule 4; everybody in the other pool is marked."""
+        if not newcomer.marked:
+            return None
+        own = (member for member in self._other if member.host == newcomer.host)
+        return next(own, None) or next(iter(self._other))
+
+    # Places.
+
+    def _has_priority_place(self, host: str) -> bool:
+        limits = self.limits
+        return len(self._priority) < limits.priority and self._priority_of[host] < limits.priority_per_device
+
+    def _prefer(self, member: One) -> None:
+        member.pool = Pool.PRIORITY
+        self._priority[member] = None
+        self._priority_of[member.host] += 1
+
+    def _take(self, member: One) -> None:
+        member.pool = Pool.OTHER
+        self._other[member] = self._next_number
+        self._numbered[self._next_number] = member
+        self._next_number += 1
+        if not member.marked:
+            self._of_device.setdefault(member.host, {})[member] = None
+
+    def _remove(self, member: One) -> None:
+        del self._numbered[self._other.pop(member)]
+        own = self._of_device.get(member.host)
+        if own is not None and not member.marked:
+            del own[member]
+            if not own:
+                del self._of_device[member.host]
+
+    def _move_up(self) -> None:
+        """A priority place is free: the oldest of those that wait for one gets it."""
+        for member in self._other:
+            if member.marked and self._has_priority_place(member.host):
+                self._remove(member)
+                self._prefer(member)
+                return

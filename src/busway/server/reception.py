@@ -1,0 +1,244 @@
+"""What every network listener has, over TCP as over UDP: it asks who may come, gives sessions and places, and counts.
+
+Knows listeners and their limits; knows no transport and no request.
+
+1. Whether a host may come is asked before anything of it is read (Messaging on TCP/IP V1.0b §4.2.3).
+2. Who knocks again and again is counted each time, and logged once in a while.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Container, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+from ..session.diagnostics import CommunicationState
+from ..session.handler import Handler
+from ..session.parameters import Scope, ServerParameters
+from ..session.server import HandlerFailure, TcpServerSession, TransactionSlots
+from ..transport.interfaces import interfaces_with
+from .authorisation import Authorise, everybody
+from .counters import ServerCounters
+from .diagnosis import Diagnosis
+from .failures import report_failures
+from .framed import FramedSession, Session
+from .listener_settings import ListenerSettings
+from .pools import Pool
+from .rates import Rates
+from .repeats import Repeats, so_often
+from .status import ConnectionState, ConnectionStatus, ListenerStatus
+
+if TYPE_CHECKING:
+    from .secure import SecurityStatus
+
+_log = logging.getLogger("busway.server")
+
+
+class Guest(Protocol):
+    """A connection, or a peer over UDP, as its listener knows it.
+
+    Attributes:
+        peer: ``host:port``.
+        host: the host alone.
+        role, subject: of its certificate; None and empty without one.
+        marked: whether it is a device that the priority pool is for.
+        pool: where it has its place.
+        opened, last_used: monotonic seconds.
+        received, sent: bytes so far.
+    """
+
+    peer: str
+    host: str
+    role: str | None
+    subject: str
+    marked: bool
+    pool: Pool
+    opened: float
+    last_used: float
+    received: int
+    sent: int
+
+    @property
+    def session(self) -> Session | None:
+        """Its conversation; None before it begins and after it has ended."""
+
+    @property
+    def state(self) -> ConnectionState:
+        """What it does."""
+
+    def deliver(self, adu: bytes) -> None:
+        """Send a late reply."""
+
+    def attend(self) -> None:
+        """The session has come to something by itself."""
+
+
+class Reception:
+    """What one listener knows beside its transports.
+
+    Attributes:
+        loop: the event loop it lives on.
+        listener: URL, as it is bound.
+        hosts: numeric addresses that it is bound to.
+        settings, parameters: of the listener.
+        counters: shared by all listeners of a server.
+        diagnostics: communication counters of the listener (functions 08, 11, 12).
+        diagnosis: for the lamps.
+        rates: of requests; None without a limit.
+        damaged: what could not be followed.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        handler: Handler,
+        settings: ListenerSettings,
+        *,
+        session_parameters: ServerParameters,
+        counters: ServerCounters,
+        slots: TransactionSlots,
+        units: Container[int] = (),
+        authorise: Authorise = everybody,
+    ) -> None:
+        self.loop = loop
+        self.listener = settings.endpoint.url
+        self.hosts: tuple[str, ...] = ()
+        self.settings = settings
+        self.parameters = settings.limits
+        self.counters = counters
+        self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes is True)
+        self.diagnostics.ascii_delimiter = settings.framing.delimiter
+        self.diagnosis = Diagnosis()
+        self.rates = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
+        self.damaged = 0
+        self._handler = handler
+        self._units = units
+        self._session_parameters = session_parameters
+        self._server_slots = slots
+        self._authorise = authorise
+        self._repeats = Repeats()
+
+    @property
+    def framing(self) -> str:
+        """``mbap``, ``rtu`` or ``ascii``."""
+        return self.settings.endpoint.framing
+
+    def welcomes(self, host: str, peer: str) -> bool:
+        """Whether a newcomer may stay. A refusal is counted and logged."""
+        if self._authorise(host):
+            return True
+        self.counters.unauthorised += 1
+        self.say(logging.WARNING, host, "%s: refused before anything was read: it is not authorised", peer)
+        return False
+
+    def is_marked(self, host: str) -> bool:
+        """Whether connections of a host belong to the priority pool."""
+        return host in self.parameters.priority
+
+    def session_for(self, guest: Guest) -> Session:
+        """A conversation for a newcomer."""
+        if self.framing != "mbap":
+            return FramedSession(
+                self.loop,
+                self._handler,
+                self._units,
+                framing=self.settings.line_framing(self._units, self._handler.functions),
+                diagnostics=self.diagnostics,
+                deliver=guest.deliver,
+                attend=guest.attend,
+                peer=guest.peer,
+                listener=self.listener,
+            )
+        slots = self._server_slots
+        if self._session_parameters.scope is Scope.CONNECTION:
+            slots = TransactionSlots(self._session_parameters.max_transactions)
+        return TcpServerSession(
+            self._handler,
+            diagnostics=self.diagnostics,
+            slots=slots,
+            deliver=guest.deliver,
+            peer=guest.peer,
+            listener=self.listener,
+            role=guest.role,
+        )
+
+    # What is counted.
+
+    def came(self, guest: Guest) -> None:
+        """A newcomer has a place."""
+        self.counters.accepted += 1
+        self.counters.of_class(marked=guest.marked).accepted += 1
+
+    def left(self, guest: Guest, session: Session) -> None:
+        """It has ended, and its conversation with it."""
+        counters = self.counters
+        counters.closed += 1
+        counters.of_class(marked=guest.marked).closed += 1
+        add_living(counters, guest, session)
+
+    def broken(self) -> None:
+        """Something came that can not be followed, or did not end."""
+        self.damaged += 1
+        self.diagnosis.communication_fault = time.monotonic()
+
+    def failed(self, peer: str, failures: Sequence[HandlerFailure]) -> None:
+        """Handlers have failed."""
+        self.counters.handler_failures += len(failures)
+        self.diagnosis.internal_fault = time.monotonic()
+        report_failures(peer, failures)
+
+    def say(self, level: int, about: str, message: str, *arguments: object) -> None:
+        """Log something that may come again and again: once in a while for whom it is about."""
+        repeated = self._repeats.again(f"{about} {message}", time.monotonic())
+        if repeated is not None:
+            _log.log(level, f"{message}%s", *arguments, so_often(repeated))
+
+    # What is shown.
+
+    def guest_status(self, guest: Guest, now: float) -> ConnectionStatus:
+        """One connection or peer."""
+        session = guest.session
+        return ConnectionStatus(
+            peer=guest.peer,
+            listener=self.listener,
+            state=guest.state,
+            pool=guest.pool,
+            role=guest.role,
+            subject=guest.subject,
+            age=now - guest.opened,
+            idle=now - guest.last_used,
+            received=guest.received,
+            sent=guest.sent,
+            requests=session.requests if session else 0,
+            waiting=session.waiting if session else 0,
+        )
+
+    def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
+        """The listener itself; ``count`` tells how many places of a pool are taken."""
+        diagnostics = self.diagnostics
+        return ListenerStatus(
+            endpoint=self.listener,
+            is_open=self.diagnosis.is_open,
+            lamps=self.diagnosis.lamps(time.monotonic(), listen_only=diagnostics.listen_only),
+            counters=replace(diagnostics.counters),
+            event_count=diagnostics.event_count,
+            listen_only=diagnostics.listen_only,
+            requests=diagnostics.counters.server_message_count,
+            damaged=self.damaged,
+            priority_connections=count(Pool.PRIORITY),
+            other_connections=count(Pool.OTHER),
+            interfaces=tuple(one for host in self.hosts for one in interfaces_with(host)),
+            security=security,
+        )
+
+
+def add_living(counters: ServerCounters, guest: Guest, session: Session) -> None:
+    """Add what one conversation has counted so far."""
+    counters.requests += session.requests
+    counters.discarded_frames += session.discarded
+    counters.refused_busy += session.refused_busy
+    of_class = counters.of_class(marked=guest.marked)
+    of_class.requests += session.requests
+    of_class.received += guest.received
+    of_class.sent += guest.sent
