@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hosts import Host, Network, Program
+from hosts import Host, Network
+from told_program import Program
 
 PROGRAMS = Path(__file__).parent / "programs"
 PORT = 5020

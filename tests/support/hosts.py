@@ -7,29 +7,19 @@ Knows namespaces, cables and programs; knows no Modbus. Needs Linux, root and ``
 2. A cut cable takes what is sent and brings nothing: neither end hears of the other any more. A host that crashes says
    nothing to anybody: its cable goes first, then its programs, then its whole stack with every connection in it.
 3. A host that boots again is the same one to its network: same address, same hardware address, no memory.
-4. Every wait has a limit.
 """
 
-import json
 import os
-import select
 import shutil
 import subprocess
 import sys
-import tempfile
-import time
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-LIMIT = 30.0
-"""Seconds for one step of a program: starting Python on a busy machine takes a few."""
-ESTABLISHED = "01"
-"""The state of a connection in /proc/net/tcp."""
-PAUSE = 0.01
-"""Seconds between two looks at the table of connections, which tells nobody when it changes."""
+from told_program import Program
 
 _numbers = count(1)
 
@@ -138,78 +128,6 @@ class Host:
         program = Program(["ip", "netns", "exec", self._namespace, sys.executable, str(script), *arguments])
         self._programs.append(program)
         return program
-
-
-class Program:
-    """A running program that says ``ready``, and answers each line of JSON with one."""
-
-    def __init__(self, command: list[str]) -> None:
-        self._command = command
-        self._complaints = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed together with the program
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, text=True, bufsize=1
-        )
-        try:
-            first = self._line()
-            assert first == "ready", self._story(f"said {first!r} instead of ready")
-        except BaseException:
-            self.kill()
-            raise
-
-    def ask(self, do: str, **arguments: Any) -> dict[str, Any]:  # Any: whatever JSON holds
-        """Have something done, and wait for its outcome."""
-        self.tell(do, **arguments)
-        return self.outcome()
-
-    def tell(self, do: str, **arguments: Any) -> None:
-        """Have something done, and fetch its outcome later, by `outcome`."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps({"do": do, **arguments}) + "\n")
-
-    def outcome(self) -> dict[str, Any]:
-        """The outcome of what was asked first and not fetched yet."""
-        answer: dict[str, Any] = json.loads(self._line())
-        return answer
-
-    def established(self, port: int) -> int:
-        """Connections with ``port`` at either end that the stack of its host takes for open."""
-        rows = Path(f"/proc/{self._process.pid}/net/tcp").read_text().splitlines()[1:]
-        ends = f":{port:04X}"
-        return sum(
-            (local.endswith(ends) or remote.endswith(ends)) and state == ESTABLISHED
-            for _, local, remote, state, *_ in map(str.split, rows)
-        )
-
-    def until_established(self, port: int, wanted: int, seconds: float) -> float:
-        """Wait until there are so many such connections; the seconds it took. Raises `TimeoutError`."""
-        began = time.monotonic()
-        while self.established(port) != wanted:
-            if time.monotonic() > began + seconds:
-                raise TimeoutError(f"{self.established(port)} connections, not {wanted}, after {seconds:g} s")
-            time.sleep(PAUSE)
-        return time.monotonic() - began
-
-    def kill(self) -> None:
-        """End it as a crash does."""
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            assert pipe is not None
-            with suppress(BrokenPipeError):
-                pipe.close()
-        self._complaints.close()
-
-    def _line(self) -> str:
-        assert self._process.stdout is not None
-        readable, _, _ = select.select([self._process.stdout], [], [], LIMIT)
-        assert readable, self._story(f"said nothing for {LIMIT:g} s")
-        line = self._process.stdout.readline()
-        assert line, self._story("ended")
-        return line.strip()
-
-    def _story(self, what: str) -> str:
-        self._complaints.seek(0)
-        return f"{' '.join(self._command)}: {what}\n{self._complaints.read()}"
 
 
 def _ip(*arguments: str) -> None:
