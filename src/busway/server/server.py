@@ -32,8 +32,8 @@ from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
 from .parameters import ListenerParameters
 from .pools import Pools
-from .port_502 import with_port_502
 from .reception import Reception
+from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
 from .udp import UdpListener
@@ -62,7 +62,7 @@ class Server:
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
         policy: who may ask what; None lets everybody who may connect read and write.
         audit: where denied requests and writes are recorded.
-        port_502: whether port 502 is listened on beside each other port of ``tcp://`` (Messaging on TCP/IP V1.0b
+        standard_port: whether port 502 is listened on beside each other port of ``tcp://`` (Messaging on TCP/IP V1.0b
             §3.1.3): True, and then it must be had; False; or None: where the host can be reached from the network and
             the port was chosen, and where it can not be had, that is only said.
         local_connections: asked for a status: how many connections this program has itself towards other devices.
@@ -87,12 +87,12 @@ class Server:
         tls: "TlsParameters | None" = None,
         policy: "Policy | None" = None,
         audit: "AuditLog | None" = None,
-        port_502: bool | None = None,
+        standard_port: bool | None = None,
         local_connections: Callable[[], int] | None = None,
     ) -> None:
         self._limits = listener or ListenerParameters()
         wanted = [listener_settings(one, limits=self._limits, tls=tls) for one in as_listeners(endpoints)]
-        self._settings = with_port_502(wanted, port_502)
+        self._settings = with_standard_port(wanted, standard_port)
         for settings in self._settings:
             if settings.endpoint.framing != "mbap":
                 settings.line_framing(_serial_units(handler, settings.endpoint), handler.functions)

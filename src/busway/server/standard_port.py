@@ -1,4 +1,4 @@
-"""Port 502 beside another one: clients that know the standard port alone find the server there (Messaging on TCP/IP
+"""The standard port, 502, beside another one: clients that know the standard port alone find the server there (Messaging on TCP/IP
 V1.0b §3.1.3).
 
 Pure: knows the settings of listeners; opens none.
@@ -20,7 +20,7 @@ from .listener_settings import ListenerSettings
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
-def with_port_502(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
+def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
     """The listeners, and those on port 502 that stand beside them.
 
     Args:
