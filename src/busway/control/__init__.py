@@ -8,8 +8,15 @@ into JSON.
 2. The status is gathered in the event loop of whoever is asked, and written in a thread of its own.
 """
 
-from .addresses import ControlAddress, LoopbackAddress, UnixAddress, control_directory, parse_control_address
-from .asking import Running, ask, find_running
+from .addresses import (
+    ControlAddress,
+    LoopbackAddress,
+    UnixAddress,
+    control_directories,
+    control_directory,
+    parse_control_address,
+)
+from .asking import Running, ask, find_one, find_running
 from .service import Control, Reloadable, Resettable, Subject, open_control
 
 __all__ = [
@@ -22,7 +29,9 @@ __all__ = [
     "Subject",
     "UnixAddress",
     "ask",
+    "control_directories",
     "control_directory",
+    "find_one",
     "find_running",
     "open_control",
     "parse_control_address",

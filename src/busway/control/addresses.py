@@ -2,7 +2,8 @@
 
 Knows paths and the environment; opens nothing but that directory.
 
-1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR``, else ``busway-<user id>`` among the temporary files. It is the
+1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that is there, else ``busway-<user id>`` among the temporary
+   files. It is the
    user's own, and nobody else's to read: one that is not is refused, since somebody else may have put it there.
 2. In it stands ``<name>.sock`` for a Unix domain socket, or ``<name>.json`` with URL and token for loopback HTTP. The
    name is the process id, with a number behind it if a process has several.
@@ -57,7 +58,8 @@ def parse_control_address(text: str) -> ControlAddress:
         ConfigError: it is none, or leads to other hosts.
     """
     host_port = text.removeprefix("http://").removesuffix("/")
-    if not text.startswith("http://") and (os.sep in text or not text.rpartition(":")[2].isdigit()):
+    _, colon, port_text = text.rpartition(":")
+    if not text.startswith("http://") and (os.sep in text or not colon or not port_text.isdigit()):
         if not text:
             raise ConfigError("a path or an address such as 127.0.0.1:0 is needed", key=KEY)
         return UnixAddress(Path(text))
@@ -77,7 +79,7 @@ def is_loopback(host: str) -> bool:
 
 
 def control_directory(environment: Mapping[str, str] | None = None) -> Path:
-    """Where this user's running programs are found; made if it is not there.
+    """Where a program of this user makes its control socket; made if it is not there.
 
     Args:
         environment: instead of that of the process.
@@ -85,16 +87,40 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
     Raises:
         ConfigError: it can not be made, is somebody else's, or is open to others.
     """
-    runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
-    own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
-    path = Path(runtime) / "busway" if os.path.isabs(runtime) else Path(tempfile.gettempdir()) / own
+    path = _candidates(environment)[0]
     try:
         path.mkdir(mode=0o700, exist_ok=True)
-        found = path.lstat()
     except OSError as error:
         raise ConfigError(f"the directory {path} can not be made: {error.strerror or error}", key=KEY) from error
-    if not stat.S_ISDIR(found.st_mode):
-        raise ConfigError(f"{path} is no directory", key=KEY)
-    if hasattr(os, "getuid") and (found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077):
-        raise ConfigError(f"the directory {path} must be yours alone, of mode 0700", key=KEY)
+    problem = _problem(path)
+    if problem:
+        raise ConfigError(problem, key=KEY)
     return path
+
+
+def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
+    """Where programs of this user may be found: a service has another environment than a shell.
+
+    What is not there, or not the user's alone, is left out.
+    """
+    return [path for path in _candidates(environment) if path.exists() and not _problem(path)]
+
+
+def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
+    """The directories, the one to use first."""
+    runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
+    own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
+    temporary = Path(tempfile.gettempdir()) / own
+    if os.path.isabs(runtime) and os.path.isdir(runtime):
+        return [Path(runtime) / "busway", temporary]
+    return [temporary]
+
+
+def _problem(path: Path) -> str:
+    """What is wrong with a directory; empty if it is the user's alone."""
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return f"{path} is no directory"
+    if hasattr(os, "getuid") and (found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077):
+        return f"the directory {path} must be yours alone, of mode 0700"
+    return ""

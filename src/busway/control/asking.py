@@ -41,25 +41,31 @@ class Running:
         return str(self.address)
 
 
-def find_running(directory: Path) -> list[Running]:
-    """The programs of a directory that run, by name."""
+def find_running(*directories: Path) -> list[Running]:
+    """The programs of these directories that run, by name."""
     found: list[Running] = []
-    if HAS_UNIX_SOCKETS:
-        found += [Running(UnixAddress(path)) for path in sorted(directory.glob(f"*{SOCKET_SUFFIX}")) if is_alive(path)]
-    return found + [one for one in _with_tokens(directory) if _answers(one)]
+    for directory in directories:
+        if HAS_UNIX_SOCKETS:
+            paths = sorted(directory.glob(f"*{SOCKET_SUFFIX}"))
+            found += [Running(UnixAddress(path)) for path in paths if is_alive(path)]
+        found += [one for one in _with_tokens(directory) if _answers(one)]
+    return found
 
 
-def find_one(text: str, directory: Path) -> Running:
-    """The program of a path, a URL, or a name in the directory (a process id). Raises `ConfigError`."""
+def find_one(text: str, *directories: Path) -> Running:
+    """The program of a path, a URL, or a name in the directories (a process id). Raises `ConfigError`."""
     address = parse_control_address(text)
     if isinstance(address, LoopbackAddress):
-        for running in _with_tokens(directory):
+        known = [running for directory in directories for running in _with_tokens(directory)]
+        for running in known:
             if running.address == address:
                 return running
-        raise ConfigError(f"there is no token for {address} in {directory}", key=KEY)
-    named = directory / f"{text}{SOCKET_SUFFIX}"
-    if address.path.name == text and not address.path.exists() and named.exists():
-        return Running(UnixAddress(named))
+        raise ConfigError(f"no token for {address} is found; only the user who runs it has it", key=KEY)
+    if address.path.name == text and not address.path.exists():
+        for directory in directories:
+            named = directory / f"{text}{SOCKET_SUFFIX}"
+            if named.exists():
+                return Running(UnixAddress(named))
     return Running(address)
 
 

@@ -61,26 +61,59 @@ class Bound:
 
 
 def bind_default(directory: Path) -> Bound:
-    """A socket in a directory, under a name that is free. Raises as `bind`."""
+    """A socket in a directory, under a name that is free. Raises as `bind_unix` and `bind_loopback`."""
     sweep(directory)
     for number in count(1):
         name = str(os.getpid()) if number == 1 else f"{os.getpid()}-{number}"
         if not HAS_UNIX_SOCKETS:
-            return bind(LoopbackAddress("127.0.0.1", 0), directory)
+            return bind_loopback(LoopbackAddress("127.0.0.1", 0), directory)
         path = directory / f"{name}{SOCKET_SUFFIX}"
         if not path.exists():
-            return bind(UnixAddress(path), directory)
+            return bind_unix(UnixAddress(path))
     raise AssertionError("count() has no end")
 
 
-def bind(address: ControlAddress, directory: Path) -> Bound:
-    """A socket at an address; ``directory`` is where the token of a loopback address goes.
+def bind_unix(address: UnixAddress) -> Bound:
+    """A Unix domain socket of mode 0600.
 
     Raises:
         ConfigError: something else stands there, or the path is too long.
         LinkDown: it can not be bound, or a living program answers there.
     """
-    return _bind_loopback(address, directory) if isinstance(address, LoopbackAddress) else _bind_unix(address)
+    path = address.path.absolute()
+    if not HAS_UNIX_SOCKETS:
+        raise ConfigError("this system has no Unix domain sockets; 127.0.0.1:0 is possible", key=KEY)
+    if len(os.fsencode(path)) > _LONGEST_PATH:
+        raise ConfigError(f"the path {path} is longer than {_LONGEST_PATH} bytes", key=KEY)
+    _make_room(path)
+    bound = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        bound.bind(str(path))
+        made = Bound(bound, UnixAddress(path))
+        made.remember(path)
+        path.chmod(0o600)
+    except OSError as error:
+        bound.close()
+        raise LinkDown(f"can not listen on {path}: {error.strerror or error}") from error
+    return made
+
+
+def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
+    """A socket on loopback, and its token in a file of the directory. Raises `LinkDown`."""
+    bound = bind_tcp(address.host, address.port)
+    real = LoopbackAddress(address.host, int(bound_name(bound).rpartition(":")[2]))
+    made = Bound(bound, real, secrets.token_urlsafe(32))
+    path = directory / f"{os.getpid()}-{real.port}{TOKEN_SUFFIX}"
+    try:
+        path.unlink(missing_ok=True)  # of a process that had our number before
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(descriptor, "w", encoding="utf-8") as file:
+            json.dump({"url": str(real), "token": made.token}, file)
+        made.remember(path)
+    except OSError as error:
+        bound.close()
+        raise LinkDown(f"the token can not be written to {path}: {error.strerror or error}") from error
+    return made
 
 
 def is_alive(path: Path) -> bool:
@@ -114,25 +147,6 @@ def same_user(accepted: socket.socket) -> bool:
     return user in (os.getuid(), 0)
 
 
-def _bind_unix(address: UnixAddress) -> Bound:
-    path = address.path.absolute()
-    if not HAS_UNIX_SOCKETS:
-        raise ConfigError("this system has no Unix domain sockets; 127.0.0.1:0 is possible", key=KEY)
-    if len(os.fsencode(path)) > _LONGEST_PATH:
-        raise ConfigError(f"the path {path} is longer than {_LONGEST_PATH} bytes", key=KEY)
-    _make_room(path)
-    bound = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        bound.bind(str(path))
-        made = Bound(bound, UnixAddress(path))
-        made.remember(path)
-        path.chmod(0o600)
-    except OSError as error:
-        bound.close()
-        raise LinkDown(f"can not listen on {path}: {error.strerror or error}") from error
-    return made
-
-
 def _make_room(path: Path) -> None:
     try:
         mode = path.lstat().st_mode
@@ -144,20 +158,3 @@ def _make_room(path: Path) -> None:
         raise LinkDown(f"can not listen on {path}: a running program answers there")
     with contextlib.suppress(FileNotFoundError):
         path.unlink()
-
-
-def _bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
-    bound = bind_tcp(address.host, address.port)
-    real = LoopbackAddress(address.host, int(bound_name(bound).rpartition(":")[2]))
-    made = Bound(bound, real, secrets.token_urlsafe(32))
-    path = directory / f"{os.getpid()}-{real.port}{TOKEN_SUFFIX}"
-    try:
-        path.unlink(missing_ok=True)  # of a process that had our number before
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(descriptor, "w", encoding="utf-8") as file:
-            json.dump({"url": str(real), "token": made.token}, file)
-        made.remember(path)
-    except OSError as error:
-        bound.close()
-        raise LinkDown(f"the token can not be written to {path}: {error.strerror or error}") from error
-    return made

@@ -26,8 +26,8 @@ from typing import Any, Final, Protocol, Self, runtime_checkable
 from ..errors import ConfigError, LinkDown, ModbusError
 from ..observe.http import HttpError, HttpLimits, HttpRequest, HttpResponse, HttpService
 from ..version import __version__
-from .addresses import ControlAddress, control_directory, is_loopback, parse_control_address
-from .binding import Bound, bind, bind_default, same_user
+from .addresses import ControlAddress, UnixAddress, control_directory, is_loopback, parse_control_address
+from .binding import Bound, bind_default, bind_loopback, bind_unix, same_user
 from .plain import plain
 
 _log = logging.getLogger("busway.control")
@@ -154,8 +154,10 @@ class Control:
             await asyncio.to_thread(service.stop)
 
     def _bind(self) -> Bound:
+        if isinstance(self._wanted, UnixAddress):
+            return bind_unix(self._wanted)
         directory = self._directory or control_directory()
-        return bind_default(directory) if self._wanted is None else bind(self._wanted, directory)
+        return bind_default(directory) if self._wanted is None else bind_loopback(self._wanted, directory)
 
     # In the thread of the service.
 

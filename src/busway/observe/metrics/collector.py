@@ -10,7 +10,7 @@ Knows the shape of a status and the names of metrics; knows no server, socket or
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
-from datetime import datetime
+from enum import Enum
 from itertools import accumulate
 from typing import Any, Final
 
@@ -42,10 +42,39 @@ _COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "requests": ("received_requests", "Requests that came in, answered or not."),
     "discarded_frames": ("discarded_frames", "Frames that got no answer: foreign, damaged, or replies."),
     "refused_busy": ("requests_refused_busy", "Requests answered 06 because all transaction slots were taken."),
-    "received": ("received_bytes", "Bytes received."),
-    "sent": ("sent_bytes", "Bytes sent."),
+    "refused_full": ("connections_refused_full", "Connections closed at once: nobody could make room."),
+    "header_timeouts": ("header_timeouts", "Connections closed because a header began and did not end in time."),
+    "write_timeouts": ("write_timeouts", "Connections closed because a client did not take its replies in time."),
+    "idle_timeouts": ("idle_timeouts", "Connections closed because they were not used."),
+    "rate_limited": ("rate_limited", "Times that a host asked more often than it may."),
 }
 """Name and meaning of the counters of a server, by field; others are named as their field."""
+_CLASS_COUNTERS: Final[dict[str, tuple[str, str]]] = {
+    "received": ("received_bytes", "Bytes received, by class of device."),
+    "sent": ("sent_bytes", "Bytes sent, by class of device."),
+    "accepted": ("class_connections_accepted", "Connections that were given a place, by class of device."),
+    "closed": ("class_connections_closed", "Connections that have ended, by class of device."),
+    "requests": ("class_received_requests", "Requests that came in, by class of device."),
+}
+"""The same of the counters that there are for each class of devices."""
+_GAUGES: Final = frozenset({"priority_connections", "other_connections"})
+"""Whole numbers of a listener that go down too; `busway_connections` tells them."""
+_CONNECTION_GAUGES: Final = (
+    ("supported_connections", "Connections that there may be."),
+    ("remote_connections", "Connections that others have opened."),
+    ("local_connections", "Connections that this program has opened."),
+)
+_LINK_GAUGES: Final = (
+    ("in_flight", "requests_in_flight", "Requests whose reply is awaited."),
+    ("queued", "requests_queued", "Calls that wait for their turn."),
+)
+_LINK_COUNTERS: Final = (
+    ("sent_bytes", "sent_bytes", "Bytes sent to the device."),
+    ("received_bytes", "received_bytes", "Bytes received from the device."),
+    ("transactions", "transactions", "Requests that were sent."),
+    ("failures", "failures", "Requests without a good reply, and connections that were lost."),
+    ("connections", "connections", "Connections that there were."),
+)
 _LAMP_STATES: Final = ("off", "on", "flashing")
 
 
@@ -77,12 +106,47 @@ class ServerCollector(Collector):
             yield from server_families(status)
             yield from connection_families(getattr(status, "connections", ()))
             yield from listener_families(getattr(status, "listeners", ()))
+            yield from security_families(getattr(status, "listeners", ()))
         if self._tally is not None:
             yield from request_families(self._tally)
         if self._refusals is not None:
             yield _by_label(
                 "busway_policy_refusals", "Requests that a rule of the policy refused.", "rule", self._refusals()
             )
+
+
+class ClientCollector(Collector):
+    """The metrics of the connections that this process has opened itself.
+
+    Args:
+        ask: gives how they do, as `busway.client.registry.local_connections`.
+    """
+
+    def __init__(self, ask: Callable[[], Iterable[Any]]) -> None:  # dataclasses like LocalConnectionStatus
+        self._ask = ask
+
+    def collect(self) -> Iterator[Family]:
+        """The families, with the numbers of now."""
+        links = list(self._ask())
+        states: Counter[tuple[str, str]] = Counter((one.endpoint, one.state) for one in links)
+        held = GaugeMetricFamily("busway_links", "Links to devices, by their state.", labels=("endpoint", "state"))
+        for labels, count in states.items():
+            held.add_metric(labels, count)
+        yield held
+        for field, name, meaning in _LINK_GAUGES:
+            yield _summed(GaugeMetricFamily(f"busway_link_{name}", meaning, labels=("endpoint",)), links, field)
+        for field, name, meaning in _LINK_COUNTERS:
+            yield _summed(CounterMetricFamily(f"busway_link_{name}", meaning, labels=("endpoint",)), links, field)
+
+
+def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
+    """A field of all links of an endpoint together: several may lead to one device."""
+    sums: Counter[str] = Counter()
+    for one in links:
+        sums[one.endpoint] += getattr(one, field)
+    for endpoint, count in sums.items():
+        family.add_metric((endpoint,), count)
+    return family
 
 
 def registry_of(*collectors: Collector) -> CollectorRegistry:
@@ -97,12 +161,30 @@ def server_families(status: Any) -> Iterator[Family]:
     """The server as a whole, and its counters."""
     yield GaugeMetricFamily("busway_running", "Whether it answers requests.", value=bool(status.running))
     yield GaugeMetricFamily("busway_uptime_seconds", "Seconds since the start.", value=status.uptime)
-    yield GaugeMetricFamily(
-        "busway_connections_supported", "Connections that there may be.", value=status.supported_connections
-    )
-    for name, count in _numbers(status.counters):
+    for field, meaning in _CONNECTION_GAUGES:
+        count = getattr(status, field, None)
+        if count is not None:
+            yield GaugeMetricFamily(f"busway_{field}", meaning, value=count)
+    counters = getattr(status, "counters", None)
+    if counters is None:
+        return
+    for name, count in _numbers(counters):
         known, meaning = _COUNTERS.get(name, (name, f"{name.replace('_', ' ').capitalize()} so far."))
         yield CounterMetricFamily(f"busway_{known}", meaning, value=count)
+    yield from class_families(counters)
+
+
+def class_families(counters: Any) -> Iterator[Family]:
+    """The counters that a server keeps for each class of devices."""
+    families: dict[str, Family] = {}
+    for field in fields(counters):
+        for name, count in _numbers(getattr(counters, field.name)):
+            known, meaning = _CLASS_COUNTERS.get(name, (f"class_{name}", f"{name.replace('_', ' ').capitalize()}."))
+            family = families.get(known)
+            if family is None:
+                family = families[known] = CounterMetricFamily(f"busway_{known}", meaning, labels=("peer_class",))
+            family.add_metric((field.name,), count)
+    yield from families.values()
 
 
 def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
@@ -110,7 +192,7 @@ def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
     held: Counter[tuple[str, str]] = Counter()
     waiting: Counter[str] = Counter()
     for one in connections:
-        held[one.listener, str(getattr(one, "pool", "other"))] += 1
+        held[one.listener, plain_word(getattr(one, "pool", "other"))] += 1
         waiting[one.listener] += one.waiting
     family = GaugeMetricFamily("busway_connections", "Connections that there are.", labels=("listener", "pool"))
     for labels, count in held.items():
@@ -127,11 +209,6 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
     lamps = StateSetMetricFamily("busway_listener_lamp", "What the lamps show.", labels=("listener", "lamp"))
     is_open = GaugeMetricFamily("busway_listener_open", "Whether it can be reached.", labels=("listener",))
     muted = GaugeMetricFamily("busway_listener_listen_only", "Whether it answers nothing.", labels=("listener",))
-    expiry = GaugeMetricFamily(
-        "busway_certificate_expiry_timestamp_seconds",
-        "When the certificate expires, in seconds since 1970.",
-        labels=("listener",),
-    )
     counted: dict[str, Family] = {}
     for one in listeners:
         for lamp in fields(one.lamps):
@@ -139,18 +216,37 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
             lamps.add_metric((one.endpoint, lamp.name), {state: state == shown for state in _LAMP_STATES})
         is_open.add_metric((one.endpoint,), one.is_open)
         muted.add_metric((one.endpoint,), one.listen_only)
-        expires = _expiry(one)
-        if expires is not None:
-            expiry.add_metric((one.endpoint,), expires)
         for name, count in (*_numbers(one), *_numbers(one.counters)):
+            if name in _GAUGES:
+                continue
             family = counted.get(name)
             if family is None:
                 meaning = f"{name.replace('_', ' ').capitalize()} of the listener."
                 family = counted[name] = CounterMetricFamily(f"busway_listener_{name}", meaning, labels=("listener",))
             family.add_metric((one.endpoint,), count)
     yield from (lamps, is_open, muted, *counted.values())
-    if expiry.samples:
-        yield expiry
+
+
+def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
+    """Certificates and handshakes of the ``tls://`` listeners, if there are any."""
+    secured = [one for one in listeners if getattr(one, "security", None) is not None]
+    if not secured:
+        return
+    expiry = GaugeMetricFamily(
+        "busway_certificate_expiry_timestamp_seconds",
+        "When the certificate expires, in seconds since 1970.",
+        labels=("listener",),
+    )
+    handshakes = CounterMetricFamily("busway_handshakes", "Handshakes of TLS.", labels=("listener", "outcome"))
+    reloads = CounterMetricFamily("busway_certificate_reloads", "Times that it was read anew.", labels=("listener",))
+    for one in secured:
+        security = one.security
+        expiry.add_metric((one.endpoint,), security.not_after)
+        handshakes.add_metric((one.endpoint, "established"), security.established)
+        for reason, count in security.refused.items():
+            handshakes.add_metric((one.endpoint, reason), count)
+        reloads.add_metric((one.endpoint,), security.reloads)
+    yield from (expiry, handshakes, reloads)
 
 
 def request_families(tally: RequestTally) -> Iterator[Family]:
@@ -189,9 +285,6 @@ def _numbers(counters: Any) -> Iterator[tuple[str, int]]:
                 yield field.name, value
 
 
-def _expiry(listener: Any) -> float | None:
-    """When the certificate of a listener ends, if it has one."""
-    expires = getattr(listener, "certificate_expires", None)
-    if isinstance(expires, datetime):
-        return expires.timestamp()
-    return float(expires) if isinstance(expires, int | float) else None
+def plain_word(value: object) -> str:
+    """The word of an enumeration's member; any other value as text."""
+    return str(value.value if isinstance(value, Enum) else value)

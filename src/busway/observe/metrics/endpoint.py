@@ -10,7 +10,7 @@ Knows a source of a status and a collector over it; knows no server.
 
 import asyncio
 import concurrent.futures
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from http import HTTPStatus
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 from ...errors import ConfigError
 from ...session.handler import Handler
 from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
-from .handler import Classify, MeteredHandler, classify_by_listener, metered
+from .handler import Classify, ClassifyByMark, MeteredHandler, classify_by_listener, metered
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
@@ -45,7 +45,21 @@ class CountsRefusals(Protocol):
         """Refused requests by name of the rule."""
 
 
-def start_metrics(source: MetricsSource, where: str, *, classify: Classify = classify_by_listener) -> "MetricsEndpoint":
+@runtime_checkable
+class MarksDevices(Protocol):
+    """A source that has priority connections for some devices."""
+
+    def is_marked(self, listener: str, host: str) -> bool:
+        """Whether a host is marked at the listener of this URL."""
+
+
+def start_metrics(
+    source: MetricsSource,
+    where: str,
+    *,
+    classify: Classify | None = None,
+    links: Callable[[], Iterable[Any]] | None = None,
+) -> "MetricsEndpoint":
     """Count the requests of a server or gateway from now on, and show the metrics over HTTP.
 
     Call it in the event loop in which the source will run, before it is started::
@@ -56,13 +70,15 @@ def start_metrics(source: MetricsSource, where: str, *, classify: Classify = cla
     Args:
         source: what is metered.
         where: address to listen on, ``127.0.0.1:9502``; port 0 takes a free one. Whoever reaches it can read.
-        classify: the class of whoever asks, a label of the requests.
+        classify: the class of whoever asks, a label of the requests; left out, what the source says of its devices.
+        links: gives the connections that this process has opened itself, if they are to be shown
+            (`busway.client.registry.local_connections`).
 
     Raises:
         ConfigError: ``where`` is no address, ``prometheus-client`` is not installed, or the source runs already.
         LinkDown: the address can not be listened on.
     """
-    return MetricsEndpoint(source, where, classify=classify)
+    return MetricsEndpoint(source, where, classify=classify, links=links)
 
 
 class MetricsEndpoint:
@@ -73,22 +89,32 @@ class MetricsEndpoint:
         tally: the counts of requests.
     """
 
-    def __init__(self, source: MetricsSource, where: str, *, classify: Classify = classify_by_listener) -> None:
+    def __init__(
+        self,
+        source: MetricsSource,
+        where: str,
+        *,
+        classify: Classify | None = None,
+        links: Callable[[], Iterable[Any]] | None = None,
+    ) -> None:
         """As `start_metrics`."""
         host, port = parse_host_port(where, "metrics")
         need_prometheus()
-        from .collector import ServerCollector, registry_of
+        from .collector import ClientCollector, ServerCollector, registry_of
 
         self._source = source
         self._loop = asyncio.get_running_loop()
         bound = bind_tcp(host, port)
         try:
-            handler = _wrap(source, classify)
+            handler = _wrap(source, classify or _classify(source))
         except BaseException:
             bound.close()
             raise
         self.tally = handler.tally
-        self._registry = registry_of(ServerCollector(self._ask, handler.tally, refusals_of(handler.inner)))
+        self._registry = registry_of(
+            ServerCollector(self._ask, handler.tally, refusals_of(handler.inner)),
+            *(() if links is None else (ClientCollector(links),)),
+        )
         self.url = f"http://{bound_name(bound)}/metrics"
         self._service = HttpService(bound, self.answer, name="busway metrics")
         self._service.start()
@@ -154,6 +180,10 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
 def refusals_of(handler: Handler) -> Callable[[], Mapping[str, int]] | None:
     """What gives the refusals by rule, if a handler counts them."""
     return (lambda: handler.refusals) if isinstance(handler, CountsRefusals) else None
+
+
+def _classify(source: MetricsSource) -> Classify:
+    return ClassifyByMark(source.is_marked) if isinstance(source, MarksDevices) else classify_by_listener
 
 
 def _wrap(source: MetricsSource, classify: Classify) -> MeteredHandler:

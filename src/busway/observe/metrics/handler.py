@@ -28,6 +28,29 @@ _MEMO_LIMIT: Final = 512
 _LINES: Final = ("rtu://", "ascii://")
 
 
+class ClassifyByMark:
+    """`PeerClass.PRIORITY` for devices that are marked; otherwise as `classify_by_listener`.
+
+    Args:
+        is_marked: whether the host at a peer's address is marked at a listener; asked once for each peer.
+    """
+
+    def __init__(self, is_marked: Callable[[str, str], bool]) -> None:
+        self._is_marked = is_marked
+        self._memo: dict[tuple[str, str], PeerClass] = {}
+
+    def __call__(self, context: RequestContext) -> PeerClass:
+        """The class of whoever asks."""
+        key = context.listener, context.peer.rpartition(":")[0].strip("[]")
+        found = self._memo.get(key)
+        if found is None:
+            if len(self._memo) >= _MEMO_LIMIT:
+                self._memo.clear()
+            found = PeerClass.PRIORITY if self._is_marked(*key) else classify_by_listener(context)
+            self._memo[key] = found
+        return found
+
+
 def classify_by_listener(context: RequestContext) -> PeerClass:
     """`PeerClass.LINE` on serial lines, otherwise `PeerClass.OTHER`."""
     return PeerClass.LINE if context.listener.startswith(_LINES) else PeerClass.OTHER
