@@ -4,6 +4,7 @@ TABLES = {
     "server": "tables.server",
     "client": "tables.client",
     "line": "tables.line",
+    "gateway": "tables.gateway",
     "memory": "tables.memory",
     "startup": "tables.startup",
 }

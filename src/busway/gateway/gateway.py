@@ -13,7 +13,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -24,6 +24,7 @@ from ..errors import ConfigError
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.listener import Listener
 from ..server.local import LocalHandler
+from ..server.parameters import ListenerParameters
 from ..server.server import Server, ServerStatus
 from ..session.handler import Handler
 from .functions import RememberingTable
@@ -342,7 +343,10 @@ class Gateway:
         )
         handler.follow(self.plan.table.of_front(front.name), self._lines)
         outer = handler if self._wrap is None else self._wrap(handler)
-        return _RunningFront(front, handler, Server((front.listener,), outer, **self.plan.server))
+        # A client that closes has gone, and must not keep a serial line busy with what it asked.
+        limits = front.listener.limits or self.plan.server.get("listener") or ListenerParameters()
+        listener = replace(front.listener, limits=replace(limits, answer_half_closed=False))
+        return _RunningFront(front, handler, Server((listener,), outer, **self.plan.server))
 
     def _follow(self, fronts: "Sequence[_RunningFront] | Any") -> None:
         for each in fronts:

@@ -51,6 +51,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         "_half_closed",
         "_is_rated",
         "_is_stuck",
+        "_late",
         "_management",
         "_parameters",
         "_tasks",
@@ -86,6 +87,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._half_closed = False
         self._is_rated = False
         self._is_stuck = False
+        self._late: list[bytes] | None = None  # late replies that leave at the end of this turn
         self.session: Session | None = None
         self.peer = self.host = ""
         self.role = role
@@ -141,7 +143,9 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def eof_received(self) -> bool:
         """The client sends no more; replies that are still to come go out first."""
-        self._half_closed = self.session is not None and self.session.waiting > 0
+        self._half_closed = (
+            self.session is not None and self.session.waiting > 0 and self._parameters.answer_half_closed
+        )
         return self._half_closed
 
     def pause_writing(self) -> None:
@@ -168,10 +172,22 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What connection management and the session ask.
 
     def deliver(self, adu: bytes) -> None:
-        """Send a late reply; an empty one says that there is none to wait for any more."""
+        """Send a late reply; an empty one says that there is none to wait for any more.
+
+        Those that come in one turn of the event loop leave together: a gateway gets many at once from the line behind,
+        and a segment for each costs more than all the rest of the way.
+        """
+        if self._late is None:
+            self._late = []
+            self._management.loop.call_soon(self._send_late)
+        if adu:
+            self._late.append(adu)
+
+    def _send_late(self) -> None:
+        late, self._late = self._late, None
         if self.session is not None and not self._transport.is_closing():
-            if adu:
-                self._write([adu])
+            if late:
+                self._write(late)
             if self._half_closed and not self.session.waiting:
                 self._transport.close()
 
@@ -211,7 +227,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         """Whether a request is in work or a reply still on its way."""
         if self.session is None:
             return False
-        return bool(self.session.waiting or self.unsent)
+        return bool(self.session.waiting or self.unsent or self._late)
 
     @property
     def is_idle(self) -> bool:

@@ -34,6 +34,8 @@ class ListenerParameters:
             ever.
         request_rate: requests a second that one device may make, by all its connections together; what is over the
             rate is slowed down, and over UDP dropped. None for any number.
+        answer_half_closed: whether a client that has ended its half of the connection still gets the replies it waits
+            for; otherwise it is taken to have gone, as most clients have that close.
         interface: name of the network interface to listen on, and no other; None for all (Linux).
     """
 
@@ -51,6 +53,7 @@ class ListenerParameters:
     frame_timeout: float | None = 10.0
     idle_timeout: float | None = None
     request_rate: float | None = None
+    answer_half_closed: bool = True
     interface: str | None = None
 
     def __post_init__(self) -> None:

@@ -1,0 +1,37 @@
+"""A busway gateway on TCP, everything to one server behind.
+
+Run from `bench/`: python -m servers.busway_gateway URL [--connections N] [--uvloop] [--no-sharing]
+"""
+
+import argparse
+import asyncio
+from urllib.parse import urlsplit
+
+from harness import announce
+
+from busway.gateway.gateway import Gateway, simple_plan
+
+
+async def main(url: str, connections: int, share_reads: bool) -> None:
+    options = {"max_transactions": 16, "queue": 4096} if url.startswith("tcp:") else {}
+    if connections > 1:
+        options["connections"] = connections
+    plan = simple_plan(["tcp://127.0.0.1:0"], url, share_reads=share_reads, **options)
+    async with Gateway(plan) as gateway:
+        announce.port(urlsplit(gateway.endpoints[0]).port or 0)
+        await asyncio.Event().wait()
+
+
+parser = argparse.ArgumentParser()
+parser.add_argument("url")
+parser.add_argument("--connections", type=int, default=1)
+parser.add_argument("--uvloop", action="store_true")
+parser.add_argument("--no-sharing", action="store_true")
+asked = parser.parse_args()
+serving = main(asked.url, asked.connections, not asked.no_sharing)
+if asked.uvloop:
+    import uvloop
+
+    uvloop.run(serving)
+else:
+    asyncio.run(serving)

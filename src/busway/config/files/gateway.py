@@ -1,0 +1,209 @@
+"""The schema of gateway files: fronts, lines behind, and routes between them.
+
+Knows what can be written; what goes together is judged where the gateway is put together (`busway.assembly.gateway`).
+The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
+are the same here.
+
+::
+
+    [[listener]]
+    name = "scada"
+    url = "tcp://:502"
+    client_deadline = 3.0
+
+    [[line]]
+    name = "hall"
+    url = "rtu:///dev/ttyUSB0?baud=19200"
+    timeout = 0.5
+
+    [[route]]
+    units = "1-10"
+    line = "hall"
+
+Rules:
+
+1. The first route that fits a request decides. A route without ``units`` is for all units its line can have.
+2. A route has exactly one of ``line``, ``refuse`` and ``drop``.
+3. A file without routes sends everything to its one line.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from ...codes import Table
+from ...errors import ConfigError
+from ...transport.tls import OF_SERVERS
+from ..access.notation import parse_functions, parse_items, parse_table, parse_units
+from .device import UnitSection
+from .lines import Path
+from .listeners import ListenerSection, Url, clashes
+from .options import CountOrNone, OptionSection, with_options_of
+from .schema import Faults, Section, Source, read_source
+from .system import LINK_KINDS, SystemFile
+
+Numbers = int | str | list[int | str]
+
+
+def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
+    """A gateway file, its shape checked, and where everything in it stands.
+
+    Args:
+        text: its content.
+        name: its name, for the sentences.
+
+    Raises:
+        FileError: all that is wrong with it, each with file, line and key.
+    """
+    source = read_source(text, name)
+    return source.checked(GatewayFile), source
+
+
+class FrontSection(ListenerSection):
+    """``[[listener]]``: where clients reach the gateway."""
+
+    name: str = ""
+    client_deadline: float | None = Field(default=None, ge=0.001, le=3600)
+    silent_broadcasts: bool = False
+
+    @property
+    def title(self) -> str:
+        """What routes call it."""
+        return self.name or self.url
+
+
+@with_options_of(*LINK_KINDS, without=OF_SERVERS)
+class LineSection(OptionSection):
+    """``[[line]]``: a serial line or a server, under a name, with the options of links."""
+
+    judged: ClassVar = False  # together with its scheme, where the line is put together
+
+    name: str = Field(min_length=1)
+    url: Url
+    connections: int = Field(default=1, ge=1, le=16)
+    share_reads: bool = True
+    broadcast: bool | None = None
+
+
+class RouteSection(Section):
+    """``[[route]]``: which requests, and what becomes of them."""
+
+    name: str = ""
+    listeners: list[str] | None = Field(default=None, min_length=1)
+    units: Numbers | None = None
+    functions: Numbers | None = None
+    table: str | None = None
+    addresses: Numbers | None = None
+    line: str | None = None
+    refuse: int | None = Field(default=None, ge=1, le=255)
+    drop: Literal[True] | None = None
+    unit: int | None = Field(default=None, ge=0, le=255)
+    unit_offset: int = Field(default=0, ge=-255, le=255)
+    shift: int = Field(default=0, ge=-65_535, le=65_535)
+    max_registers: int | None = Field(default=None, ge=1, le=125)
+    max_bits: int | None = Field(default=None, ge=1, le=2000)
+    split_writes: bool = False
+    cache: float | None = Field(default=None, ge=0.001, le=3600)
+    timeout: float | None = Field(default=None, ge=0.001, le=3600)
+
+    @model_validator(mode="after")
+    def _check(self) -> "RouteSection":
+        faults = list(self._faults())
+        if faults:
+            raise Faults(faults)
+        return self
+
+    def _faults(self) -> Iterator[tuple[Path, str]]:
+        ways = [name for name in ("line", "refuse", "drop") if getattr(self, name) is not None]
+        if len(ways) != 1:
+            yield (), f"needs exactly one of line, refuse and drop, and has {' and '.join(ways) or 'none of them'}"
+        if self.line is None:
+            only_forwarded = {"unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache"}
+            for name in sorted((only_forwarded | {"timeout"}) & self.model_fields_set):
+                yield (name,), "has no effect where nothing is forwarded"
+        for key in ("units", "functions", "table", "addresses"):
+            try:
+                getattr(self, f"asked_{key}")()
+            except ConfigError as error:
+                yield (key,), error.message
+
+    def asked_units(self) -> frozenset[int] | None:
+        """The units, or None for all. Raises `ConfigError`."""
+        return None if self.units is None else parse_units(self.units)
+
+    def asked_functions(self) -> frozenset[int]:
+        """The function codes; empty for all. Raises `ConfigError`."""
+        if self.functions is None:
+            return frozenset()
+        found = parse_functions(self.functions)
+        if any(sub_code is not None for _, sub_code in found):
+            raise ConfigError("a route is for whole functions, not for a sub-function")
+        return frozenset(code for code, _ in found)
+
+    def asked_table(self) -> Table | None:
+        """The table that plain numbers are of. Raises `ConfigError`."""
+        return None if self.table is None else parse_table(self.table)
+
+    def asked_addresses(self) -> tuple[Table, int, int] | None:
+        """Table, first offset and the one after the last; None for all. Raises `ConfigError`."""
+        if self.addresses is None:
+            if self.table is not None:
+                raise ConfigError("is missing: a table is named, and no addresses of it")
+            return None
+        found = parse_items(self.addresses, self.asked_table() if self.table is not None else None)
+        if len(found) != 1 or len(next(iter(found.values()))) != 1:
+            raise ConfigError("a route has one range of addresses; write another route for another range")
+        ((table, ((first, end),)),) = found.items()
+        return table, first, end
+
+
+class GatewaySection(Section):
+    """``[gateway]``: what concerns all of it."""
+
+    own_unit: CountOrNone = Field(default=255, ge=1, le=255)
+    drain: float = Field(default=5.0, ge=0, le=600)
+
+
+def _no_units(value: object) -> object:
+    if value:
+        raise ValueError("a gateway has no units of its own; serve them, and route to the server")
+    return value
+
+
+class GatewayFile(SystemFile):
+    """A whole gateway file."""
+
+    listener: list[FrontSection] = Field(default_factory=list)  # type: ignore[assignment]
+    line: list[LineSection] = Field(default_factory=list)
+    route: list[RouteSection] = Field(default_factory=list)
+    gateway: GatewaySection = GatewaySection()
+    unit: Annotated[list[UnitSection], BeforeValidator(_no_units)] = Field(default_factory=list)
+
+    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+        yield from clashes(self.places())
+        if not self.line:
+            yield ("line",), "is missing"
+        if not self.places():
+            yield ("listener",), "is missing"
+        if not self.route and len(self.line) > 1:
+            yield ("route",), f"is missing: there are {len(self.line)} lines"
+        yield from _twice("line", [each.name for each in self.line])
+        yield from _twice("listener", [each.title for each in self.listener])
+        names = [each.name for each in self.line]
+        titles = [*self.listen, *(each.title for each in self.listener)]
+        for index, route in enumerate(self.route):
+            if route.line is not None and route.line not in names:
+                yield ("route", index, "line"), f"there is no line {route.line!r}, but {', '.join(names)}"
+            for place, wanted in enumerate(route.listeners or ()):
+                if wanted not in titles:
+                    yield (
+                        ("route", index, "listeners", place),
+                        f"there is no listener {wanted!r}, but {', '.join(titles)}",
+                    )
+
+
+def _twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"
