@@ -1,0 +1,179 @@
+"""One line of the audit log: what is said of a request, as JSON.
+
+Knows requests and their outcome; writes nothing. Lines are put together by hand: 4 µs each, where ``json`` takes 15.
+
+===============  =====================================================================================
+key              value
+===============  =====================================================================================
+``time``         when it was decided or answered, UTC: ``2026-03-01T12:00:00.250Z``
+``peer``         ``host:port``, or the name of a line
+``role``         role of the certificate; null without one
+``listener``     URL of the listener
+``unit``         0…255
+``function``     function code; ``sub_function`` beside it for 08 and 43
+``address``      first item, 0-based; null where it touches no table
+``count``        number of items
+``old``          items before, of a write that was executed; null where that is not known
+``new``          items that were, or would have been, written; null where that is not known
+``outcome``      ``done``, ``exception`` (the device refused), ``denied`` (by a rule), ``no answer``
+``code``         exception code; null where there is none
+``rule``         name of the rule that decided; ``default`` where none did
+===============  =====================================================================================
+
+Beside these: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21, ``data`` (hexadecimal) of
+what is not understood.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from json.encoder import encode_basestring_ascii as quoted
+from typing import Final
+
+from ...codes import Table
+from ...config.access.question import masked
+from ...pdu.bits import unpack_bits
+from ...pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
+from ...pdu.functions import AnyRequest
+from ...pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ...pdu.message import Message, Request
+from ...pdu.read_items import unpack_registers
+from ...pdu.write_items import (
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+from ...session.handler import Deferral, RequestContext
+
+DENIED: Final = "denied"
+NO_ANSWER: Final = "no answer"
+_NULL: Final = "null"
+
+Replaced = tuple[bytes | None, ...]
+
+
+def who_text(peer: str, role: str | None, listener: str) -> str:
+    """The part of a line that is the same for all requests of a connection."""
+    return f'"peer":{quoted(peer)},"role":{_NULL if role is None else quoted(role)},"listener":{quoted(listener)}'
+
+
+class Clock:
+    """The time as text, put together anew once a second."""
+
+    __slots__ = ("_now", "_prefix", "_second")
+
+    def __init__(self, now: Callable[[], float] = time.time) -> None:
+        self._now = now
+        self._second = -1
+        self._prefix = ""
+
+    def __call__(self) -> str:
+        now = self._now()
+        second = int(now)
+        if second != self._second:
+            self._second = second
+            self._prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
+        return f"{self._prefix}.{int((now - second) * 1000):03d}Z"
+
+
+class Entry:
+    """A request on its way to a line; what is found out on the way is filled in.
+
+    Args:
+        who: what `who_text` gives.
+        context: of the request.
+        request: what was asked.
+
+    Attributes:
+        replaced: what it replaced, as `WriteObserver.observe_write` shows it; None where it is not known.
+        rule: name of the rule that decided.
+        is_awaited: whether its answer is awaited by the handler around.
+        is_noted: whether its line was left already.
+    """
+
+    __slots__ = ("_request", "_unit", "_who", "is_awaited", "is_noted", "replaced", "rule")
+
+    def __init__(self, who: str, context: RequestContext, request: AnyRequest) -> None:
+        self._who = who
+        self._unit = context.unit
+        self._request = request
+        self.replaced: Replaced | None = None
+        self.rule = ""
+        self.is_awaited = False
+        self.is_noted = False
+
+    def line(self, when: str, outcome: str, code: int | None) -> str:
+        """The whole line."""
+        what, old, new = _facts(self._request, None if outcome == DENIED else self.replaced)
+        return (
+            f'{{"time":"{when}",{self._who},"unit":{self._unit},{what},"old":{old},"new":{new},'
+            f'"outcome":"{outcome}","code":{_NULL if code is None else code},"rule":{quoted(self.rule)}}}\n'
+        )
+
+
+def outcome_of(reply: Message | Deferral) -> tuple[str, int | None]:
+    """Outcome and code of an answer."""
+    if isinstance(reply, ExceptionResponse):
+        return "exception", reply.exception
+    return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)
+
+
+def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
+    """What it is, what it replaces and what it writes, as JSON."""
+    if isinstance(request, OpaqueRequest | MalformedRequest):
+        data = request.encode()[1:]
+        return f'"function":{request.function},"address":null,"count":null,"data":"{data.hex()}"', _NULL, _NULL
+    if isinstance(request, ReadFileRecord | WriteFileRecord):
+        return _file_facts(request, replaced)
+    spans = request.spans()
+    span = next((span for span in spans if span.writes), spans[0] if spans else None)
+    what = f'"function":{request.code:d}'
+    if request.sub_code is not None:
+        what += f',"sub_function":{request.sub_code:d}'
+    what += ',"address":null,"count":null' if span is None else f',"address":{span.address},"count":{span.count}'
+    before = replaced[0] if replaced else None
+    old = _NULL
+    if before is not None and span is not None:
+        old = _items(before, span.count, span.table)
+    if isinstance(request, MaskWriteRegister):
+        masks = request.and_mask, request.or_mask
+        new = _NULL if before is None else f"[{masked(int.from_bytes(before, 'big'), *masks)}]"
+        return f'{what},"masks":[{masks[0]}, {masks[1]}]', old, new
+    if isinstance(request, WriteSingleRegister):
+        return what, old, f"[{request.value}]"
+    if isinstance(request, WriteSingleCoil):
+        return what, old, "[1]" if request.value else "[0]"
+    if isinstance(request, WriteMultipleRegisters | ReadWriteMultipleRegisters):
+        return what, old, str(unpack_registers(request.data))
+    if isinstance(request, WriteMultipleCoils):
+        return what, old, _items(request.data, request.count, Table.COILS)
+    if span is None:
+        what += f',"data":"{_body(request).hex()}"'
+    return what, old, _NULL
+
+
+def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
+    """Records of files: those of all groups one after the other."""
+    groups: Sequence[FileReference | FileData] = request.groups
+    records = [[group.file, group.record, group.count] for group in groups]
+    count = sum(group.count for group in groups)
+    what = f'"function":{request.code:d},"address":null,"count":{count},"records":{records}'
+    if isinstance(request, ReadFileRecord):
+        return what, _NULL, _NULL
+    new = unpack_registers(b"".join(group.data for group in request.groups))
+    known = [data for data in replaced or () if data is not None]
+    old = str(unpack_registers(b"".join(known))) if known and len(known) == len(groups) else _NULL
+    return what, old, str(new)
+
+
+def _items(data: bytes, count: int, table: Table) -> str:
+    if table.holds_bits:
+        return str([int(bit) for bit in unpack_bits(data, count)])
+    return str(unpack_registers(data))
+
+
+def _body(request: Request) -> bytes:
+    """What follows function and sub-function."""
+    return request.encode()[1 + request.sub_width :]

@@ -1,0 +1,349 @@
+"""A handler around a handler: asks a policy about every request, and leaves lines in the audit log (M6, T15).
+
+Knows requests, contexts and the policy; knows no connection and no device.
+
+1. A denied request never reaches the handler inside. It is answered with the exception code of the rule: 01, or 02
+   where a rule of items chooses it. One that is permitted but comes too fast is answered 06, because the client may do
+   it, and may try again.
+2. The short road and the plans of reads that are offered hold what the rights of whoever asks permit
+   (`busway.server.policy.windows`). Who has the same rights shares plans; who has others never meets them.
+3. Every denied request and every write leaves a line. With a log no write takes the short road; reads do.
+4. A policy can be replaced at any time: ``generation`` changes, and conversations ask anew before their next requests.
+   No connection is dropped.
+5. With a log that refuses while it can not be written, a write is answered 04 and not executed.
+"""
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Container, Mapping
+from typing import Final
+
+from ...codes import ExceptionCode
+from ...config.access.networks import host_of_peer
+from ...config.access.question import Asker, Question
+from ...config.access.rules import Decision, Policy, Rule
+from ...pdu.direct import Answer, ReadPlan
+from ...pdu.functions import AnyRequest, FunctionTable
+from ...pdu.general import ExceptionResponse
+from ...pdu.message import Message, Request
+from ...session.handler import (
+    LATER,
+    SILENCE,
+    Deferral,
+    Handler,
+    Outcome,
+    ReadPlanner,
+    Refusal,
+    RequestContext,
+    UnitHolder,
+    WriteObserver,
+)
+from ..rates import Rates
+from ..repeats import Repeats, so_often
+from .audit import AuditLog
+from .entries import DENIED, NO_ANSWER, Clock, Entry, Replaced, outcome_of, who_text
+from .windows import permitted_answers
+
+_log = logging.getLogger("busway.policy")
+
+_MOST_ASKERS: Final = 4096
+"""Peers that are remembered; beyond, all are looked up anew."""
+_MOST_RIGHTS: Final = 256
+"""Different rights whose plans are shared; beyond, the oldest are forgotten, and shared no more."""
+
+
+class _Rights:
+    """What some askers may do: the rules that are about them, and the plans that they share."""
+
+    __slots__ = ("plans", "policy")
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        # By the plans of the handler inside, which may tell askers apart by more than the policy does.
+        self.plans: dict[int, tuple[object, dict[bytes, ReadPlan]]] = {}
+
+
+class _Known:
+    """An asker, with what is looked up once."""
+
+    __slots__ = ("asker", "rights", "who")
+
+    def __init__(self, asker: Asker, rights: _Rights, who: str) -> None:
+        self.asker = asker
+        self.rights = rights
+        self.who = who
+
+
+class _Denied(Refusal):
+    """A refusal by the policy, out of the step in which the handler inside shows what it would replace."""
+
+    def __init__(self, decision: Decision) -> None:
+        super().__init__(decision.code, decision.reason)
+        self.decision = decision
+
+
+class PolicyHandler:
+    """Asks a policy before a handler.
+
+    Args:
+        inner: what answers permitted requests.
+        policy: who may ask what.
+        audit: where denied requests and writes leave their lines; None: nowhere.
+        clock: seconds, monotonic, for rates.
+        now: seconds since 1970, for the lines.
+
+    Attributes:
+        refusals: how many requests each rule has refused, by the name of the rule (``default`` where none decided).
+        serial_units: as the handler inside has it, if it has.
+    """
+
+    serial_units: Container[int]
+
+    def __init__(
+        self,
+        inner: Handler,
+        policy: Policy,
+        audit: AuditLog | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.inner = inner
+        self.audit = audit
+        self.refusals: Counter[str] = Counter()
+        self._policy = policy
+        self._clock = clock
+        self._time = Clock(now)
+        self._replaced_policies = 0
+        self._planner = inner if isinstance(inner, ReadPlanner) else None
+        self._observer = inner if isinstance(inner, WriteObserver) else None
+        # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
+        if isinstance(inner, UnitHolder):
+            self.serial_units = inner.serial_units
+        self._seen_generation = inner.generation
+        self._askers: dict[tuple[str, str | None, str], _Known] = {}
+        self._rights: dict[tuple[str, ...], _Rights] = {}
+        self._rates: dict[str, Rates] = {}
+        self._repeats = Repeats()
+
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions of the handler inside."""
+        return self.inner.functions
+
+    @property
+    def generation(self) -> int:
+        """Changes with the policy, and with the handler inside."""
+        return self.inner.generation + self._replaced_policies
+
+    @property
+    def policy(self) -> Policy:
+        """The policy in force."""
+        return self._policy
+
+    def replace_policy(self, policy: Policy) -> None:
+        """Put another policy into force from the next request on; connections stay. In the event loop's thread."""
+        self._policy = policy
+        self._forget()
+        self._rates.clear()
+        self._replaced_policies += 1
+
+    # ---- the short road
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        """The answers of the handler inside, as far as whoever asks may have them without being looked at."""
+        answers = self.inner.direct(context)
+        if not answers:
+            return answers
+        policy = self._known(context).rights.policy
+        return permitted_answers(policy, context.unit, self.inner.functions, answers, audited=self.audit is not None)
+
+    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
+        """Plans of reads, shared by those who have the same rights."""
+        if self._planner is None:
+            return {}
+        inside = self._planner.plans(context)
+        found = self._known(context).rights.plans
+        if len(found) >= _MOST_RIGHTS:
+            found.clear()
+        return found.setdefault(id(inside), (inside, {}))[1]
+
+    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
+        """The plan of a read, if it is permitted without a rate."""
+        if self._planner is None:
+            return None
+        known = self._known(context)
+        question = Question.of(self.functions.decode_request(pdu), unit=context.unit, asker=known.asker)
+        decision = known.rights.policy.decide(question)
+        if not decision.allowed or decision.rates or question.writes:
+            return None
+        return self._planner.plan(context, pdu)
+
+    # ---- the long road
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """Decide, and let the handler inside answer what is permitted."""
+        known = self._known(context)
+        question = Question.of(request, unit=context.unit, asker=known.asker)
+        decision = known.rights.policy.decide(question)
+        if decision.needs_current and self._observer is not None and isinstance(request, Request):
+            return self._write(context, request, question, known, decision)
+        if not decision.allowed:
+            return self._refuse(context, request, known, decision)
+        too_fast = self._too_fast(decision, known.asker)
+        if too_fast is not None:
+            return self._refuse(context, request, known, too_fast)
+        if self.audit is None or not question.writes:
+            return self.inner.handle(context, request)
+        return self._write(context, request, question, known, decision)
+
+    def _refuse(self, context: RequestContext, request: AnyRequest, known: _Known, decision: Decision) -> Message:
+        rule = decision.rule_name
+        self.refusals[rule] += 1
+        repeated = self._repeats.again(f"{rule} {known.asker.host}", self._clock())
+        if repeated is not None:
+            _log.warning(
+                "%s: function %d of unit %d refused with %d by %s: %s%s",
+                context.peer,
+                context.function,
+                context.unit,
+                decision.code,
+                rule,
+                decision.reason,
+                so_often(repeated),
+            )
+        if self.audit is not None:
+            entry = Entry(known.who, context, request)
+            entry.rule = rule
+            self.audit.append(entry.line(self._time(), DENIED, decision.code))
+        return ExceptionResponse(context.function, decision.code)
+
+    def _too_fast(self, decision: Decision, asker: Asker) -> Decision | None:
+        """The refusal of a request that comes faster than a rule allows."""
+        for rule in decision.rates:
+            assert rule.rate is not None  # that is why it is among them
+            rates = self._rates.get(rule.name)
+            if rates is None:
+                rates = self._rates[rule.name] = Rates(rule.rate)
+            if not rates.allows(asker.host, self._clock()):
+                return _busy(rule)
+        return None
+
+    def _write(
+        self, context: RequestContext, request: AnyRequest, question: Question, known: _Known, decision: Decision
+    ) -> Outcome:
+        """Execute a write: judged by what it replaces where need be, and with a line where there is a log."""
+        entry = Entry(known.who, context, request)
+        entry.rule = decision.rule_name
+        if self.audit is not None and not self.audit.takes_writes:
+            return self._finish(entry, ExceptionResponse(context.function, ExceptionCode.SERVER_DEVICE_FAILURE))
+
+        def see(replaced: Replaced) -> None:
+            if decision.needs_current:
+                current = replaced[0] if replaced else None
+                judged = decision
+                if current is not None:
+                    judged = known.rights.policy.decide(question.with_current(int.from_bytes(current, "big")))
+                if judged.allowed:
+                    judged = self._too_fast(judged, known.asker) or judged
+                if not judged.allowed:
+                    raise _Denied(judged)
+                entry.rule = judged.rule_name
+            entry.replaced = replaced
+
+        if self.audit is not None and context.executed is None:
+            context.watch(lambda reply: self._note(entry, *outcome_of(reply)), gone=lambda: self._client_gone(entry))
+        try:
+            if self._observer is not None and isinstance(request, Request):
+                outcome = self._observer.observe_write(context, request, see)
+            else:
+                outcome = self.inner.handle(context, request)
+        except _Denied as denied:
+            return self._refuse(context, request, known, denied.decision)
+        except Refusal as refusal:
+            self._note(entry, "exception", refusal.code)
+            raise
+        except Exception:
+            self._note(entry, "exception", ExceptionCode.SERVER_DEVICE_FAILURE)
+            raise
+        return self._finish(entry, outcome, is_broadcast=context.executed is not None)
+
+    def _finish(self, entry: Entry, outcome: Outcome, *, is_broadcast: bool = False) -> Outcome:
+        """Note how a write ended, now or when it has ended."""
+        if self.audit is None:
+            return outcome
+        if isinstance(outcome, Message):
+            self._note(entry, *outcome_of(outcome))
+        elif outcome is LATER:
+            if is_broadcast:  # nobody replies to it
+                self._note(entry, NO_ANSWER, None)
+        elif outcome is SILENCE:
+            # A device with several units executes a broadcast once; for its other units nothing was written.
+            if not is_broadcast or self._observer is None or entry.replaced is not None:
+                self._note(entry, NO_ANSWER, None)
+        elif not isinstance(outcome, Deferral):
+            entry.is_awaited = True
+            return self._noted(entry, outcome)
+        return outcome
+
+    def _client_gone(self, entry: Entry) -> None:
+        """What is awaited goes on and is noted when it ends; of what was promised nobody hears any more."""
+        if not entry.is_awaited:
+            self._note(entry, NO_ANSWER, None)
+
+    async def _noted(self, entry: Entry, awaitable: Awaitable[Message]) -> Message:
+        """Await the reply of a write, and note it."""
+        try:
+            reply = await awaitable
+        except Refusal as refusal:
+            self._note(entry, "exception", refusal.code)
+            raise
+        except Exception:
+            self._note(entry, "exception", ExceptionCode.SERVER_DEVICE_FAILURE)
+            raise
+        except BaseException:  # cancelled: whether it was executed is not known
+            self._note(entry, NO_ANSWER, None)
+            raise
+        self._note(entry, *outcome_of(reply))
+        return reply
+
+    def _note(self, entry: Entry, outcome: str, code: int | None) -> None:
+        """Leave the line of a write, once."""
+        if self.audit is not None and not entry.is_noted:
+            entry.is_noted = True
+            self.audit.append(entry.line(self._time(), outcome, None if code is None else int(code)))
+
+    # ---- who asks
+
+    def _known(self, context: RequestContext) -> _Known:
+        if self._seen_generation != self.inner.generation:
+            self._seen_generation = self.inner.generation
+            self._forget()
+        key = context.peer, context.role, context.listener
+        known = self._askers.get(key)
+        if known is None:
+            if len(self._askers) >= _MOST_ASKERS:
+                self._askers.clear()
+            asker = Asker(host_of_peer(context.peer), context.role, context.listener)
+            known = self._askers[key] = _Known(asker, self._rights_of(asker), who_text(*key))
+        return known
+
+    def _rights_of(self, asker: Asker) -> _Rights:
+        policy = self._policy.for_asker(asker)
+        key = tuple(rule.name for rule in policy.rules)
+        rights = self._rights.get(key)
+        if rights is None:
+            if len(self._rights) >= _MOST_RIGHTS:
+                del self._rights[next(iter(self._rights))]
+            rights = self._rights[key] = _Rights(policy)
+        return rights
+
+    def _forget(self) -> None:
+        self._askers.clear()
+        self._rights.clear()
+
+
+def _busy(rule: Rule) -> Decision:
+    """The refusal of what is permitted and comes too fast."""
+    return Decision(False, int(ExceptionCode.SERVER_DEVICE_BUSY), rule, f"more than {rule.rate:g} requests a second")
