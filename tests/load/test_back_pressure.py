@@ -32,7 +32,6 @@ def test_clients_that_never_read_cost_bounded_memory_and_the_others_are_served(s
     try:
         taken = _ask_until_nothing_is_taken(links)
         grown = server.resident - before
-        print(grown / 20)
         assert grown < CLIENTS * 2 * BOUND + 4 * MEGABYTE
         # Nothing more is read from them: however long they go on, it is the same.
         assert _ask_until_nothing_is_taken(links) < taken / 4

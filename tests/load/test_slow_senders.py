@@ -10,7 +10,7 @@ from told_program import Program
 
 WORKING, SLOW = 400, 100
 DEADLINE = 3.0
-"""Seconds that a request may take to arrive."""
+"""Seconds that the header of a request may take to arrive."""
 SECONDS = 0.3
 """Of each measurement."""
 SHARE = 0.8
@@ -22,7 +22,7 @@ ATTEMPTS = 5
 def test_working_clients_keep_their_rate_beside_half_headers_which_end_at_their_deadline(
     start_server: type[Program],
 ) -> None:
-    server = start_server(max_connections=WORKING + SLOW, frame_timeout=DEADLINE)
+    server = start_server(max_connections=WORKING + SLOW, header_timeout=DEADLINE)
     port = server.ask("status")["port"]
     with crowd(port, WORKING) as working:
         idle = [dial(port) for _ in range(SLOW)]
@@ -48,7 +48,7 @@ def test_working_clients_keep_their_rate_beside_half_headers_which_end_at_their_
                 link.close()
         assert working.rate(SECONDS) > 0  # none of those was closed
         status = server.ask("status", connections=WORKING)
-        assert (status["connections"], status["counters"]["frame_timeouts"]) == (WORKING, SLOW)
+        assert (status["connections"], status["counters"]["header_timeouts"]) == (WORKING, SLOW)
 
 
 def _all_are_closed(links: list[socket.socket], began: float) -> None:

@@ -259,8 +259,8 @@ def test_client_that_came_back_by_another_port_is_served_and_its_old_connection_
 
 
 @both_skins
-@pytest.mark.parametrize("limit", [{"max_connections": 1}])
-def test_client_that_came_back_takes_the_place_of_its_half_open_past_where_there_is_one_place(
+@pytest.mark.parametrize("limit", [{"max_connections": 1}, {"max_per_remote": 1}], ids=str)
+def test_client_that_came_back_takes_the_place_of_its_half_open_past_where_it_may_have_one(
     network: Network, skin: str, limit: dict[str, int]
 ) -> None:
     here, there = network.host(), network.host()
