@@ -53,6 +53,7 @@ class Configuration:
         control: path or address of the control socket; None for the usual one.
         links: the links by name.
         warnings: what is odd but can be, each with file, line and key.
+        changes: options of listeners that go before those of the file.
     """
 
     name: str
@@ -64,12 +65,15 @@ class Configuration:
     control: str | None
     links: Mapping[str, NamedLink]
     warnings: tuple[ConfigError, ...]
+    changes: Mapping[str, Any]
 
-    def serve(self, listen: Iterable[str] = (), **options: Any) -> "Server":  # Any: as `busway.serve` takes them
+    def serve(
+        self, listen: Iterable[str | Listener] = (), **options: Any
+    ) -> "Server":  # Any: as `busway.serve` takes them
         """A server for the units of the file, not started yet.
 
         Args:
-            listen: endpoints instead of those of the file.
+            listen: endpoints, or `Listener`s, instead of those of the file.
             options: of `busway.serve`, instead of those of the file.
 
         Raises:
@@ -86,7 +90,7 @@ class Configuration:
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
         """The options of `busway.serve` that the file sets."""
-        return self.file.server.options()
+        return self.file.server.options() | dict(self.changes)
 
     def open(self, name: str, *, shared: bool = True) -> "AsyncLink":
         """A named link for asyncio programs, as `busway.open` gives it. Raises `ConfigError` if there is none."""
@@ -162,6 +166,7 @@ def parse_configuration(
         _control(file, name),
         links,
         warnings,
+        changes or {},
     )
 
 

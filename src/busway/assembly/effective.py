@@ -24,7 +24,7 @@ def effective(configuration: Configuration) -> Iterator[str]:
     yield "[server]"
     options = configuration.served()
     for name in ("unit_policy", "unlisted"):
-        yield line(name, options[name])
+        yield line(name, getattr(configuration.file.server, name))
     for kind in (ServerParameters, ListenerParameters, SocketParameters):
         chosen = {name: value for name, value in options.items() if name in option_names(kind)}
         yield from values(build_parameters(kind, chosen), without=OF_CLIENTS)

@@ -1,6 +1,6 @@
-"""Files that people write, read once and whole; and capture files, written.
+"""Files that commands read, and capture files that they write.
 
-Knows paths and encodings; what a file means is known where its schema stands (`busway.config.files`, `busway.observe`).
+Knows paths; what a file means is known where its schema stands (`busway.config.files`, `busway.observe`).
 """
 
 import contextlib
@@ -8,34 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..assembly.reading import read_text
 from ..errors import ConfigError
 
 if TYPE_CHECKING:
-    from ..config.files.device import DeviceFile
     from ..observe.capture import Capture
-
-
-def read_device_file(name: str) -> "DeviceFile":
-    """The device file of a path. Raises `ConfigError`, for all that is wrong with its content with line and key."""
-    text = read_text(name)
-    from ..config.files.device import parse_device_file
-
-    return parse_device_file(text, name)
-
-
-def read_text(name: str) -> str:
-    """The text of a file in UTF-8. Raises `ConfigError` that names the file."""
-    try:
-        data = Path(name).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"can not be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
-    try:
-        # Line ends as they are: the reader of TOML judges them.
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise ConfigError(f"byte 0x{data[error.start]:02X} is no UTF-8", file=name, line=line) from error
 
 
 def open_capture(name: str) -> "Capture":
@@ -47,6 +24,9 @@ def open_capture(name: str) -> "Capture":
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=name) from error
+
+
+__all__ = ["capturing", "open_capture", "read_text"]
 
 
 @contextlib.contextmanager

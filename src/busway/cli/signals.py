@@ -1,10 +1,10 @@
-"""Ctrl-C and SIGTERM for commands that run until they are stopped."""
+"""Ctrl-C and SIGTERM for commands that run until they are stopped; SIGHUP for those that read their files again."""
 
 import asyncio
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 
@@ -27,6 +27,21 @@ def stop_event() -> Iterator[asyncio.Event]:
     finally:
         for installed, handler in before.items():
             signal.signal(installed, handler)  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def on_hangup(call: Callable[[], None]) -> Iterator[None]:
+    """Call something in the event loop at each SIGHUP, inside a coroutine; nothing where the system has no SIGHUP."""
+    number = getattr(signal, "SIGHUP", None)
+    if number is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    before = signal.signal(number, lambda number, frame: loop.call_soon_threadsafe(call))
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
 
 
 @contextlib.contextmanager

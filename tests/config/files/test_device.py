@@ -58,7 +58,7 @@ def test_a_good_file_says_what_it_declares() -> None:
 def test_a_file_of_one_unit_is_enough() -> None:
     file = parse_device_file(UNIT, "x.toml")
     assert file.listen == ["tcp://127.0.0.1:5020"]
-    assert file.server.options() == {"unit_policy": "listed", "unlisted": "exception"}
+    assert file.server.options() == {}
 
 
 @pytest.mark.parametrize(

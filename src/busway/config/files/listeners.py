@@ -44,6 +44,7 @@ class ListenerKeys(Section):
     header_timeout: SecondsOrNone = None
     frame_timeout: SecondsOrNone = None
     idle_timeout: SecondsOrNone = None
+    answer_half_closed: bool | None = None
     request_rate: SecondsOrNone = None
     interface: TextOrNone = None
 

@@ -173,6 +173,8 @@ class AuditSection(Section):
     """``[audit]``: the log of denied requests and of writes."""
 
     path: FilePath
+    interval: float = Field(default=0.2, ge=0, le=10)
+    on_failure: Literal["serve", "refuse"] = "serve"
 
 
 class MetricsSection(Section):

@@ -1,0 +1,245 @@
+"""A server of a configuration and what stands around it while it runs: policy, audit log, metrics, control socket.
+
+Knows components and the order in which they start and stop; knows no request. What it was told can be read again
+while it runs, without a connection being lost.
+
+1. What is wrong with a file that is read again changes nothing: everything stays as it was.
+2. Policy and address lists are replaced at once, certificates from the next connection on; the audit log is opened
+   anew. What else differs is named: it holds from the next start.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from ..config.access.addresses import AddressList
+from ..config.access.rules import AccessRules, Policy
+from ..errors import ConfigError
+from ..server.listener import Listener
+from .access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
+from .configuration import Configuration
+
+if TYPE_CHECKING:
+    from ..server.policy.audit import AuditLog
+    from ..server.server import Server
+
+_log = logging.getLogger("busway.service")
+
+_REPLACEABLE = frozenset({"policy"})
+"""Sections that hold at once when they are read again."""
+_REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
+
+
+def declared_rules(configuration: Configuration) -> AccessRules | None:
+    """The rules that stand in the configuration itself."""
+    return configuration.access
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What is wanted beside, or instead of, what the configuration says.
+
+    Attributes:
+        listen: endpoints instead of those of the file.
+        rules: gives the access rules; called again when files are read again.
+        addresses: a list of who may connect, beside those of the file.
+        allow_writes: whether listeners that the network reaches take writes though nobody wrote a policy.
+        audit: path of the audit log.
+        metrics: address on which the metrics are offered.
+        control: path or address of the control socket, or ``off``.
+        can_reload: whether there is something to be read again.
+        name: what the program is, for whoever has several.
+    """
+
+    listen: Sequence[str] = ()
+    rules: Callable[[Configuration], AccessRules | None] = declared_rules
+    addresses: AddressList | None = None
+    allow_writes: bool = False
+    audit: str | None = None
+    metrics: str | None = None
+    control: str | None = None
+    can_reload: bool = False
+    name: str = "server"
+
+
+class Service:
+    """A running server with all around it; an asynchronous context manager that starts and stops.
+
+    Args:
+        read: gives the configuration; called again by `reload`.
+        wishes: what is wanted beside it.
+
+    Attributes:
+        configuration: the one that holds.
+        server: the server, after the start.
+        read_only: URLs of the listeners that are read-only because nobody wrote a policy.
+
+    Raises:
+        ConfigError, LinkDown: something can not be, or can not be had; then nothing runs.
+    """
+
+    server: "Server"
+
+    def __init__(self, read: Callable[[], Configuration], wishes: Wishes | None = None) -> None:
+        self._read = read
+        self._wishes = wishes or Wishes()
+        self.configuration = read()
+        self.read_only: tuple[str, ...] = ()
+        self._rules = self._wishes.rules(self.configuration)
+        self._entrance = Entrance()
+        self._entrances: dict[str, Entrance] = {}
+        self._audit: AuditLog | None = None
+        self._is_guarded = False
+        self._stack = AsyncExitStack()
+
+    async def __aenter__(self) -> Self:
+        async with AsyncExitStack() as stack:
+            await self._start(stack)
+            self._stack = stack.pop_all()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._stack.aclose()
+
+    async def _start(self, stack: AsyncExitStack) -> None:
+        from ..control.service import OFF, open_control
+
+        configuration, wishes = self.configuration, self._wishes
+        listeners = self._listeners(configuration)
+        self._entrance.lists = self._lists(self._rules)
+        options: dict[str, Any] = {"authorise": self._entrance}  # as `busway.serve` takes them
+        self._is_guarded = (
+            self._rules is not None
+            or wishes.can_reload
+            or (not wishes.allow_writes and any(reaches_network(str(one.endpoint)) for one in listeners))
+        )
+        if self._is_guarded:
+            options["policy"] = self._policy(NETWORK_SCHEMES)
+        self._audit = self._opened_audit()
+        if self._audit is not None:
+            stack.callback(self._audit.close)
+            options["audit"] = self._audit
+        self.server = server = configuration.serve(listeners, **options)
+        metrics = wishes.metrics or (configuration.file.metrics.listen if configuration.file.metrics else None)
+        endpoint = None
+        if metrics is not None:
+            from ..observe.metrics import start_metrics
+
+            endpoint = await stack.enter_async_context(start_metrics(server, metrics))
+        await stack.enter_async_context(server)
+        if self._is_guarded:
+            server.replace_policy(self._policy([url for url in server.endpoints if reaches_network(url)]))
+        at = wishes.control or (configuration.control if configuration.file.control.enabled else OFF)
+        await stack.enter_async_context(
+            open_control(
+                server,
+                at,
+                name=wishes.name,
+                reload=self.reload if wishes.can_reload else None,
+                metrics=None if endpoint is None else endpoint.answer,
+            )
+        )
+
+    def reload(self) -> list[str]:
+        """Read again what can change while it runs: what was done, a sentence each.
+
+        Raises:
+            ConfigError: something is wrong with what was read; nothing has changed.
+        """
+        new = self._read()
+        rules = self._wishes.rules(new)
+        self._check_certificates(new)
+        done = []
+        if rules != self._rules:
+            if self._is_guarded:
+                self._rules = rules
+                self.server.replace_policy(self._policy([url for url in self.server.endpoints if reaches_network(url)]))
+            self._entrance.lists = self._lists(rules)
+            done.append("the policy was replaced")
+        if self._replace_lists(new):
+            done.append("the address lists of listeners were replaced")
+        if any(listener.tls is not None for listener in new.listeners):
+            done.append("certificates hold from the next connection on")
+        if self._audit is not None:
+            self._audit.reopen()
+            done.append("the audit log was opened anew")
+        later = _differences(self.configuration, new)
+        if later:
+            done.append(f"only the next start will see {', '.join(later)}")
+        self.configuration = new
+        return done or ["nothing has changed"]
+
+    def _opened_audit(self) -> "AuditLog | None":
+        path = self._wishes.audit or self.configuration.audit
+        if path is None:
+            return None
+        from ..server.policy.audit import AuditLog
+
+        section = self.configuration.file.audit
+        if section is None:
+            return AuditLog(path)
+        return AuditLog(path, interval=section.interval, on_failure=section.on_failure)
+
+    def _policy(self, exposed: Sequence[str]) -> Policy:
+        """The policy that was written, or else the one that makes exposed listeners read-only."""
+        if self._rules is not None:
+            self.read_only = ()
+            return self._rules.policy
+        self.read_only = () if self._wishes.allow_writes else tuple(exposed)
+        return read_only_for(self.read_only)
+
+    def _lists(self, rules: AccessRules | None) -> tuple[AddressList, ...]:
+        own = () if self._wishes.addresses is None else (self._wishes.addresses,)
+        return own if rules is None else (*own, rules.addresses)
+
+    def _listeners(self, configuration: Configuration) -> list[Listener]:
+        """The listeners, each asking lists that can be replaced."""
+        if self._wishes.listen:
+            return [Listener(url) for url in self._wishes.listen]
+        found = []
+        for one in configuration.listeners:
+            if isinstance(one.access, AddressList):
+                entrance = self._entrances[str(one.endpoint)] = Entrance((one.access,))
+                one = replace(one, access=entrance)
+            found.append(one)
+        return found
+
+    def _replace_lists(self, new: Configuration) -> bool:
+        changed = False
+        for one in new.listeners:
+            entrance = self._entrances.get(str(one.endpoint))
+            if entrance is not None and isinstance(one.access, AddressList) and entrance.lists != (one.access,):
+                entrance.lists = (one.access,)
+                changed = True
+        return changed
+
+    def _check_certificates(self, configuration: Configuration) -> None:
+        for listener in configuration.listeners:
+            if listener.tls is not None:
+                from ..transport.tls_context import server_context
+
+                try:
+                    server_context(listener.tls)
+                except ConfigError as error:
+                    raise ConfigError(
+                        f"{listener.endpoint}: {error.message}", file=configuration.name, key=error.key
+                    ) from error
+
+
+def _differences(old: Configuration, new: Configuration) -> list[str]:
+    """The sections in which two configurations differ, without what holds at once."""
+    found = []
+    for name in type(old.file).model_fields:
+        before, after = getattr(old.file, name), getattr(new.file, name)
+        if name == "listener":
+            before, after = (
+                [one.model_dump(exclude=set(_REPLACEABLE_OF_LISTENERS)) for one in each] for each in (before, after)
+            )
+        if name not in _REPLACEABLE and before != after:
+            found.append(name)
+    return found
