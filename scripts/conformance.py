@@ -1,6 +1,7 @@
 """Writes docs/conformance.md from docs/conformance.toml and the clause markers of the tests.
 
-Knows the data file and how tests are marked; knows nothing of what the clauses say.
+Knows the data file, how tests are marked, and how a claim follows from the states of clauses (Serial Line V1.02 §1.4);
+knows nothing of what the clauses say.
 
     python scripts/conformance.py             writes the page
     python scripts/conformance.py --check     exit code 1 where the page is out of date
@@ -8,6 +9,7 @@ Knows the data file and how tests are marked; knows nothing of what the clauses 
 """
 
 import ast
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -29,6 +31,27 @@ GROUPS = {
     "S": "Serial line",
     "M": "Modbus/TCP Security",
 }
+
+
+UNCONDITIONAL, CONDITIONAL, NONE = "unconditional conformity", "conditional conformity", "no conformity"
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What is claimed of one class of implementations.
+
+    Attributes:
+        name: of the class.
+        verdict: one of the three.
+        profile: the clauses of which a default deviates, so that the profile has to be chosen.
+        musts, shoulds: the clauses that do not hold, or not whole.
+    """
+
+    name: str
+    verdict: str
+    profile: tuple[str, ...]
+    musts: tuple[str, ...]
+    shoulds: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +102,49 @@ def _clauses(node: ast.expr) -> Iterator[str]:
                     yield argument.value
 
 
+def claims(data: dict[str, Any]) -> list[Claim]:
+    """What is claimed of each class, by the states of the clauses and the deviations that concern it."""
+    return [_claim(kind, data) for kind in data["class"]]
+
+
+def _claim(kind: dict[str, Any], data: dict[str, Any]) -> Claim:
+    concerning = {one["id"]: one for one in data["clause"] if _concerns(one, kind)}
+    deviating = [
+        (id_, one)
+        for one in data["deviation"]
+        for id_ in re.findall(r"[ASTM]\d+", one["clause"].split(":")[0])
+        if id_ in concerning and _concerns(one, kind, id_)
+    ]
+    open_ended = {id_ for id_, one in deviating if "profile" not in one}
+    failing = {id_ for id_, one in concerning.items() if one["state"] != "done"} | open_ended
+    musts, shoulds = (
+        tuple(id_ for id_ in concerning if id_ in failing and concerning[id_].get("word") == word)
+        for word in ("must", "should")
+    )
+    verdict = NONE if musts else CONDITIONAL if shoulds else UNCONDITIONAL
+    ended = {id_ for id_, one in deviating if "profile" in one}
+    return Claim(kind["name"], verdict, tuple(id_ for id_ in concerning if id_ in ended), musts, shoulds)
+
+
+def _concerns(one: dict[str, Any], kind: dict[str, Any], id_: str | None = None) -> bool:
+    """Whether a clause, or a deviation from it, concerns a class."""
+    return (id_ or one["id"])[0] in kind["letters"] and set(one.get("concerns", ())) <= set(kind["is"])
+
+
+def _claims(data: dict[str, Any]) -> list[str]:
+    lines = ["| class | claim | musts that do not hold | shoulds that do not hold |", "| --- | --- | --- | --- |"]
+    for one in claims(data):
+        claim = one.verdict
+        if one.verdict != NONE and one.profile:
+            claim += f" with the profile `strict`; the defaults deviate from {', '.join(one.profile)}"
+        lines.append(f"| {one.name} | {claim} | {', '.join(one.musts)} | {', '.join(one.shoulds)} |")
+    return lines
+
+
 def render(data: dict[str, Any], tests: list[MarkedTest]) -> str:
     """The page."""
     parts = [data["text"]["top"].strip(), "", *_summary(data)]
+    parts += ["", "## Claims", "", data["text"]["claims"].strip(), "", *_claims(data)]
     for letter, title in GROUPS.items():
         parts += ["", f"## {letter}. {title}", ""]
         if letter in data["text"]:

@@ -36,11 +36,12 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> P
     for name, value in options.items():
         if name not in known:
             raise ConfigError(f"unknown option; there are {', '.join(sorted(known))}", key=name)
-        values[name] = _converted(name, value, hints[name])
+        values[name] = converted(name, value, hints[name])
     return kind(**values)
 
 
-def _converted(name: str, value: object, wanted: Any) -> object:  # a type, or a union of types
+def converted(name: str, value: object, wanted: Any) -> object:  # a type, or a union of types
+    """A value, or its text, as the type that an option has. Raises `ConfigError` with the option as its key."""
     kinds = get_args(wanted) if isinstance(wanted, UnionType) else (wanted,)
     if NoneType in kinds and (value is None or value == NONE):
         return None
