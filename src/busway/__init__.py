@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import Link, Unit, connect
+    from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
     from .config.endpoints import Endpoint, parse_endpoint
     from .errors import (
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 _HOME = {
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("Link", "Unit", "connect"),
+    "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
     "config.endpoints": ("Endpoint", "parse_endpoint"),
     "errors": (
@@ -156,6 +158,7 @@ __all__ = [
     "InvalidRequest",
     "Link",
     "LinkDown",
+    "LocalConnectionStatus",
     "MaskWriteRegister",
     "Message",
     "ModbusError",
@@ -194,6 +197,8 @@ __all__ = [
     "WriteSingleRegister",
     "__version__",
     "connect",
+    "limit_local_connections",
+    "local_connections",
     "open",
     "parse_address",
     "parse_endpoint",

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from busway.errors import ConfigError
-from busway.session.parameters import ClientParameters, MismatchPolicy, Scope, ServerParameters
+from busway.session.parameters import ClientParameters, MismatchPolicy, Scope, ServerParameters, TransactionScope
 
 
 @pytest.mark.clause("T23")
@@ -18,6 +18,7 @@ def test_the_defaults_of_a_client_are_those_of_the_documentation() -> None:
         "write_retries": 0,
         "deadline": None,
         "max_transactions": 1,
+        "scope": TransactionScope.CONNECTION,
         "queue": 64,
         "transaction_policy": MismatchPolicy.STRICT,
         "unit_policy": MismatchPolicy.STRICT,
@@ -27,6 +28,7 @@ def test_the_defaults_of_a_client_are_those_of_the_documentation() -> None:
         "single_adu_segments": False,
         "connect_delay": 0.0,
         "request_gap": 0.0,
+        "register_width": 2,
     }
 
 

@@ -7,7 +7,7 @@ and docstrings are those of the blocking interface (``blocking``); a test holds 
 import asyncio
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Self, TypeVar, Unpack
+from typing import Any, Literal, Self, TypeVar, Unpack
 
 from ..config.endpoints import Endpoint
 from ..errors import ModbusError
@@ -21,6 +21,7 @@ from ..pdu.read_items import (
     ReadHoldingRegisters,
     ReadInputRegisters,
 )
+from ..pdu.wide import wide
 from ..pdu.write_items import (
     COIL_OFF,
     COIL_ON,
@@ -36,8 +37,9 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit
-from .calls import closed_error, default_unit, demand_for
+from .calls import check_selected, closed_error, default_unit, demand_for
 from .link import Link
+from .management import Selection, selection
 from .operations import (
     CallOptions,
     Operation,
@@ -68,11 +70,14 @@ def documented_by(other: object) -> Callable[[Method], Method]:
 class AsyncUnit:
     __doc__ = Unit.__doc__
 
-    __slots__ = ("_link", "_number")
+    __slots__ = ("_holding", "_input", "_link", "_number", "_width")
 
     def __init__(self, link: "AsyncLink", number: int) -> None:
         self._link = link
         self._number = number
+        self._width = link.register_width
+        self._holding = wide(ReadHoldingRegisters, self._width)
+        self._input = wide(ReadInputRegisters, self._width)
 
     @property
     @documented_by(Unit.number)
@@ -111,7 +116,7 @@ class AsyncUnit:
         split: bool = False,
         **call: Unpack[CallOptions],
     ) -> Any:
-        return await self._perform(read_values(address, type, order, count, split), call)
+        return await self._perform(read_values(address, type, order, count, split, self._width), call)
 
     @documented_by(Unit.write)
     async def write(
@@ -147,13 +152,13 @@ class AsyncUnit:
 
     @documented_by(Unit.read_holding_registers)
     async def read_holding_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self.execute(read_request(ReadHoldingRegisters, address, count), **call)
+        reply = await self.execute(read_request(self._holding, address, count), **call)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
     @documented_by(Unit.read_input_registers)
     async def read_input_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self.execute(read_request(ReadInputRegisters, address, count), **call)
+        reply = await self.execute(read_request(self._input, address, count), **call)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
@@ -251,9 +256,10 @@ class AsyncLink:
     one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
-    def __init__(self, settings: LinkSettings, *, shared: bool) -> None:
+    def __init__(self, settings: LinkSettings, *, shared: bool, rule: Selection | None = None) -> None:
         self._settings = settings
         self._shared = shared
+        self._rule = rule
         self._pool: LinkPool | None = None
         self._link: Link | None = None
         self._closed = False
@@ -262,10 +268,21 @@ class AsyncLink:
         """The link on the running event loop; taken at the first need, so that a link can be made before the loop."""
         if self._closed:
             raise closed_error(self._settings)
+        if self._rule is not None:
+            return pool_of_running_loop().choose(self._settings, self._rule)
         if self._link is None:
             self._pool = pool_of_running_loop()
             self._link = self._pool.acquire(self._settings, shared=self._shared)
         return self._link
+
+    def _looked_at(self) -> Link | None:
+        """The link as far as there is one."""
+        if self._rule is None:
+            return self._link
+        try:
+            return self._bound()
+        except ModbusError:
+            return None
 
     @property
     @documented_by(BlockingLink.endpoint)
@@ -273,19 +290,27 @@ class AsyncLink:
         return self._settings.endpoint
 
     @property
+    @documented_by(BlockingLink.register_width)
+    def register_width(self) -> int:
+        return self._settings.parameters.register_width
+
+    @property
     @documented_by(BlockingLink.is_connected)
     def is_connected(self) -> bool:
-        return self._link is not None and self._link.is_connected
+        link = self._looked_at()
+        return link is not None and link.is_connected
 
     @property
     @documented_by(BlockingLink.state)
     def state(self) -> str:
-        return ConnectionState.DOWN.value if self._link is None else self._link.reconnect.state.value
+        link = self._looked_at()
+        return ConnectionState.DOWN.value if link is None else link.reconnect.state.value
 
     @property
     @documented_by(BlockingLink.counters)
     def counters(self) -> ClientCounters:
-        return ClientCounters() if self._link is None else self._link.session.counters
+        link = self._looked_at()
+        return ClientCounters() if link is None else link.session.counters
 
     @documented_by(BlockingLink.unit)
     def unit(self, number: int | None = None) -> AsyncUnit:
@@ -303,7 +328,8 @@ class AsyncLink:
                 await self._pool.release(self._settings, self._link)
 
     async def __aenter__(self) -> Self:
-        self._bound()
+        if self._rule is None:
+            self._bound()
         return self
 
     async def __aexit__(
@@ -327,7 +353,13 @@ class AsyncLink:
         return demand.outcomes
 
 
-def open_link(url: str | Endpoint, *, shared: bool = True, **options: Any) -> AsyncLink:
+def open_link(
+    url: str | Endpoint,
+    *,
+    shared: bool = True,
+    select: Literal["first", "oldest"] | Selection | None = None,
+    **options: Any,
+) -> AsyncLink:
     """A link for asyncio programs: ``async with busway.open("tcp://10.0.0.5") as link: …``.
 
     Nothing is sent, and no connection made, before the first request; the event loop that runs then is the link's.
@@ -335,13 +367,24 @@ def open_link(url: str | Endpoint, *, shared: bool = True, **options: Any) -> As
     Args:
         url: the endpoint; options behind ``?`` are those below.
         shared: use one connection for all links of this event loop to the endpoint; False gives a connection of
-            its own (explicit connection management).
-        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters` and `SocketParameters`; where the
-            framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters` and `FramingParameters`; for a
-            serial port, of `SerialSettings` and `OpeningParameters`. What has no effect with the scheme is refused.
+            its own (explicit connection management), of which an endpoint has ``max_connections`` at most.
+        select: have no connection at all, but send each request on one that other links have open to the endpoint:
+            ``first``, the one made first, or ``oldest``, the one that has stood longest (Messaging on TCP/IP V1.0b
+            §4.2.1.2). Its connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
+            stand beside it.
+        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
+            `ManagementParameters`; where the framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters`
+            and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. What has no effect
+            with the scheme is refused.
 
     Raises:
         ConfigError: the URL or an option can not be, the endpoint is open with other settings of the connection, or
             the serial port is in use in this process. The last two are raised at the first need.
+        Overloaded: at the first need, the endpoint has as many connections of explicit management as it may have.
+            Nothing was sent.
     """
-    return AsyncLink(link_settings(url, options), shared=shared)
+    settings = link_settings(url, options)
+    rule = selection(select)
+    if rule is not None:
+        check_selected(settings, options)
+    return AsyncLink(settings, shared=shared, rule=rule)

@@ -7,7 +7,7 @@ asynchronous interface (``aio``) has the same names, arguments and docstrings; a
 import threading
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, Self, Unpack
+from typing import Any, Literal, Self, Unpack
 
 from ..config.endpoints import Endpoint
 from ..errors import ModbusError
@@ -21,6 +21,7 @@ from ..pdu.read_items import (
     ReadHoldingRegisters,
     ReadInputRegisters,
 )
+from ..pdu.wide import wide
 from ..pdu.write_items import (
     COIL_OFF,
     COIL_ON,
@@ -32,10 +33,12 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.ledger import ClientCounters
+from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
-from .calls import closed_error, default_unit, demand_for
+from .calls import check_selected, closed_error, default_unit, demand_for
+from .management import Selection, selection
 from .operations import (
     CallOptions,
     Operation,
@@ -65,11 +68,14 @@ class Unit:
     * `WriteOutcomeUnknown`: methods that write only; it was sent, and no valid answer came.
     """
 
-    __slots__ = ("_link", "_number")
+    __slots__ = ("_holding", "_input", "_link", "_number", "_width")
 
     def __init__(self, link: "Link", number: int) -> None:
         self._link = link
         self._number = number
+        self._width = link.register_width
+        self._holding = wide(ReadHoldingRegisters, self._width)
+        self._input = wide(ReadInputRegisters, self._width)
 
     @property
     def number(self) -> int:
@@ -128,7 +134,7 @@ class Unit:
             split: allow several requests where one does not hold that many.
             call: `CallOptions`.
         """
-        return self._perform(read_values(address, type, order, count, split), call)
+        return self._perform(read_values(address, type, order, count, split, self._width), call)
 
     def write(
         self,
@@ -200,7 +206,7 @@ class Unit:
             count: number of registers, 1…125.
             call: `CallOptions`.
         """
-        reply = self.execute(read_request(ReadHoldingRegisters, address, count), **call)
+        reply = self.execute(read_request(self._holding, address, count), **call)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
@@ -212,7 +218,7 @@ class Unit:
             count: number of registers, 1…125.
             call: `CallOptions`.
         """
-        reply = self.execute(read_request(ReadInputRegisters, address, count), **call)
+        reply = self.execute(read_request(self._input, address, count), **call)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
@@ -391,10 +397,26 @@ class Link:
     endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
-    def __init__(self, settings: LinkSettings, link: BlockingLink) -> None:
+    def __init__(self, settings: LinkSettings, link: BlockingLink | None, rule: Selection | None = None) -> None:
         self._settings = settings
         self._link = link
+        self._rule = rule
         self._closed = False
+
+    def _bound(self) -> BlockingLink:
+        """The link that takes a request: its own, or the one that the rule chooses now."""
+        if self._closed:
+            raise closed_error(self._settings)
+        if self._link is not None:
+            return self._link
+        return BLOCKING_POOL.choose(self._settings, self._rule or Selection.FIRST)
+
+    def _looked_at(self) -> BlockingLink | None:
+        """The link as far as there is one."""
+        try:
+            return self._link or self._bound()
+        except ModbusError:
+            return None
 
     @property
     def endpoint(self) -> Endpoint:
@@ -402,19 +424,27 @@ class Link:
         return self._settings.endpoint
 
     @property
+    def register_width(self) -> int:
+        """Bytes of one register in the replies of its devices: 2, unless the option says otherwise."""
+        return self._settings.parameters.register_width
+
+    @property
     def is_connected(self) -> bool:
         """Whether a connection stands now."""
-        return self._link.is_connected
+        link = self._looked_at()
+        return link is not None and link.is_connected
 
     @property
     def state(self) -> str:
         """``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``."""
-        return self._link.reconnect.state.value
+        link = self._looked_at()
+        return ConnectionState.DOWN.value if link is None else link.reconnect.state.value
 
     @property
     def counters(self) -> ClientCounters:
         """What happened on the shared link so far."""
-        return self._link.session.counters
+        link = self._looked_at()
+        return ClientCounters() if link is None else link.session.counters
 
     def unit(self, number: int | None = None) -> Unit:
         """One unit behind this link.
@@ -430,13 +460,14 @@ class Link:
 
     def connect(self) -> None:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
-        self._link.connect()
+        self._bound().connect()
 
     def close(self) -> None:
         """Give the link up; the last user of a shared one closes the connection. Calls under way end as `LinkDown`."""
         if not self._closed:
             self._closed = True
-            BLOCKING_POOL.release(self._settings, self._link)
+            if self._link is not None:
+                BLOCKING_POOL.release(self._settings, self._link)
 
     def __enter__(self) -> Self:
         return self
@@ -448,9 +479,9 @@ class Link:
 
     def run(self, unit: int, requests: Sequence[Request], call: CallOptions) -> list[Any]:
         """Bring requests to their outcomes: replies or errors, in order. The calls of `AsyncUnit` end here."""
-        if self._closed:
-            raise closed_error(self._settings)
         link = self._link
+        if link is None or self._closed:
+            link = self._bound()
         demand = demand_for(
             unit,
             requests,
@@ -463,7 +494,13 @@ class Link:
         return demand.outcomes
 
 
-def connect(url: str | Endpoint, *, shared: bool = True, **options: Any) -> Link:
+def connect(
+    url: str | Endpoint,
+    *,
+    shared: bool = True,
+    select: Literal["first", "oldest"] | Selection | None = None,
+    **options: Any,
+) -> Link:
     """A link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
 
     Nothing is sent, and no connection made, before the first request.
@@ -471,14 +508,24 @@ def connect(url: str | Endpoint, *, shared: bool = True, **options: Any) -> Link
     Args:
         url: the endpoint; options behind ``?`` are those below.
         shared: use one connection for all links of this process to the endpoint; False gives a connection of its own
-            (explicit connection management).
-        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters` and `SocketParameters`; where the
-            framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters` and `FramingParameters`; for a
-            serial port, of `SerialSettings` and `OpeningParameters`. What has no effect with the scheme is refused.
+            (explicit connection management), of which an endpoint has ``max_connections`` at most.
+        select: have no connection at all, but send each request on one that other links have open to the endpoint:
+            ``first``, the one made first, or ``oldest``, the one that has stood longest (Messaging on TCP/IP V1.0b
+            §4.2.1.2). Its connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
+            stand beside it.
+        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
+            `ManagementParameters`; where the framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters`
+            and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. What has no effect
+            with the scheme is refused.
 
     Raises:
         ConfigError: the URL or an option can not be, the endpoint is open with other settings of the connection, or
             the serial port is in use in this process.
+        Overloaded: the endpoint has as many connections of explicit management as it may have. Nothing was sent.
     """
     settings = link_settings(url, options)
+    rule = selection(select)
+    if rule is not None:
+        check_selected(settings, options)
+        return Link(settings, None, rule)
     return Link(settings, BLOCKING_POOL.acquire(settings, shared=shared))

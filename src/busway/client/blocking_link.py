@@ -9,59 +9,88 @@ Knows when to connect, write, wait and look at the clock; knows nothing of what 
 4. Before the first request after a pause the socket is looked at: a peer that closed an idle connection is nothing
    to report, and a new connection is made. On a line, what has come meanwhile is read before each request: it is late,
    or somebody else's.
+5. Nothing runs between calls, so a connection that is held for some seconds only is closed at the next call, which
+   makes another one; where it is held per request, at the end of the call.
 """
 
 import contextlib
 import logging
+import math
 import random
-import select
 import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from ..errors import LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
 from ..session.demand import Demand
-from ..session.reconnect import ConnectionEvent, Reconnect
+from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import RECEIVE_SIZE
-from ..transport.serial.waiting import wait_ready
 from ..transport.tcp import network_reason
 from .connector import Channel, Connector
 from .conversation import Conversation
+from .polling import ExactPoll, Poll
+from .registry import LOCAL, LocalConnectionStatus, status_of
+from .scope import ClientScope
 from .settings import LinkSettings
+
+if TYPE_CHECKING:
+    import asyncio
 
 _log = logging.getLogger("busway.client")
 _IDLE_SECONDS = 0.05
 """A connection unused for longer is looked at before it is written to."""
-_LONGEST_WAIT: Final = 0.25
-"""Seconds at a port without a look around: closing it does not wake a thread that waits there."""
+_STARVED: Final = 0.02
+"""Seconds at a socket without a look around while another link of the client holds the places."""
 _SPIN: Final = 0.0003
 """Seconds before a frame that ``precise_timing`` waits for in a loop: a sleeping thread is woken about that late."""
 
 
 class BlockingLink:
-    """The blocking driver of one client conversation. Made by `busway.client.blocking_pool`."""
+    """The blocking driver of one client conversation. Made by `busway.client.blocking_pool`.
+
+    Attributes:
+        shared: whether all users of the endpoint share it.
+        home: None; no event loop is concerned.
+        opened, last_used: when the connection was made, and last used, in the clock of ``time.monotonic``.
+        sent_bytes, received_bytes: of all its connections.
+    """
+
+    home: "asyncio.AbstractEventLoop | None" = None
 
     def __init__(
-        self, connector: Connector, session: TcpClientSession | SerialClientSession, settings: LinkSettings
+        self,
+        connector: Connector,
+        session: TcpClientSession | SerialClientSession,
+        settings: LinkSettings,
+        *,
+        shared: bool = True,
+        scope: ClientScope | None = None,
     ) -> None:
         self.name = settings.endpoint.url
         self._connector = connector
         self._framing = settings.endpoint.framing
         self.session: Conversation = session
         self._is_line = isinstance(session, SerialClientSession)
-        self.reconnect = Reconnect(random.random)
+        management = settings.management
+        self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+        self.shared = shared
+        self.opened = self.last_used = 0.0
+        self.sent_bytes = self.received_bytes = 0
+        self._asked_before = 0  # requests before this connection
+        self._hold = management.hold_seconds
+        self._scope = scope
         self._spin = 0.0
         if settings.line is not None and settings.line.port is not None:
             opening = settings.line.opening
             self.reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
             self._spin = _SPIN if opening.precise_timing else 0.0
-        self._turn = threading.Condition(threading.Lock())
+        self._turn = threading.Condition(threading.Lock() if scope is None else scope.lock)
         self._leading = False
         self._waiting = 0
         self._socket: Channel | None = None
@@ -69,10 +98,10 @@ class BlockingLink:
         self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
         self._buffer = bytearray(RECEIVE_SIZE)
         self._unsent = b""
-        self._last_used = 0.0
         self._closed = False
         self._last_failure: LinkDown | None = None
         self._trace: Trace | None = None
+        LOCAL.add(self)
 
     # What the interface asks.
 
@@ -90,12 +119,14 @@ class BlockingLink:
         """Bring a demand to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
         with self._turn:
             now = time.monotonic()
+            if self._hold < math.inf:
+                self._let_go(now)
             self._refuse_while_down(demand, now)
             self.session.submit(demand, now)
             if self._socket is not None:
                 if self._is_line:
                     self._look_at_line()
-                elif now - self._last_used > _IDLE_SECONDS and not self.session.in_flight:
+                elif now - self.last_used > _IDLE_SECONDS and not self.session.in_flight:
                     self._look_at_idle_socket(now)
                 self._transmit(now)
             try:
@@ -103,6 +134,8 @@ class BlockingLink:
             except BaseException:
                 self.session.cancel(demand)
                 raise
+            if not leads:
+                self._used()
         if leads:
             try:
                 self._lead(demand)
@@ -113,6 +146,7 @@ class BlockingLink:
                         self.session.cancel(demand)
                     if self._waiting:
                         self._turn.notify_all()
+                    self._used()
 
     def connect(self) -> None:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
@@ -134,14 +168,55 @@ class BlockingLink:
     def close(self) -> None:
         """Close the connection. What is still waiting ends as `LinkDown`."""
         with self._turn:
-            self._closed = True
+            closed_before, self._closed = self._closed, True
+            LOCAL.discard(self)
             now = time.monotonic()
             if self._socket is not None:
-                self._drop(now, "the link was closed")
+                self._release(now, "the link was closed")
             self._connector.release()
             self.session.unreachable(now, LinkDown("the link was closed"))
             self._done()
             self._turn.notify_all()
+            if self._scope is not None and not closed_before:
+                self._scope.leave(self)
+                self._scope.serve(now)
+
+    def status(self) -> LocalConnectionStatus:
+        """How the link and its connection do."""
+        connection = self._socket
+        local = None
+        if isinstance(connection, socket.socket):
+            with contextlib.suppress(OSError):  # another thread may be closing it
+                local = connection.getsockname()
+        return status_of(
+            self,
+            endpoint=self.name,
+            state=self.reconnect.state.value,
+            counters=self.session.counters,
+            now=time.monotonic(),
+            opened=self.opened,
+            local=local,
+            traffic=(self.sent_bytes, self.received_bytes),
+            waiting=(self.session.in_flight, self.session.queued),
+            reason="" if self._last_failure is None else self._last_failure.message,
+        )
+
+    def make_room(self) -> bool:
+        """Close the connection if nobody uses it; whether it was closed."""
+        if not self._turn.acquire(blocking=False):
+            return False  # somebody is using it
+        try:
+            if self._socket is None or self._is_used():
+                return False
+            self._release(time.monotonic(), "another connection needed the place")
+            return True
+        finally:
+            self._turn.release()
+
+    def serve(self, now: float) -> None:
+        """A place that is shared with other links is free: send what waits for one. The lock is held."""
+        if self.session.has_demands and self._socket is not None:
+            self._transmit(now)
 
     # Turns.
 
@@ -193,9 +268,28 @@ class BlockingLink:
                 return 0.0
             due = self.reconnect.not_before
             return max(min(due, deadline) if deadline is not None else due, now) - now or 0.001
-        return 60.0 if deadline is None else max(deadline - now, 0.0)
+        pause = 60.0 if deadline is None else max(deadline - now, 0.0)
+        if self._scope is not None and self.session.has_demands and pause > _STARVED:
+            return _STARVED
+        return pause
 
     # Under the lock.
+
+    def _is_used(self) -> bool:
+        """Whether a thread waits for something."""
+        return self._leading or self._waiting > 0
+
+    def _used(self) -> None:
+        """A call has ended: serve the other links of the client; close a connection that is held per request."""
+        if self._scope is not None:
+            self._scope.serve(time.monotonic())
+        if not self._hold:
+            self._let_go(time.monotonic())
+
+    def _let_go(self, now: float) -> None:
+        """Close a connection that was held long enough."""
+        if self._socket is not None and now - self.last_used >= self._hold and not self._is_used():
+            self._release(now, f"unused for {self._hold:g} s" if self._hold else "nothing more is asked")
 
     def _transmit(self, now: float) -> None:
         """Send what may be sent now; or, with ``precise_timing``, some moments ahead, at that time."""
@@ -211,6 +305,7 @@ class BlockingLink:
             pass
         for chunk in out:
             self._unsent += chunk
+            self.sent_bytes += len(chunk)
             if TRACE.level:
                 self._traced().sent(chunk)
             self._send(now)
@@ -225,7 +320,7 @@ class BlockingLink:
             self._drop(now, network_reason(error))
             return
         self._unsent = self._unsent[sent:]
-        self._last_used = now
+        self.last_used = now
 
     def _receive(self, connection: Channel) -> None:
         now = time.monotonic()
@@ -243,14 +338,17 @@ class BlockingLink:
         if not size:
             self._drop(now, "the peer closed it")
             return
-        self._last_used = now
+        self.last_used = now
+        self.received_bytes += size
         if TRACE.level:
             self._traced().received(bytes(self._buffer[:size]))
         session = self.session
         session.receive(self._buffer, size, now)
-        if session.valid_reply:
-            self.reconnect.move(ConnectionEvent.VALID_REPLY, now)
+        if session.valid_reply and (self.reconnect.state is not ConnectionState.UP or self.reconnect.failures):
+            self._move(ConnectionEvent.VALID_REPLY, now)
         self._done()
+        if self._scope is not None:
+            self._scope.serve(now)
         if session.has_demands or session.recycle:
             self._transmit(now)
 
@@ -260,7 +358,8 @@ class BlockingLink:
             self._frame_leaves()
         self.session.tick(now)
         if self.session.counters.timeouts != timeouts:
-            self.reconnect.move(ConnectionEvent.TIMEOUT, now)
+            self.last_used = now
+            self._move(ConnectionEvent.TIMEOUT, now)
         if self.session.recycle or self.session.has_demands:
             self._transmit(now)
         self._done()
@@ -292,13 +391,39 @@ class BlockingLink:
             self._drop(now, network_reason(error))
 
     def _recycle(self, now: float) -> None:
-        reason = self.session.recycle
-        _log.warning("%s: connection made anew: %s", self.name, reason)
         if self._socket is not None:
-            self._drop(now, reason)
+            self._drop(now, f"made anew after {self.session.recycle}")
 
     def _drop(self, now: float, reason: str) -> None:
-        """The connection has ended."""
+        """The connection has ended, or has to end."""
+        self._close_socket()
+        session = self.session
+        if session.has_demands or session.counters.requests != self._asked_before:
+            self._move(ConnectionEvent.LOST, now, reason, had_reply=session.valid_reply)
+        else:
+            self._move(ConnectionEvent.RELEASED, now, reason)
+        by_peer = not session.recycle
+        session.disconnected(now, reason)
+        if by_peer and self.reconnect.is_flapping:
+            self._last_failure = LinkDown(f"no connection: {reason}, before any reply")
+            session.unreachable(now, self._last_failure, keep_repeated=True)
+        self._done()
+
+    def _release(self, now: float, reason: str) -> None:
+        """Close a connection that is not needed; the next need makes another one."""
+        self._close_socket()
+        self._move(ConnectionEvent.RELEASED, now, reason)
+        self.session.disconnected(now, reason, lost=False)
+        self._done()
+
+    def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:
+        """Follow an event, and tell what is new about it."""
+        news = self.reconnect.move(event, now, reason=reason, had_reply=had_reply)
+        if news:
+            # Where each request has a connection of its own, its beginning and its end are no news for an operator.
+            _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
+
+    def _close_socket(self) -> None:
         connection, self._socket = self._socket, None
         self._poll = self._frame_leaves = None
         self._unsent = b""
@@ -308,10 +433,6 @@ class BlockingLink:
                     # Closing alone does not wake a thread that waits at the socket.
                     connection.shutdown(socket.SHUT_RDWR)
             connection.close()
-        self.reconnect.move(ConnectionEvent.LOST, now, had_reply=self.session.valid_reply)
-        _log.info("%s: connection ended: %s", self.name, reason)
-        self.session.disconnected(now, reason)
-        self._done()
 
     def _refuse_while_down(self, demand: Demand, now: float) -> None:
         """Fail fast while the peer is known to be unreachable."""
@@ -337,21 +458,21 @@ class BlockingLink:
         """Connect; the failure, which has ended everything that waited, or None."""
         with self._turn:
             self.reconnect.may_dial(time.monotonic())
-            self.reconnect.move(ConnectionEvent.DIALLED, time.monotonic())
+            self._move(ConnectionEvent.DIALLED, time.monotonic())
         try:
+            LOCAL.make_room(self, self.name)
             connection = self._connector.dial()
         except LinkDown as error:
             with self._turn:
                 now = time.monotonic()
                 self._last_failure = error
-                self.reconnect.move(ConnectionEvent.FAILED, now)
-                _log.info("%s: %s", self.name, error.message)
+                self._move(ConnectionEvent.FAILED, now, error.message)
                 self.session.unreachable(now, error)
                 self._done()
             return error
         except BaseException:  # an interrupt of the program: the next caller dials again
             with self._turn:
-                self.reconnect.move(ConnectionEvent.FAILED, time.monotonic())
+                self._move(ConnectionEvent.FAILED, time.monotonic(), "interrupted")
             raise
         with self._turn:
             now = time.monotonic()
@@ -362,50 +483,10 @@ class BlockingLink:
             self._socket = connection
             self._poll = ExactPoll(self._spin) if self._is_line else Poll(connection)
             self._frame_leaves = getattr(connection, "still_sending", None)
-            self._last_used = now
+            self.opened = self.last_used = now
+            self._asked_before = self.session.counters.requests
             self._trace = None
-            self.reconnect.move(ConnectionEvent.CONNECTED, now)
-            _log.info("%s: connected", self.name)
+            self._move(ConnectionEvent.CONNECTED, now)
             self.session.connected(now)
             self._transmit(now)
         return None
-
-
-class ExactPoll:
-    """Waits at one port as exactly as the system can, and wakes up ``spin`` seconds before the time is over."""
-
-    def __init__(self, spin: float) -> None:
-        self._spin = spin
-
-    def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """As `Poll.wait`."""
-        if seconds > self._spin:
-            seconds -= self._spin
-        try:
-            descriptor = connection.fileno()
-            return bool(wait_ready([descriptor], [descriptor] if writes else [], min(seconds, _LONGEST_WAIT)))
-        except (OSError, ValueError):
-            return False  # another thread closed the port while this one was about to wait
-
-
-class Poll:
-    """Waits at one socket: by ``poll`` where the system has it, which knows no limit of descriptors."""
-
-    def __init__(self, connection: Channel) -> None:
-        self._poll = select.poll() if hasattr(select, "poll") else None
-        self._writes = False
-        if self._poll is not None:
-            self._poll.register(connection, select.POLLIN)
-
-    def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """Whether there is something to receive (or room to send, if ``writes``) within ``seconds``."""
-        if self._poll is None:
-            readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
-            return bool(readable or writable)
-        try:
-            if writes != self._writes:
-                self._writes = writes
-                self._poll.modify(connection, select.POLLIN | (select.POLLOUT if writes else 0))
-            return bool(self._poll.poll(seconds * 1000 + 0.5))
-        except (OSError, ValueError):
-            return False  # another thread closed the socket while this one was about to wait

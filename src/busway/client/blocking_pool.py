@@ -3,10 +3,14 @@
 import threading
 from dataclasses import dataclass
 
+from ..session.parameters import TransactionScope
 from .blocking_link import BlockingLink
 from .calls import check_same
+from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
+from .management import Selection
+from .scope import ClientScope, same_scope
 from .settings import LinkSettings
 
 
@@ -23,19 +27,27 @@ class BlockingPool:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._shared: dict[str, _Shared] = {}
+        self._links: dict[str, list[BlockingLink]] = {}
+        self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLink:
-        """A link for one more user. Raises `ConfigError`."""
-        if not shared:
-            return _make(settings)
+        """A link for one more user. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         with self._lock:
+            if not shared:
+                check_room(self._links.get(name, ()), settings)
+                return self._make(settings, shared=False)
             entry = self._shared.get(name)
             if entry is None:
-                entry = self._shared[name] = _Shared(settings, _make(settings))
+                entry = self._shared[name] = _Shared(settings, self._make(settings, shared=True))
             check_same(entry.settings, settings)
             entry.users += 1
             return entry.link
+
+    def choose(self, settings: LinkSettings, rule: Selection) -> BlockingLink:
+        """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
+        with self._lock:
+            return chosen(self._links.get(settings.endpoint.url, ()), settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLink) -> None:
         """A user leaves; the last one closes the connection."""
@@ -47,13 +59,25 @@ class BlockingPool:
                 if entry.users:
                     return
                 del self._shared[name]
+            links = self._links.get(name, [])
+            if link in links:
+                links.remove(link)
+                if not links:
+                    del self._links[name]
         link.close()
 
-
-def _make(settings: LinkSettings) -> BlockingLink:
-    session = conversation_for(settings)
-    connector = connector_for(settings, session, user="busway.connect")
-    return BlockingLink(connector, session, settings)
+    def _make(self, settings: LinkSettings, *, shared: bool) -> BlockingLink:
+        scope = None
+        if settings.parameters.scope is TransactionScope.CLIENT:
+            scope = self._scope = same_scope(self._scope, settings.parameters.max_transactions)
+        session = conversation_for(settings, None if scope is None else scope.places)
+        connector = connector_for(settings, session, user="busway.connect")
+        link = BlockingLink(connector, session, settings, shared=shared, scope=scope)
+        if scope is not None:
+            with scope.lock:
+                scope.enter(link)
+        self._links.setdefault(settings.endpoint.url, []).append(link)
+        return link
 
 
 BLOCKING_POOL = BlockingPool()

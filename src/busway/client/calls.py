@@ -3,7 +3,7 @@
 Knows defaults and checks; knows no link and does no IO.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
@@ -14,7 +14,7 @@ from ..pdu.message import Request
 from ..session.demand import Demand
 from ..session.parameters import ClientParameters
 from .operations import CallOptions
-from .settings import LinkSettings
+from .settings import CALL_DEFAULTS, LinkSettings
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
@@ -97,3 +97,14 @@ def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
             f"{held.endpoint.url} is open already with another {different}; shared=False gives a connection of its own",
             key=different,
         )
+
+
+def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
+    """Raise `ConfigError` where a link without a connection of its own is told how its connection is to be."""
+    for name in (*settings.endpoint.options, *options):
+        if name not in CALL_DEFAULTS:
+            raise ConfigError(
+                f"has no effect with select: the connection is another link's; only {', '.join(CALL_DEFAULTS)} may "
+                "stand there",
+                key=name,
+            )

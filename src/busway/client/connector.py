@@ -65,9 +65,10 @@ class Connector(Protocol):
 class TcpConnector:
     """TCP, by the parameters of T19 (Messaging on TCP/IP V1.0b §4.3.2)."""
 
-    def __init__(self, endpoint: Endpoint, sockets: SocketParameters) -> None:
+    def __init__(self, endpoint: Endpoint, sockets: SocketParameters, *, interface: str | None = None) -> None:
         self._endpoint = endpoint
         self._sockets = sockets
+        self._interface = interface
         self._host = endpoint.host or "127.0.0.1"
         # The port of a client is the system's choice (above 1024): a fixed one meets the half-open past of itself.
         self._local = (sockets.local_address, 0) if sockets.local_address else None
@@ -79,9 +80,17 @@ class TcpConnector:
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(self._sockets.connect_timeout):
-                transport, _ = await loop.create_connection(
-                    protocol, self._host, self._endpoint.port or 0, local_addr=self._local
-                )
+                if self._interface is not None:
+                    from ..transport.dialling import connect_through
+
+                    connection = await connect_through(
+                        self._interface, self._host, self._endpoint.port or 0, self._sockets.local_address
+                    )
+                    transport, _ = await loop.create_connection(protocol, sock=connection)
+                else:
+                    transport, _ = await loop.create_connection(
+                        protocol, self._host, self._endpoint.port or 0, local_addr=self._local
+                    )
         except (OSError, ValueError) as error:
             raise link_down(error, endpoint=self._endpoint.url) from error
         self._sockets.apply(transport.get_extra_info("socket"))
@@ -90,9 +99,20 @@ class TcpConnector:
     def dial(self) -> socket.socket:
         """A connected, non-blocking socket. Raises `LinkDown`."""
         try:
-            connection = socket.create_connection(
-                (self._host, self._endpoint.port or 0), self._sockets.connect_timeout, self._local
-            )
+            if self._interface is not None:
+                from ..transport.dialling import dial_through
+
+                connection = dial_through(
+                    self._interface,
+                    self._host,
+                    self._endpoint.port or 0,
+                    self._sockets.local_address,
+                    self._sockets.connect_timeout,
+                )
+            else:
+                connection = socket.create_connection(
+                    (self._host, self._endpoint.port or 0), self._sockets.connect_timeout, self._local
+                )
         except (OSError, ValueError) as error:
             raise link_down(error, endpoint=self._endpoint.url) from error
         with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
@@ -155,7 +175,11 @@ def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClie
     """
     endpoint = settings.endpoint
     if endpoint.carrier == "tcp":
-        return TcpConnector(endpoint, settings.sockets)
+        return TcpConnector(endpoint, settings.sockets, interface=settings.management.interface)
+    if endpoint.carrier == "tls" and settings.security is not None:
+        from .tls_connector import TlsConnector
+
+        return TlsConnector(endpoint, settings.sockets, settings.security)
     if endpoint.carrier == "udp":
         return UdpConnector(endpoint, settings.sockets, session)
     if endpoint.carrier == "serial" and settings.line is not None and settings.line.port is not None:

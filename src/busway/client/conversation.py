@@ -10,7 +10,7 @@ from ..errors import ModbusError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import Parity, SerialTiming
-from ..session.client import TcpClientSession
+from ..session.client import Places, TcpClientSession
 from ..session.demand import Demand
 from ..session.ledger import ClientCounters
 from ..session.line_framing import line_framing
@@ -46,6 +46,10 @@ class Conversation(Protocol):
     def in_flight(self) -> int:
         """Requests whose reply is awaited."""
 
+    @property
+    def queued(self) -> int:
+        """Demands with something left to send."""
+
     def submit(self, demand: Demand, now: float) -> None:
         """Take a demand. Raises `ModbusError`; nothing was sent then."""
 
@@ -58,11 +62,11 @@ class Conversation(Protocol):
     def connected(self, now: float) -> None:
         """A connection stands."""
 
-    def disconnected(self, now: float, reason: str) -> None:
-        """It has ended."""
+    def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
+        """It has ended; ``lost``: by itself."""
 
-    def unreachable(self, now: float, error: ModbusError) -> None:
-        """None can be had: everything that waits fails."""
+    def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
+        """None can be had: everything that waits fails, but for what is about to be repeated if that is to stay."""
 
     def transmit(self, now: float) -> list[bytes]:
         """What to send now."""
@@ -77,12 +81,22 @@ class Conversation(Protocol):
         """Let time take effect."""
 
 
-def conversation_for(settings: LinkSettings) -> TcpClientSession | SerialClientSession:
-    """The conversation that an endpoint needs, without a connection. Raises `ConfigError`."""
+def conversation_for(
+    settings: LinkSettings, shared_places: Places | None = None
+) -> TcpClientSession | SerialClientSession:
+    """The conversation that an endpoint needs, without a connection. Raises `ConfigError`.
+
+    ``shared_places`` are those that it has in common with the others of its client, if its limit is the client's.
+    """
     name = settings.endpoint.url
     if settings.line is None:
         # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
-        return TcpClientSession(settings.parameters, endpoint=name, first_transaction=random.getrandbits(16))
+        return TcpClientSession(
+            settings.parameters,
+            endpoint=name,
+            first_transaction=random.getrandbits(16),
+            shared_places=shared_places,
+        )
     line = settings.line
     port = line.port
     framing = line_framing(

@@ -6,13 +6,15 @@ Knows when to connect, write and look at the clock; knows nothing of what is ask
 2. One timer, for the next deadline of all; it is moved only where a new one is nearer. On a serial port it is an
    `Alarm`, because the silence before a frame is shorter than what the loop's timers are late.
 3. What arrived is worked through in one call; demands that it completes wake their callers.
-4. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
+4. A connection that is not held for ever is closed by that timer, or as soon as nothing is asked any more.
+5. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
    are those of ``time.monotonic``, as a port tells them.
 """
 
 import asyncio
 import contextlib
 import logging
+import math
 import random
 import time
 from collections.abc import Callable
@@ -29,6 +31,8 @@ from ..transport.buffers import receive_buffer
 from ..transport.tcp import network_reason
 from .connector import Connector
 from .conversation import Conversation
+from .registry import LOCAL, LocalConnectionStatus, status_of
+from .scope import ClientScope
 from .settings import LinkSettings
 
 if TYPE_CHECKING:
@@ -79,10 +83,23 @@ class _LinkProtocol(asyncio.BufferedProtocol):
 
 
 class Link:
-    """The asynchronous driver of one client conversation. Made by `busway.client.pool`."""
+    """The asynchronous driver of one client conversation. Made by `busway.client.pool`.
+
+    Attributes:
+        shared: whether all users of the endpoint share it.
+        home: the event loop it lives on.
+        opened, last_used: when the connection was made, and last used, in the clock of the loop.
+        sent_bytes, received_bytes: of all its connections.
+    """
 
     def __init__(
-        self, connector: Connector, session: TcpClientSession | SerialClientSession, settings: LinkSettings
+        self,
+        connector: Connector,
+        session: TcpClientSession | SerialClientSession,
+        settings: LinkSettings,
+        *,
+        shared: bool = True,
+        scope: ClientScope | None = None,
     ) -> None:
         self.name = settings.endpoint.url
         self._loop = asyncio.get_running_loop()
@@ -92,7 +109,16 @@ class Link:
         self.session: Conversation = session
         self._line = session if isinstance(session, SerialClientSession) else None
         self._clock = self._loop.time if self._line is None else time.monotonic
-        self.reconnect = Reconnect(random.random)
+        management = settings.management
+        self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+        self.shared = shared
+        self.home: asyncio.AbstractEventLoop | None = self._loop
+        self.opened = self.last_used = 0.0
+        self.sent_bytes = self.received_bytes = 0
+        self._asked_before = 0  # requests before this connection
+        self._hold = management.hold_seconds
+        self._scope = scope
+        self._minds = scope is not None or self._hold < math.inf  # whether there is something to do after each use
         self._spin = 0.0
         self._alarm: Alarm | None = None  # where a silence before each frame is kept: on a serial port
         if settings.line is not None and settings.line.port is not None:
@@ -113,6 +139,7 @@ class Link:
         self._trace: Trace | None = None
         self._closed = False
         self._last_failure: LinkDown | None = None
+        LOCAL.add(self)
 
     # What the interface asks.
 
@@ -141,6 +168,7 @@ class Link:
         # Mostly nothing waits and there is room: then the request goes out without a visit to the queue (2 of 12 µs).
         adu = None if self._transport is None or self._paused else self.session.send_now(demand, now)
         if adu is not None:
+            self.sent_bytes += len(adu)
             if self._parameters.join:
                 self._outgoing.append(adu)
                 self._plan_flush()
@@ -162,7 +190,10 @@ class Link:
     def give_up(self, demand: Demand) -> None:
         """Nobody waits for a demand any more."""
         self.session.cancel(demand)
-        self._pump(self._clock())
+        now = self._clock()
+        self._pump(now)
+        if self._minds:
+            self._after_use(now)
 
     def _enqueue(self, demand: Demand, now: float) -> None:
         if self._transport is None:
@@ -183,6 +214,7 @@ class Link:
     async def close(self) -> None:
         """Close the connection. What is still waiting ends as `LinkDown`."""
         self._closed = True
+        LOCAL.discard(self)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -194,9 +226,13 @@ class Link:
         now = self._clock()
         if transport is not None and protocol is not None:
             transport.close()
-            self.session.disconnected(now, "the link was closed")
+            self._move(ConnectionEvent.RELEASED, now, "the link was closed")
+            self.session.disconnected(now, "the link was closed", lost=False)
         self.session.unreachable(now, LinkDown("the link was closed"))
         self._wake()
+        if self._scope is not None:
+            self._scope.leave(self)
+            self._scope.serve(now)
         # The loop closes a socket in its next turn, and a thread closes a port; whoever closed a link may count on it.
         await asyncio.sleep(0)
         wait_closed = getattr(transport, "wait_closed", None)
@@ -216,11 +252,39 @@ class Link:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
         if self.is_connected or self._closed:
             return
-        self._ensure_connection(self._clock())
+        self._ensure_connection(self._clock(), by_name=True)
         if self._connecting is not None:
             await asyncio.shield(self._connecting)
         if not self.is_connected:
             raise self._failure()
+
+    def status(self) -> LocalConnectionStatus:
+        """How the link and its connection do."""
+        return status_of(
+            self,
+            endpoint=self.name,
+            state=self.reconnect.state.value,
+            counters=self.session.counters,
+            now=self._clock(),
+            opened=self.opened,
+            local=None if self._transport is None else self._transport.get_extra_info("sockname"),
+            traffic=(self.sent_bytes, self.received_bytes),
+            waiting=(self.session.in_flight, self.session.queued),
+            reason="" if self._last_failure is None else self._last_failure.message,
+        )
+
+    def make_room(self) -> bool:
+        """Close the connection if nobody uses it; whether it was closed."""
+        if self._transport is None or self._is_used():
+            return False
+        self._release(self._clock(), "another connection needed the place")
+        return True
+
+    def serve(self, now: float) -> None:
+        """A place that is shared with other links is free: send what waits for one."""
+        if self.session.has_demands and self._transport is not None:
+            self._pump(now)
+            self._rearm()
 
     # What the connection reports.
 
@@ -231,16 +295,20 @@ class Link:
         now = self._clock()
         if TRACE.level:
             self._traced().received(bytes(buffer[:size]))
+        self.last_used = now
+        self.received_bytes += size
         session = self.session
         session.receive(buffer, size, now)
         if self.reconnect.state is not ConnectionState.UP or self.reconnect.failures:
             self._note_life(now)
         if session.finished:
             self._wake()
-        if session.recycle or session.has_demands:
+        if session.recycle or (session.has_demands and self._scope is None):
             self._pump(now)
         if self._line is not None:
             self._rearm()
+        if self._minds:
+            self._after_use(now)
 
     def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
         """Bytes have come among which the port marks errors."""
@@ -255,17 +323,23 @@ class Link:
         """The connection has ended."""
         if protocol is not self._protocol:
             return
-        self._transport = self._protocol = self._frame_leaves = None
-        self._outgoing.clear()
-        self._paused = False
+        self._forget_connection()
         now = self._clock()
-        had_reply = self.session.valid_reply
-        self.reconnect.move(ConnectionEvent.LOST, now, had_reply=had_reply)
-        _log.info("%s: connection ended: %s", self.name, reason)
-        self.session.disconnected(now, reason)
+        session = self.session
+        if session.has_demands or session.counters.requests != self._asked_before:
+            self._move(ConnectionEvent.LOST, now, reason, had_reply=session.valid_reply)
+        else:
+            self._move(ConnectionEvent.RELEASED, now, reason)
+        by_peer = not session.recycle
+        session.disconnected(now, reason)
+        if by_peer and self.reconnect.is_flapping:
+            self._last_failure = LinkDown(f"no connection: {reason}, before any reply")
+            session.unreachable(now, self._last_failure, keep_repeated=True)
         self._wake()
-        if self.session.has_demands:
+        if session.has_demands:
             self._pump(now)
+        if self._scope is not None:
+            self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
         """The transport can take no more for now, or again."""
@@ -304,10 +378,10 @@ class Link:
             while self._spin and self._clock() < now:
                 pass
             if self._parameters.join:
-                transport.write(out[0] if len(out) == 1 else b"".join(out))
-            else:
-                for chunk in out:
-                    transport.write(chunk)
+                out = [b"".join(out)]
+            for chunk in out:
+                self.sent_bytes += len(chunk)
+                transport.write(chunk)
             if TRACE.level:
                 self._traced().sent(b"".join(out))
         elif session.has_gap:
@@ -316,18 +390,51 @@ class Link:
     def _recycle(self, now: float) -> None:
         """Close a connection that is out of step; what is still asked gets a new one."""
         transport, protocol = self._transport, self._protocol
-        reason = self.session.recycle
-        _log.warning("%s: connection made anew: %s", self.name, reason)
         if transport is not None and protocol is not None:
             transport.abort()
-            self.lost(protocol, reason)
+            self.lost(protocol, f"made anew after {self.session.recycle}")
 
-    def _ensure_connection(self, now: float) -> None:
+    def _forget_connection(self) -> None:
+        self._transport = self._protocol = self._frame_leaves = None
+        self._outgoing.clear()
+        self._paused = False
+
+    def _after_use(self, now: float) -> None:
+        """Give a place that is free to whoever waits for one; close the connection if it is held no longer."""
+        if self._scope is not None:
+            self._scope.serve(now)
+        if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
+            return
+        until = self.last_used + self._hold
+        if now >= until:
+            self._release(now, f"unused for {self._hold:g} s" if self._hold else "nothing more is asked")
+        elif self._timer is None or until < self._timer_at:
+            self._arm(until)
+
+    def _is_used(self) -> bool:
+        return self.session.has_demands or self.session.in_flight > 0
+
+    def _release(self, now: float, reason: str) -> None:
+        """Close a connection that nobody uses; the next need makes another one."""
+        transport = self._transport
+        self._forget_connection()
+        transport.close()
+        self._move(ConnectionEvent.RELEASED, now, reason)
+        self.session.disconnected(now, reason, lost=False)
+
+    def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:
+        """Follow an event, and tell what is new about it."""
+        news = self.reconnect.move(event, now, reason=reason, had_reply=had_reply)
+        if news:
+            # Where each request has a connection of its own, its beginning and its end are no news for an operator.
+            _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
+
+    def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:
             return
         if self.reconnect.may_dial(now):
-            self.reconnect.move(ConnectionEvent.DIALLED, now)
-            self._connecting = self._loop.create_task(self._connect())
+            self._move(ConnectionEvent.DIALLED, now)
+            self._connecting = self._loop.create_task(self._connect(by_name=by_name))
         elif self.reconnect.state is ConnectionState.BACKING_OFF:
             self._arm(self.reconnect.not_before)
 
@@ -350,16 +457,16 @@ class Link:
         again.__cause__ = failure
         return again
 
-    async def _connect(self) -> None:
+    async def _connect(self, *, by_name: bool) -> None:
         protocol = _LinkProtocol(self, receive_buffer(self._loop))
         try:
+            LOCAL.make_room(self, self.name)
             transport = await self._connector.connect(lambda: protocol)
         except LinkDown as error:
             self._connecting = None
             self._last_failure = error
             now = self._clock()
-            self.reconnect.move(ConnectionEvent.FAILED, now)
-            _log.info("%s: %s", self.name, error.message)
+            self._move(ConnectionEvent.FAILED, now, error.message)
             self.session.unreachable(now, error)
             self._wake()
             return
@@ -369,17 +476,20 @@ class Link:
         self._protocol, self._transport = protocol, transport
         self._frame_leaves = getattr(transport, "still_sending", None)
         self._trace = None
-        self.reconnect.move(ConnectionEvent.CONNECTED, now)
-        _log.info("%s: connected", self.name)
+        self.opened = self.last_used = now
+        self._asked_before = self.session.counters.requests
+        self._move(ConnectionEvent.CONNECTED, now)
         self.session.connected(now)
         if transport.is_closing():
             self.lost(protocol, "the peer closed it at once")
         self._pump(now)
         self._rearm()
+        if self._minds and (self._hold or not by_name):  # one that was asked for by name waits for its first request
+            self._after_use(now)
 
     def _note_life(self, now: float) -> None:
         if self.session.valid_reply:
-            self.reconnect.move(ConnectionEvent.VALID_REPLY, now)
+            self._move(ConnectionEvent.VALID_REPLY, now)
 
     def _wake(self) -> None:
         """Tell the callers whose demands are complete."""
@@ -422,10 +532,13 @@ class Link:
             now = self._on_line_timer(now)
         self.session.tick(now)
         if self.session.counters.timeouts != timeouts:
-            self.reconnect.move(ConnectionEvent.TIMEOUT, now)
+            self.last_used = now
+            self._move(ConnectionEvent.TIMEOUT, now)
         self._wake()
         self._pump(now)
         self._rearm()
+        if self._minds:
+            self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
         """Wait out the last moments of a gap, if asked to; and believe no silence while our frame is still leaving."""

@@ -8,14 +8,22 @@ from collections.abc import Callable, Generator, Sequence
 from functools import lru_cache
 from typing import Any, Literal, TypedDict
 
-from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
+from ..codes import MAX_READ_BITS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
 from ..errors import BadReply, InvalidRequest
 from ..pdu.compiler import as_integer
 from ..pdu.encapsulated import EXTENDED, INDIVIDUAL, ReadDeviceIdentification
 from ..pdu.functions import STANDARD
 from ..pdu.general import MalformedRequest, OpaqueReply
 from ..pdu.message import Message, Request
-from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from ..pdu.read_items import (
+    ReadBits,
+    ReadCoils,
+    ReadDiscreteInputs,
+    ReadHoldingRegisters,
+    ReadInputRegisters,
+    ReadRegisters,
+)
+from ..pdu.wide import MAX_DATA, NARROW, wide
 from ..pdu.write_items import (
     COIL_OFF,
     COIL_ON,
@@ -54,9 +62,14 @@ class CallOptions(TypedDict, total=False):
 
 
 def read_values(
-    address: int | str | Address, kind: str | ValueType | None, order: str, count: int | None, split: bool
+    address: int | str | Address,
+    kind: str | ValueType | None,
+    order: str,
+    count: int | None,
+    split: bool,
+    width: int = NARROW,
 ) -> Operation:
-    """Values from an address: one if ``count`` is None, else a list."""
+    """Values from an address: one if ``count`` is None, else a list. ``width`` are the bytes of a register."""
     place = _place(address)
     number = 1 if count is None else count
     if number < 1:
@@ -74,14 +87,20 @@ def read_values(
     else:
         if place.bit is not None:
             kind = f"bit:{place.bit}"
-        form = value_type(kind if kind is not None else "uint16", order)
-        requests = _pieces(place, form.registers_for(number), MAX_READ_REGISTERS, split)
+        form = value_type(kind if kind is not None else _natural_type(place, width), order)
+        size = 2 * form.registers_for(number)
+        apart = width > 2 * form.registers_for(1)  # each value has a register of its own
+        registers = number if apart else -(-size // width)
+        requests = _pieces(place, registers, MAX_DATA // width, split, width)
         replies = yield requests
         data = b""
         for reply in replies:
             assert isinstance(reply, ReadHoldingRegisters.Reply | ReadInputRegisters.Reply)
             data += reply.data
-        found = form.decode(data)
+        if apart:
+            low = width - size // number
+            data = b"".join(data[at + low : at + width] for at in range(0, len(data), width))
+        found = form.decode(data[:size])
     return found[0] if count is None else found
 
 
@@ -155,7 +174,7 @@ def _place(address: int | str | Address) -> Address:
     return place
 
 
-_READ = {
+_READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
     Table.COILS: ReadCoils,
     Table.DISCRETE_INPUTS: ReadDiscreteInputs,
     Table.HOLDING_REGISTERS: ReadHoldingRegisters,
@@ -163,7 +182,14 @@ _READ = {
 }
 
 
-def _pieces(place: Address, items: int, limit: int, split: bool) -> list[Request]:
+def _natural_type(place: Address, width: int) -> str:
+    """The type of a register by its width."""
+    if width not in (2, 4, 8):
+        raise InvalidRequest(f"{place}: a register of {width} bytes is no number by itself; name a type")
+    return f"uint{8 * width}"
+
+
+def _pieces(place: Address, items: int, limit: int, split: bool, width: int = NARROW) -> list[Request]:
     assert place.table is not None
     if items > limit and not split:
         raise InvalidRequest(
@@ -173,6 +199,8 @@ def _pieces(place: Address, items: int, limit: int, split: bool) -> list[Request
     if place.offset + items > 65_536:
         raise InvalidRequest(f"{place}: {items} {place.table.label}s end beyond the last one, 65536")
     kind = _READ[place.table]
+    if issubclass(kind, ReadRegisters):
+        kind = wide(kind, width)
     return [kind(place.offset + done, min(limit, items - done)) for done in range(0, items, limit)]
 
 

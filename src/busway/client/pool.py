@@ -3,8 +3,9 @@
 Knows who uses which link; knows nothing of what is asked.
 
 1. Automatic management: users of one endpoint share its link; the last one to leave closes it.
-2. Explicit management: a link that is not shared belongs to its user alone.
+2. Explicit management: a link that is not shared belongs to its user alone; there may be ``max_connections`` of them.
 3. Two users who want different connections can not share one: the second is told which setting differs.
+4. Where several links lead to one endpoint, a rule says which of them takes a request (§4.2.1.2).
 """
 
 import asyncio
@@ -12,10 +13,14 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from ..errors import ConfigError
+from ..session.parameters import TransactionScope
 from .calls import check_same
+from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
 from .link import Link
+from .management import Selection
+from .scope import ClientScope, same_scope
 from .settings import LinkSettings
 
 
@@ -31,18 +36,25 @@ class LinkPool:
 
     def __init__(self) -> None:
         self._shared: dict[str, _Shared] = {}
+        self._links: dict[str, list[Link]] = {}
+        self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> Link:
-        """A link for one more user. Raises `ConfigError`."""
+        """A link for one more user. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         if not shared:
-            return _make(settings)
+            check_room(self._links.get(name, ()), settings)
+            return self._make(settings, shared=False)
         entry = self._shared.get(name)
         if entry is None:
-            entry = self._shared[name] = _Shared(settings, _make(settings))
+            entry = self._shared[name] = _Shared(settings, self._make(settings, shared=True))
         check_same(entry.settings, settings)
         entry.users += 1
         return entry.link
+
+    def choose(self, settings: LinkSettings, rule: Selection) -> Link:
+        """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
+        return chosen(self._links.get(settings.endpoint.url, ()), settings, rule)
 
     async def release(self, settings: LinkSettings, link: Link) -> None:
         """A user leaves."""
@@ -53,13 +65,24 @@ class LinkPool:
             if entry.users:
                 return
             del self._shared[name]
+        links = self._links.get(name, [])
+        if link in links:
+            links.remove(link)
+            if not links:
+                del self._links[name]
         await link.close()
 
-
-def _make(settings: LinkSettings) -> Link:
-    session = conversation_for(settings)
-    connector = connector_for(settings, session, user="busway.open on an event loop")
-    return Link(connector, session, settings)
+    def _make(self, settings: LinkSettings, *, shared: bool) -> Link:
+        scope = None
+        if settings.parameters.scope is TransactionScope.CLIENT:
+            scope = self._scope = same_scope(self._scope, settings.parameters.max_transactions)
+        session = conversation_for(settings, None if scope is None else scope.places)
+        connector = connector_for(settings, session, user="busway.open on an event loop")
+        link = Link(connector, session, settings, shared=shared, scope=scope)
+        if scope is not None:
+            scope.enter(link)
+        self._links.setdefault(settings.endpoint.url, []).append(link)
+        return link
 
 
 _pools: "WeakKeyDictionary[asyncio.AbstractEventLoop, LinkPool]" = WeakKeyDictionary()

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.options import build_parameters, option_names
+from ..config.profiles import OPTION, STRICT_LINKS, with_profile
 from ..errors import ConfigError
 from ..session.breaker import BreakerParameters
 from ..session.line_framing import FramingParameters
@@ -20,13 +21,16 @@ from ..session.serial_client import SerialClientParameters
 from ..transport.serial.opening import OpeningParameters
 from ..transport.serial.settings import SerialSettings
 from ..transport.tcp import SocketParameters
+from ..transport.tls import OF_SERVERS, TlsParameters, tls_parameters
+from .management import ManagementParameters
 
-CALL_DEFAULTS = ("timeout", "retries", "deadline")
+CALL_DEFAULTS = ("timeout", "retries", "deadline", "register_width")
 """What each user of a shared link may choose for himself; the rest belongs to the connection."""
 
 _ONE_AT_A_TIME: Final = frozenset(
     {
         "max_transactions",
+        "scope",
         "transaction_policy",
         "unit_policy",
         "recycle_after_foreign",
@@ -36,7 +40,7 @@ _ONE_AT_A_TIME: Final = frozenset(
 )
 """What has no meaning where transactions have no identifiers and follow each other."""
 _OF_STREAMS: Final = frozenset({"keepalive", "keepalive_idle", "keepalive_interval", "keepalive_count", "no_delay"})
-_NOT_ON_UDP: Final = _OF_STREAMS | {"user_timeout", "join", "single_adu_segments"}
+_NOT_ON_UDP: Final = _OF_STREAMS | {"user_timeout", "join", "single_adu_segments", "interface"}
 _ONLY_RTU: Final = frozenset({"strict_timing", "gap_limit"})
 _ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_only"})
 
@@ -68,13 +72,17 @@ class LinkSettings:
         endpoint: where the link leads.
         parameters: of the conversation.
         sockets: of the connection; without effect on a serial port.
+        management: when connections come and go; without effect on a serial port.
         line: of the line, where the framing is RTU or ASCII.
+        security: certificates and what else TLS needs, where the carrier is TLS.
     """
 
     endpoint: Endpoint
     parameters: ClientParameters
     sockets: SocketParameters
+    management: ManagementParameters
     line: LineSettings | None = None
+    security: TlsParameters | None = None
 
     def differs(self, other: "LinkSettings") -> str:
         """The first setting of the connection that differs, or an empty string."""
@@ -85,7 +93,9 @@ class LinkSettings:
         return ""
 
     def _parts(self) -> list[Any]:  # parameter classes share no base
-        parts: list[Any] = [self.parameters, self.sockets]
+        parts: list[Any] = [self.parameters, self.sockets, self.management]
+        if self.security is not None:
+            parts.append(self.security)
         if self.line is not None:
             parts += [self.line.conversation, self.line.breaker, self.line.framing, self.line.opening]
             if self.line.port is not None:
@@ -98,18 +108,20 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
     endpoint = parse_endpoint(url)
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
-    for name, value in {**endpoint.options, **options}.items():
+    for name, value in with_profile({**endpoint.options, **options}, STRICT_LINKS, takes=_names_of(offered)).items():
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:
-            known = sorted(name for names in offered.values() for name in names)
+            known = sorted(options_of(endpoint))
             raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
         chosen[kind][name] = value
     parameters = build_parameters(ClientParameters, chosen[ClientParameters])
     if endpoint.carrier == "udp" and endpoint.framing == "mbap":
         parameters = replace(parameters, single_adu_segments=True)  # one ADU per datagram
     sockets = build_parameters(SocketParameters, chosen.get(SocketParameters, {}))
+    management = build_parameters(ManagementParameters, chosen.get(ManagementParameters, {}))
     if endpoint.framing == "mbap":
-        return LinkSettings(endpoint, parameters, sockets)
+        security = tls_parameters(chosen[TlsParameters]) if TlsParameters in chosen else None
+        return LinkSettings(endpoint, parameters, sockets, management, security=security)
     port = None
     if endpoint.carrier == "serial":
         port = SerialSettings.from_options(chosen[SerialSettings], binary=endpoint.framing == "rtu")
@@ -120,12 +132,16 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
         port,
         build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
     )
-    return LinkSettings(endpoint, parameters, sockets, line)
+    return LinkSettings(endpoint, parameters, sockets, management, line)
 
 
 def options_of(endpoint: Endpoint) -> frozenset[str]:
     """The options that a link to an endpoint may have; the others have no effect with its scheme."""
-    return frozenset(name for names in _offered(endpoint).values() for name in names)
+    return _names_of(_offered(endpoint)) | {OPTION}
+
+
+def _names_of(offered: Mapping[type[Any], list[str]]) -> frozenset[str]:
+    return frozenset(name for names in offered.values() for name in names)
 
 
 def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
@@ -133,9 +149,12 @@ def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
     kinds: list[type[Any]] = [ClientParameters]
     without: frozenset[str] = frozenset()
     if endpoint.carrier != "serial":
-        kinds.append(SocketParameters)
+        kinds += [SocketParameters, ManagementParameters]
     if endpoint.carrier == "udp":
         without |= _NOT_ON_UDP
+    if endpoint.carrier == "tls":
+        kinds.append(TlsParameters)
+        without |= OF_SERVERS | {"interface"}
     if endpoint.framing != "mbap":
         kinds += [SerialClientParameters, BreakerParameters, FramingParameters]
         without |= _ONE_AT_A_TIME | (_ONLY_ASCII if endpoint.framing == "rtu" else _ONLY_RTU)

@@ -80,6 +80,15 @@ class _Flight:
     expires: float
 
 
+Places = list[_Flight]
+"""Places for requests in flight that are free."""
+
+
+def places(count: int) -> Places:
+    """So many places, all free: of one session, or shared by the sessions of a client."""
+    return [_Flight() for _ in range(count)]
+
+
 class TcpClientSession:
     """One link's conversation, across reconnections.
 
@@ -112,7 +121,14 @@ class TcpClientSession:
         "valid_reply",
     )
 
-    def __init__(self, parameters: ClientParameters, *, endpoint: str = "", first_transaction: int = 0) -> None:
+    def __init__(
+        self,
+        parameters: ClientParameters,
+        *,
+        endpoint: str = "",
+        first_transaction: int = 0,
+        shared_places: Places | None = None,
+    ) -> None:
         self.parameters = parameters
         self._ledger = Ledger(parameters, endpoint)
         self.counters = self._ledger.counters
@@ -122,7 +138,7 @@ class TcpClientSession:
         self.valid_reply = False
         self._queue = self._ledger.queue
         self._pending: dict[int, _Flight] = {}
-        self._free = [_Flight() for _ in range(parameters.max_transactions)]
+        self._free = places(parameters.max_transactions) if shared_places is None else shared_places
         self._expired: dict[int, float] = {}
         self._transaction = first_transaction & 0xFFFF
         self._buffer = StreamBuffer()
@@ -173,14 +189,20 @@ class TcpClientSession:
         self._buffer = StreamBuffer()
         self._expired.clear()
         self._timeouts_in_row = self._timeouts_since_reply = self._foreign_in_row = 0
-        self._not_before = now + self.parameters.connect_delay if self.parameters.connect_delay else 0.0
+        if self._not_before <= now:
+            self._not_before = 0.0  # else the device still wants its gap, whichever connection it comes from
+        if self.parameters.connect_delay:
+            self._not_before = max(self._not_before, now + self.parameters.connect_delay)
         self.recycle = ""
         self.valid_reply = False
         self.counters.connections += 1
 
-    def disconnected(self, now: float, reason: str) -> None:
-        """The connection has ended; what was in flight is repeated or fails, what waits stays in the queue."""
-        if self._connected:
+    def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
+        """The connection has ended; what was in flight is repeated or fails, what waits stays in the queue.
+
+        ``lost`` says that it ended by itself.
+        """
+        if self._connected and lost:
             self.counters.lost_connections += 1
         self._connected = False
         self.recycle = ""
@@ -191,9 +213,12 @@ class TcpClientSession:
                 self._failed(flight, flight.demand, error, now, again=True)
         self._pending.clear()
 
-    def unreachable(self, now: float, error: ModbusError) -> None:
-        """No connection could be had: everything that waits fails, at once and with the same reason."""
-        self._ledger.unreachable(now, error)
+    def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
+        """No connection could be had: everything that waits fails, at once and with the same reason.
+
+        With ``keep_repeated`` a demand that is about to be repeated waits for the next attempt.
+        """
+        self._ledger.unreachable(now, error, keep_repeated=keep_repeated)
 
     # What goes out and comes in.
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from ..errors import ConfigError
+from ..pdu.wide import NARROW, WIDEST
 
 
 class MismatchPolicy(Enum):
@@ -21,10 +22,22 @@ class MismatchPolicy(Enum):
 
 
 class Scope(Enum):
-    """What a limit of transactions counts for."""
+    """What a server's limit of transactions counts for."""
 
     CONNECTION = "connection"
     SERVER = "server"
+
+
+class TransactionScope(Enum):
+    """What a client's limit of transactions counts for.
+
+    Attributes:
+        CONNECTION: each connection has that many.
+        CLIENT: all connections of a client together: those of an event loop, or the blocking ones of the process.
+    """
+
+    CONNECTION = "connection"
+    CLIENT = "client"
 
 
 def _within(key: str, value: float, low: float, high: float) -> None:
@@ -41,7 +54,9 @@ class ClientParameters:
         retries: further attempts of a read after a timeout or a lost connection.
         write_retries: further attempts of a write that may have been executed. 0 unless every write is idempotent.
         deadline: seconds a call may take in all, waiting in the queue included; None for no limit.
-        max_transactions: NumberMaxOfClientTransaction, 1…16 requests in flight on a connection.
+        max_transactions: NumberMaxOfClientTransaction, 1…16 requests in flight.
+        scope: whether each connection has that many, or all of the client together (Messaging on TCP/IP V1.0b
+            §4.4.1.1): those of an event loop, or the blocking ones of the process.
         queue: calls that may wait on a link; one more is refused with `Overloaded`.
         transaction_policy, unit_policy: what is done with replies that name another transaction or unit.
         recycle_after_timeouts: timeouts in a row, with no sign of life, after which the connection is made anew;
@@ -52,6 +67,9 @@ class ClientParameters:
             V1.0b §4.3.2 advises.
         connect_delay: seconds to wait after connecting before the first request.
         request_gap: seconds from the end of a reply to the next request.
+        register_width: bytes of one register in replies to reads of registers, an even number 2…12. 2 is the rule;
+            some devices have wider ones, and `Unit.read`, `Unit.read_holding_registers` and
+            `Unit.read_input_registers` read them so.
     """
 
     timeout: float = 1.0
@@ -59,6 +77,7 @@ class ClientParameters:
     write_retries: int = 0
     deadline: float | None = None
     max_transactions: int = 1
+    scope: TransactionScope = TransactionScope.CONNECTION
     queue: int = 64
     transaction_policy: MismatchPolicy = MismatchPolicy.STRICT
     unit_policy: MismatchPolicy = MismatchPolicy.STRICT
@@ -68,6 +87,7 @@ class ClientParameters:
     single_adu_segments: bool = False
     connect_delay: float = 0.0
     request_gap: float = 0.0
+    register_width: int = NARROW
 
     def __post_init__(self) -> None:
         _within("timeout", self.timeout, 0.001, 3600)
@@ -81,6 +101,11 @@ class ClientParameters:
         _within("recycle_after_foreign", self.recycle_after_foreign, 1, 1000)
         _within("connect_delay", self.connect_delay, 0, 60)
         _within("request_gap", self.request_gap, 0, 60)
+        _within("register_width", self.register_width, NARROW, WIDEST)
+        if self.register_width % 2:
+            raise ConfigError(f"must be even, not {self.register_width}", key="register_width")
+        if not isinstance(self.scope, TransactionScope):
+            raise ConfigError(f"must be connection or client, not {self.scope!r}", key="scope")
         for key in ("transaction_policy", "unit_policy"):
             if not isinstance(getattr(self, key), MismatchPolicy):
                 allowed = ", ".join(policy.value for policy in MismatchPolicy)

@@ -5,10 +5,13 @@ Knows outcomes and times; knows no socket. ``jitter`` is handed in (a number 0â€
 1. A connection that brought a valid reply and ends is made anew at the next need, at once.
 2. One that could not be had, or ended without a valid reply, is followed by a pause that doubles each time. Only a
    valid reply resets it: a peer that accepts and closes is not a peer that works.
+3. One that ends while nothing was ever asked on it, or is closed because nobody uses it, proves nothing either way.
+4. Every change is news once. Attempts that fail in a row are counted, and told when something answers again.
 """
 
 from collections.abc import Callable
 from enum import Enum
+from typing import Final
 
 
 class ConnectionState(Enum):
@@ -28,6 +31,7 @@ class ConnectionEvent(Enum):
     CONNECTED = "connected"
     FAILED = "failed"
     LOST = "lost"
+    RELEASED = "released"
     VALID_REPLY = "valid reply"
     TIMEOUT = "timeout"
     PAUSE_OVER = "pause over"
@@ -46,8 +50,16 @@ TRANSITIONS: dict[tuple[ConnectionState, ConnectionEvent], ConnectionState] = {
     (_S.SUSPECT, _E.TIMEOUT): _S.SUSPECT,
     (_S.UP, _E.LOST): _S.DOWN,
     (_S.SUSPECT, _E.LOST): _S.DOWN,
+    (_S.UP, _E.RELEASED): _S.DOWN,
+    (_S.SUSPECT, _E.RELEASED): _S.DOWN,
 }
-"""LOST leads to BACKING_OFF instead where the connection brought no valid reply (rule 2)."""
+"""LOST leads to BACKING_OFF instead where the connection brought no valid reply (rule 2). RELEASED is an end that proves
+nothing (rule 3)."""
+
+FIRST_PAUSE: Final = 0.1
+"""Seconds of the first pause."""
+LONGEST_PAUSE: Final = 5.0
+"""Seconds of the longest pause: so long an operator waits at most for a device that is back."""
 
 
 class Reconnect:
@@ -61,7 +73,7 @@ class Reconnect:
 
     __slots__ = ("_first", "_jitter", "_most", "failures", "not_before", "state")
 
-    def __init__(self, jitter: Callable[[], float], *, first: float = 0.1, most: float = 5.0) -> None:
+    def __init__(self, jitter: Callable[[], float], *, first: float = FIRST_PAUSE, most: float = LONGEST_PAUSE) -> None:
         self._jitter = jitter
         self._first = first
         self._most = most
@@ -69,11 +81,22 @@ class Reconnect:
         self.failures = 0
         self.not_before = 0.0
 
-    def move(self, event: ConnectionEvent, now: float, *, had_reply: bool = False) -> None:
-        """Follow an event. One that the table does not know in this state changes nothing."""
-        target = TRANSITIONS.get((self.state, event))
+    def move(self, event: ConnectionEvent, now: float, *, reason: str = "", had_reply: bool = False) -> str:
+        """Follow an event. One that the table does not know in this state changes nothing.
+
+        Args:
+            event: what happened.
+            now: when, in seconds.
+            reason: why, in words.
+            had_reply: of a connection that was lost, whether it had brought a valid reply.
+
+        Returns:
+            What there is to tell about it, or an empty text where nothing is new.
+        """
+        before, failed = self.state, self.failures
+        target = TRANSITIONS.get((before, event))
         if target is None:
-            return
+            return ""
         if event is ConnectionEvent.VALID_REPLY or (event is ConnectionEvent.LOST and had_reply):
             self.failures = 0
         elif event in (ConnectionEvent.FAILED, ConnectionEvent.LOST):
@@ -82,9 +105,32 @@ class Reconnect:
             self.not_before = now + pause * (0.5 + 0.5 * self._jitter())
             target = ConnectionState.BACKING_OFF
         self.state = target
+        return _news(event, reason, failed, target, new_state=before is not target)
+
+    @property
+    def is_flapping(self) -> bool:
+        """Whether it backs off after more than one attempt: then nobody is kept waiting for the next one."""
+        return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
     def may_dial(self, now: float) -> bool:
         """Whether a connection may be made now; ends a pause that is over."""
         if self.state is ConnectionState.BACKING_OFF and now >= self.not_before:
             self.move(ConnectionEvent.PAUSE_OVER, now)
         return self.state is ConnectionState.DOWN
+
+
+def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
+    """What is new about an event, after ``failed`` attempts in a row without a valid reply."""
+    if event is ConnectionEvent.VALID_REPLY:
+        if failed:
+            return f"up: it answers again, after {failed} {'attempt' if failed == 1 else 'attempts'} without a reply"
+        return "up: it answers again" if new_state else ""
+    if failed or not new_state:
+        return ""
+    if event is ConnectionEvent.CONNECTED:
+        return "up: connected"
+    if event is ConnectionEvent.TIMEOUT:
+        return "suspect: no reply in time"
+    if event in (ConnectionEvent.FAILED, ConnectionEvent.LOST, ConnectionEvent.RELEASED):
+        return f"{state.value}: {reason}"
+    return ""

@@ -1,0 +1,53 @@
+"""How a blocking link waits at its socket or its port.
+
+Knows descriptors; knows no conversation.
+"""
+
+import select
+from typing import Final
+
+from ..transport.serial.waiting import wait_ready
+from .connector import Channel
+
+_LONGEST_WAIT: Final = 0.25
+"""Seconds at a port without a look around: closing it does not wake a thread that waits there."""
+
+
+class ExactPoll:
+    """Waits at one port as exactly as the system can, and wakes up ``spin`` seconds before the time is over."""
+
+    def __init__(self, spin: float) -> None:
+        self._spin = spin
+
+    def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
+        """As `Poll.wait`."""
+        if seconds > self._spin:
+            seconds -= self._spin
+        try:
+            descriptor = connection.fileno()
+            return bool(wait_ready([descriptor], [descriptor] if writes else [], min(seconds, _LONGEST_WAIT)))
+        except (OSError, ValueError):
+            return False  # another thread closed the port while this one was about to wait
+
+
+class Poll:
+    """Waits at one socket: by ``poll`` where the system has it, which knows no limit of descriptors."""
+
+    def __init__(self, connection: Channel) -> None:
+        self._poll = select.poll() if hasattr(select, "poll") else None
+        self._writes = False
+        if self._poll is not None:
+            self._poll.register(connection, select.POLLIN)
+
+    def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
+        """Whether there is something to receive (or room to send, if ``writes``) within ``seconds``."""
+        if self._poll is None:
+            readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
+            return bool(readable or writable)
+        try:
+            if writes != self._writes:
+                self._writes = writes
+                self._poll.modify(connection, select.POLLIN | (select.POLLOUT if writes else 0))
+            return bool(self._poll.poll(seconds * 1000 + 0.5))
+        except (OSError, ValueError):
+            return False  # another thread closed the socket while this one was about to wait

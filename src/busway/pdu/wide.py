@@ -1,0 +1,55 @@
+"""Reads of registers that are wider than two bytes: a device of such a kind answers 4…12 bytes for each.
+
+Knows how the reply differs from that of functions 03 and 04 (libmodbus#695); knows no link. The specification has no
+such registers (MODBUS Application Protocol V1.1b3 §6.3), so a client uses these requests only where it is told to.
+"""
+
+from functools import cache
+from typing import Any, Final, TypeVar
+
+from ..codes import MAX_READ_REGISTERS
+from .fields import rest, rest_length, u16
+from .read_items import ReadRegisters
+
+NARROW: Final = 2
+"""Bytes of a register by the specification."""
+WIDEST: Final = 12
+"""Bytes of the widest registers that were seen."""
+MAX_DATA: Final = 2 * MAX_READ_REGISTERS
+"""Bytes that a reply can announce, however wide its registers are."""
+
+Read = TypeVar("Read", bound=ReadRegisters)
+
+
+def wide(kind: type[Read], width: int) -> type[Read]:
+    """The request of ``kind``, 03 or 04, for registers of ``width`` bytes, 2…12 and even; 2 gives ``kind`` itself.
+
+    It takes as many registers as fit into 250 bytes; its reply gives one number for each.
+    """
+    return kind if width == NARROW else _widened(kind, width)
+
+
+@cache
+def _widened(kind: Any, width: int) -> Any:  # a class and one derived from it
+    most = MAX_DATA // width
+
+    class WideReply(kind.Reply):  # type: ignore[misc]  # the class is a value here
+        byte_count = rest_length(1, width, most * width, width)
+        data: bytes = rest(width, most * width, width)
+
+        @property
+        def registers(self) -> list[int]:
+            """The registers as numbers, each of all its bytes."""
+            return [int.from_bytes(self.data[at : at + width], "big") for at in range(0, len(self.data), width)]
+
+    class Wide(kind):  # type: ignore[misc]  # the class is a value here
+        code = kind.code
+        count: int = u16(1, most)
+        Reply = WideReply
+
+        def reply_shape(self) -> tuple[int, bytes]:
+            return 2 + width * self.count, bytes((self.code, width * self.count))
+
+    Wide.__name__ = Wide.__qualname__ = f"{kind.__name__}{8 * width}"
+    Wide.__doc__ = f"`{kind.__name__}` of registers with {width} bytes each."
+    return Wide
