@@ -13,10 +13,10 @@ Knows connections that are not admitted yet; knows no request. What a role may d
 
 import asyncio
 import logging
-import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from time import time as now  # by a name that tests can move
+from typing import TYPE_CHECKING, Final, cast
 
 from ..transport.certificates.facts import DAY, CertificateFacts, facts_of_der, facts_of_file
 from ..transport.roles import require_cryptography, role_of_certificate
@@ -120,7 +120,7 @@ class Gate:
         return SecurityStatus(
             subject=own.subject,
             not_after=own.not_after,
-            days_left=own.days_left(),
+            days_left=own.days_left(now()),
             reloads=self._context.generation,
             handshakes=len(self._waiting),
             established=self._established,
@@ -137,10 +137,10 @@ class Gate:
             self._own = facts_of_file(self._parameters.certificate)[_FIRST_SUBJECT]
             self._own_of = context.generation
             self._warned = 0.0
-        now = time.time()
-        if now - self._warned >= DAY:
-            self._warned = now
-            problem = self._own.validity(now)
+        moment = now()
+        if moment - self._warned >= DAY:
+            self._warned = moment
+            problem = self._own.validity(moment)
             if problem:
                 name = self._management.listener
                 _log.warning("%s: the certificate %s %s", name, self._own.subject, problem)
@@ -197,7 +197,7 @@ class Gate:
             raise TlsFailure(FailureKind.NO_CERTIFICATE, "the client sent no certificate")
         reading = role_of_certificate(certificate)
         facts = facts_of_der(certificate)
-        if time.time() > facts.not_after:
+        if now() > facts.not_after:
             raise TlsFailure(FailureKind.EXPIRED, "the client's certificate has expired since the session began")
         if reading.role is None:
             about = f" ({reading.reason})" if reading.reason else ""
@@ -233,5 +233,5 @@ class _Newcomer(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """It was accepted."""
-        assert isinstance(transport, asyncio.Transport)
-        self._gate.arrived(transport)
+        # Transports of uvloop are no subclass of asyncio.Transport.
+        self._gate.arrived(cast(asyncio.Transport, transport))

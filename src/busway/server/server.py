@@ -143,6 +143,25 @@ class Server:
             raise ConfigError("the server was made without a policy", key="policy")
         self._guard.replace_policy(policy)
 
+    def reload_security(self) -> None:
+        """Read the certificates, keys and authorities of the ``tls://`` listeners anew, for connections from now on.
+
+        Listeners also find out themselves that a file has changed, at the next connection.
+
+        Raises:
+            ConfigError: a file can not be used, with its name; its listener stays as it was, the others have theirs.
+        """
+        gates = [each.management.gate for each in self._streams]
+        failures: list[ConfigError] = []
+        for gate in gates:
+            try:
+                if gate is not None:
+                    gate.reload()
+            except ConfigError as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
+
     async def start(self) -> None:
         """Open all listeners. A serial port that is not there is waited for.
 
@@ -294,7 +313,13 @@ class Server:
                 *(listener.listener_status() for listener in self._with_peers()),
                 *(line.status() for line in self._lines),
             ),
+            refusals=dict(getattr(self._guard, "refusals", {})),
         )
+
+    def is_marked(self, listener: str, host: str) -> bool:
+        """Whether a host has priority connections at the listener of a URL, as it is bound."""
+        receptions = [each.reception for each in self._with_peers()]
+        return any(one.is_marked(host) for one in receptions if one.listener == listener)
 
     def _with_peers(self) -> "list[ConnectionManagement | UdpListener]":
         return [*(each.management for each in self._streams), *self._datagrams]

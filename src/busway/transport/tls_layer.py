@@ -157,7 +157,8 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._collecting = True
         self._above.connection_made(self)
         self._collecting = False
-        self._deliver()
+        if not self._below.is_closing():
+            self._deliver()
 
     def refuse(self, failure: TlsFailure) -> None:
         """End a handshake that came to nothing, or one whose outcome is not wanted; the alert goes out."""
