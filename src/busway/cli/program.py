@@ -33,6 +33,7 @@ COMMANDS = {
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
     "config": "Check and explain configuration files.",
+    "certs": "Make certificates for tests, or show what some say.",
     "demo": "Run a small plant and poll it.",
 }
 """The commands, in the order in which help lists them. ``busway.cli.<name>`` holds the function ``<name>``."""
