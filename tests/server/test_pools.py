@@ -1,0 +1,214 @@
+"""Who gets a place and who makes room: the cases by name, and what holds after anything that may happen."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from busway.server.pools import Pool, PoolLimits, Pools
+
+
+@dataclass(eq=False)
+class Connection:
+    """One connection, as the pools see it."""
+
+    host: str
+    marked: bool = False
+    last_used: float = 0.0
+    is_busy: bool = False
+    pool: Pool = Pool.OTHER
+
+
+def pools(
+    priority: int = 2, other: int = 2, priority_per_device: int = 2, per_device: int | None = None
+) -> Pools[Connection]:
+    return Pools(PoolLimits(priority, other, priority_per_device, per_device))
+
+
+@pytest.mark.clause("T13")
+def test_marked_connections_take_priority_places_up_to_the_limit_of_their_device_and_then_others() -> None:
+    both = pools(priority=3, other=3, priority_per_device=2)
+    own = [Connection("a", marked=True) for _ in range(3)]
+    for one in own:
+        assert both.admit(one).accepted
+    foreign = Connection("b", marked=True)
+    both.admit(foreign)
+    assert [one.pool for one in own] == [Pool.PRIORITY, Pool.PRIORITY, Pool.OTHER]
+    assert foreign.pool is Pool.PRIORITY
+    assert (both.count(Pool.PRIORITY), both.count(Pool.OTHER), len(both)) == (3, 1, 4)
+
+
+@pytest.mark.clause("T13")
+def test_marked_newcomer_without_a_priority_place_pushes_out_one_that_is_not_marked() -> None:
+    both = pools(priority=1, other=1)
+    stranger = Connection("x")
+    both.admit(stranger)
+    assert both.admit(Connection("a", marked=True)).evicted is None
+    second = Connection("b", marked=True)
+    assert both.admit(second).evicted is stranger
+    assert second.pool is Pool.OTHER
+
+
+@pytest.mark.clause("T13")
+@pytest.mark.clause("T40")
+def test_newcomer_that_is_not_marked_is_refused_where_only_marked_ones_are_left() -> None:
+    both = pools(priority=1, other=1)
+    marked = [Connection("a", marked=True) for _ in range(2)]
+    for one in marked:
+        both.admit(one)
+    admission = both.admit(Connection("x"))
+    assert not admission.accepted
+    assert admission.evicted is None
+    assert len(both) == 2
+
+
+@pytest.mark.clause("T13")
+def test_marked_newcomer_among_marked_ones_replaces_the_oldest_of_its_own_device_beyond_the_priority_places() -> None:
+    both = pools(priority=1, other=2, priority_per_device=1)
+    first, foreign, own = Connection("a", marked=True), Connection("b", marked=True), Connection("a", marked=True)
+    for one in (first, foreign, own):
+        both.admit(one)
+    assert both.admit(Connection("a", marked=True)).evicted is own
+    assert both.admit(Connection("c", marked=True)).evicted is foreign
+    assert first.pool is Pool.PRIORITY
+
+
+@pytest.mark.clause("T13")
+def test_priority_place_that_becomes_free_goes_to_the_oldest_marked_one_that_may_have_it() -> None:
+    both = pools(priority=2, other=3, priority_per_device=1)
+    first, waiting, stranger, other = (
+        Connection("a", marked=True),
+        Connection("a", marked=True),
+        Connection("x"),
+        Connection("b", marked=True),
+    )
+    for one in (first, waiting, stranger, other):
+        both.admit(one)
+    both.leave(other)
+    assert waiting.pool is Pool.OTHER  # its device has its one place
+    both.leave(first)
+    assert waiting.pool is Pool.PRIORITY
+    assert (both.count(Pool.PRIORITY), both.count(Pool.OTHER)) == (1, 1)
+
+
+@pytest.mark.clause("T12")
+def test_connection_unused_longest_goes_first_and_busy_ones_stay_while_another_can_go() -> None:
+    both = pools(other=4)
+    used = {4.0: True, 1.0: True, 3.0: False, 2.0: False}
+    found = {}
+    for last_used, busy in used.items():
+        found[last_used] = Connection("x", last_used=last_used, is_busy=busy)
+        both.admit(found[last_used])
+    assert both.admit(Connection("x", last_used=9.0, is_busy=True)).evicted is found[2.0]
+    assert both.admit(Connection("x", last_used=9.0, is_busy=True)).evicted is found[3.0]
+    assert both.admit(Connection("x", last_used=9.0)).evicted is found[4.0]  # all are busy: the oldest
+
+
+@pytest.mark.clause("T18")
+def test_device_beyond_its_own_limit_replaces_its_oldest_connection_and_nobody_elses() -> None:
+    both = pools(other=9, per_device=1)
+    other, old = Connection("y"), Connection("x", is_busy=True)
+    both.admit(other)
+    both.admit(old)
+    assert both.admit(Connection("x")).evicted is old
+    assert len(both) == 2
+
+
+def test_one_that_has_lost_its_place_may_leave_again() -> None:
+    both = pools(other=1)
+    first, second = Connection("x"), Connection("y")
+    both.admit(first)
+    both.admit(second)
+    both.leave(first)
+    both.leave(second)
+    both.leave(second)
+    assert len(both) == 0
+
+
+class Naive:
+    """The rules of the other pool, looked up among everybody each time."""
+
+    def __init__(self) -> None:
+        self.here: list[Connection] = []
+
+    def longest_unused(self) -> Connection | None:
+        strangers = [one for one in self.here if not one.marked and one.pool is Pool.OTHER]
+        idle = [one for one in strangers if not one.is_busy]
+        return min(idle, key=lambda one: one.last_used) if idle else next(iter(strangers), None)
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["come", "come", "come", "leave", "use", "busy"]), st.integers(0, 30), st.sampled_from("abcxyz")
+    ),
+    max_size=120,
+)
+LIMITS = st.builds(
+    PoolLimits,
+    priority=st.integers(0, 4),
+    other=st.integers(1, 5),
+    priority_per_device=st.integers(1, 3),
+    per_device=st.none() | st.integers(1, 3),
+)
+
+
+@pytest.mark.clause("T13")
+@pytest.mark.clause("T14")
+@settings(max_examples=400, deadline=None)
+@given(LIMITS, EVENTS)
+def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
+    limits: PoolLimits, events: list[tuple[str, int, str]]
+) -> None:
+    both: Pools[Connection] = Pools(limits)
+    naive = Naive()
+    now = 0.0
+    for what, number, host in events:
+        now += 1.0
+        here = naive.here
+        if what == "come":
+            newcomer = Connection(host, marked=host in "abc", last_used=now)
+            own = [one for one in here if one.host == host and not one.marked]
+            expected = naive.longest_unused()
+            was_full = both.count(Pool.OTHER) >= limits.other
+            admission = both.admit(newcomer)
+            gone = admission.evicted
+            if not admission.accepted:
+                assert not newcomer.marked
+                assert all(one.marked for one in here)
+                continue
+            if newcomer.marked and newcomer.pool is Pool.PRIORITY:
+                assert gone is None
+            elif not newcomer.marked and limits.per_device is not None and len(own) >= limits.per_device:
+                assert gone is own[0]
+            elif was_full and expected is not None:
+                assert gone is expected
+            elif was_full:
+                assert newcomer.marked
+                assert gone is not None
+                assert gone.marked
+                assert gone.pool is Pool.OTHER
+            else:
+                assert gone is None
+            if gone is not None:
+                assert not (gone.marked and gone.pool is Pool.PRIORITY)
+                here.remove(gone)
+            here.append(newcomer)
+        elif here:
+            one = here[number % len(here)]
+            if what == "leave":
+                both.leave(one)
+                here.remove(one)
+            elif what == "use":
+                one.last_used = now
+            else:
+                one.is_busy = not one.is_busy
+        in_priority = [one for one in here if one.pool is Pool.PRIORITY]
+        assert all(one.marked for one in in_priority)
+        assert both.count(Pool.PRIORITY) == len(in_priority) <= limits.priority
+        assert both.count(Pool.OTHER) == len(here) - len(in_priority) <= limits.other
+        assert max(Counter(one.host for one in in_priority).values(), default=0) <= limits.priority_per_device
+        if limits.per_device is not None:
+            strangers = Counter(one.host for one in here if not one.marked)
+            assert max(strangers.values(), default=0) <= limits.per_device
