@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING, Any
 from .version import __version__
 
 if TYPE_CHECKING:
+    from .assembly.configuration import Configuration, load_configuration
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import Link, Unit, connect
     from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
+    from .config.access.addresses import AddressList
+    from .config.access.rules import Policy, Rule
     from .config.endpoints import Endpoint, parse_endpoint
     from .errors import (
         BadReply,
@@ -65,6 +68,8 @@ if TYPE_CHECKING:
     from .server.cells import Cells
     from .server.device import Device
     from .server.hooks import Access, Change
+    from .server.policy.audit import AuditLog
+    from .server.policy.handler import PolicyHandler
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
@@ -72,10 +77,13 @@ if TYPE_CHECKING:
     from .values import Address, ValueType, parse_address, value_type
 
 _HOME = {
+    "assembly.configuration": ("Configuration", "load_configuration"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("Link", "Unit", "connect"),
     "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
+    "config.access.addresses": ("AddressList",),
+    "config.access.rules": ("Policy", "Rule"),
     "config.endpoints": ("Endpoint", "parse_endpoint"),
     "errors": (
         "BadReply",
@@ -122,6 +130,8 @@ _HOME = {
     "server.cells": ("Cells",),
     "server.device": ("Device",),
     "server.hooks": ("Access", "Change"),
+    "server.policy.audit": ("AuditLog",),
+    "server.policy.handler": ("PolicyHandler",),
     "server.server": ("Server",),
     "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
     "server.single_block": ("SingleBlock",),
@@ -138,13 +148,16 @@ __all__ = [
     "TRACE",
     "Access",
     "Address",
+    "AddressList",
     "AsyncLink",
     "AsyncUnit",
+    "AuditLog",
     "BadReply",
     "CanopenGeneralReference",
     "Cells",
     "Change",
     "ConfigError",
+    "Configuration",
     "Device",
     "DiagnosticCode",
     "Endpoint",
@@ -165,6 +178,8 @@ __all__ = [
     "NoReply",
     "OpaqueRequest",
     "Overloaded",
+    "Policy",
+    "PolicyHandler",
     "ReadCoils",
     "ReadDeviceIdentification",
     "ReadDiscreteInputs",
@@ -180,6 +195,7 @@ __all__ = [
     "Request",
     "RequestContext",
     "ReturnQueryData",
+    "Rule",
     "Server",
     "ServerThread",
     "SingleBlock",
@@ -198,6 +214,7 @@ __all__ = [
     "__version__",
     "connect",
     "limit_local_connections",
+    "load_configuration",
     "local_connections",
     "open",
     "parse_address",

@@ -30,9 +30,11 @@ COMMANDS = {
     "scan": "Find the units that answer on a line or behind an address.",
     "counters": "Read what a device counts of its communication.",
     "serve": "Be a device.",
+    "status": "Show how a running server or gateway does.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
     "config": "Check and explain configuration files.",
+    "policy": "Say what a policy permits.",
     "certs": "Make certificates for tests, or show what some say.",
     "demo": "Run a small plant and poll it.",
 }

@@ -39,7 +39,7 @@ _SUB_WIDTH: Final[dict[int, int]] = {FunctionCode.DIAGNOSTICS: 2, FunctionCode.E
 _PUBLIC: Final = frozenset(int(code) for code in FunctionCode)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Piece:
     """Items of one space that a request touches, from ``first`` to before ``end``."""
 
@@ -64,7 +64,7 @@ class Asker:
     listener: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Question:
     """One request, as a policy sees it. Built by ``of``.
 

@@ -218,7 +218,7 @@ class Rule:
             action=_one_of(Action, action, "action"),
             peers=peers if peers is None or isinstance(peers, Networks) else Networks(peers, key="peers"),
             roles=None if roles is None else frozenset(_texts(roles, "roles")),
-            listeners=tuple(_listener(each) for each in _texts(listeners, "listeners")),
+            listeners=tuple(listener_name(each) for each in _texts(listeners, "listeners")),
             units=given_units,
             functions=given_functions,
             items=_items(table, addresses),
@@ -256,7 +256,7 @@ class Rule:
         return self.files if space == FILES else _NOWHERE
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Decision:
     """What a policy decides about a request.
 
@@ -476,7 +476,7 @@ def _texts(values: Iterable[str], key: str) -> tuple[str, ...]:
     return found
 
 
-def _listener(text: str) -> str:
+def listener_name(text: str) -> str:
     """A URL in the form in which a listener gives it, or a scheme alone."""
     scheme, separator, rest = text.partition("://")
     if separator and not rest and scheme.lower() in SCHEMES:

@@ -80,12 +80,11 @@ def _one_window(answer: Answer, window: Window) -> Answer:
     first, last = window.first, window.end
 
     def within(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
-        if end - at < 5:
+        try:  # what is cut off reaches into the next frame, or beyond the buffer; the answer judges the length
+            address, count = _unpack_two(buffer, at + 1)
+        except struct.error:
             return None
-        address, count = _unpack_two(buffer, at + 1)
-        if address < first or address + count > last:
-            return None
-        return answer(buffer, at, end)
+        return answer(buffer, at, end) if first <= address <= last - count else None
 
     return within
 
@@ -95,13 +94,12 @@ def _several_windows(answer: Answer, windows: Sequence[Window]) -> Answer:
     ends = [window.end for window in windows]
 
     def within(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
-        if end - at < 5:
+        try:
+            address, count = _unpack_two(buffer, at + 1)
+        except struct.error:
             return None
-        address, count = _unpack_two(buffer, at + 1)
         index = bisect_right(firsts, address) - 1
-        if index < 0 or address + count > ends[index]:
-            return None
-        return answer(buffer, at, end)
+        return answer(buffer, at, end) if index >= 0 and address <= ends[index] - count else None
 
     return within
 
@@ -112,12 +110,11 @@ def _single(answer: Answer, windows: Sequence[Window]) -> Answer:
     ends = [window.end for window in windows]
 
     def within(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
-        if end - at < 3:
+        try:
+            (address,) = _unpack_address(buffer, at + 1)
+        except struct.error:
             return None
-        (address,) = _unpack_address(buffer, at + 1)
         index = bisect_right(firsts, address) - 1
-        if index < 0 or address >= ends[index]:
-            return None
-        return answer(buffer, at, end)
+        return answer(buffer, at, end) if index >= 0 and address < ends[index] else None
 
     return within
