@@ -1,5 +1,5 @@
-"""The standard port, 502, beside another one: clients that know the standard port alone find the server there (Messaging on TCP/IP
-V1.0b §3.1.3).
+"""The standard port, 502, beside another one: who knows no other finds the server there (Messaging on TCP/IP V1.0b
+§4.2.1).
 
 Pure: knows the settings of listeners; opens none.
 
