@@ -333,6 +333,19 @@ def test_marked_devices_are_a_class_of_their_own() -> None:
     assert classify(line) is PeerClass.LINE
 
 
+async def test_requests_and_bytes_of_priority_connections_are_told_apart(device: busway.Device) -> None:
+    server = busway.serve(FREE_TCP, units={1: device}, priority=["127.0.0.0/8"])
+    async with start_metrics(server, FREE) as endpoint, server, busway.open(server.endpoints[0]) as link:
+        await link.unit(1).read_holding_registers(0, count=1)
+        found = await samples(endpoint)
+    assert [dict(labels)["peer_class"] for labels in of_name(found, "busway_requests_total")] == ["priority"]
+    assert found["busway_received_bytes_total", (("peer_class", "priority"),)] == 12
+    assert found["busway_sent_bytes_total", (("peer_class", "priority"),)] == 11
+    assert found["busway_sent_bytes_total", (("peer_class", "other"),)] == 0
+    (held,) = of_name(found, "busway_connections")
+    assert dict(held)["pool"] == "priority"
+
+
 async def test_a_server_that_is_not_metered_is_left_as_it_is(device: busway.Device) -> None:
     from busway.server.local import LocalHandler
 
@@ -409,6 +422,21 @@ async def test_refusals_by_rule_are_told_where_a_handler_counts_them(device: bus
     handler = Counting(lambda context, request: registers(0))
     async with start_metrics(busway.serve(FREE_TCP, handler=handler), FREE) as endpoint:
         assert (await samples(endpoint))["busway_policy_refusals_total", (("rule", "no writes"),)] == 3
+
+
+async def test_what_a_policy_refuses_is_told_by_its_rule(device: busway.Device) -> None:
+    from busway.config.access.rules import Policy
+
+    server = busway.serve(FREE_TCP, units={1: device}, policy=Policy.read_only())
+    async with start_metrics(server, FREE) as endpoint, server, busway.open(server.endpoints[0]) as link:
+        for _ in range(2):
+            with pytest.raises(busway.ExceptionReply):
+                await link.unit(1).write_single_register(0, 1)
+        await link.unit(1).read_holding_registers(0, count=1)
+        found = await samples(endpoint)
+    assert list(of_name(found, "busway_policy_refusals_total").values()) == [2]
+    counted = {dict(labels)["exception"]: value for labels, value in of_name(found, "busway_requests_total").items()}
+    assert counted == {"01": 2, "none": 1}
 
 
 async def test_the_links_of_this_process_are_told(device: busway.Device) -> None:

@@ -1,0 +1,162 @@
+"""``busway status``: ask a running server or gateway how it is, over its control socket.
+
+1. Without an argument the running programs of this user are found: one is shown, several are listed.
+2. A lamp is a word; on a terminal its colour says the same once more (S19: steady is *on*, blinking is *flashing*).
+3. What the program tells is shown, also where it tells more than this command knows of: numbers that are zero and
+   texts that are empty are left out.
+"""
+
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import LinkDown, ModbusError
+from .arguments import seconds
+from .exits import ExitCode
+from .output import print_aligned, print_json, say
+from .signals import stop_flag
+
+if TYPE_CHECKING:
+    from ..control.asking import Running
+    from .status_view import Section
+
+EXAMPLES = """\b
+Examples:
+  busway status
+  busway status 4711
+  busway status /run/plant/control.sock --watch 2s
+  busway status http://127.0.0.1:4711 --json
+
+Programs are asked over the socket that they make at their start (--control).
+"""
+
+_WHOLE = ("listener", "connection", "process")
+"""Columns that a narrow terminal does not break."""
+
+
+def status(
+    where: str | None = typer.Argument(
+        None, metavar="[PATH|URL|PID]", help="Whom to ask: a socket, a URL of loopback, a process."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print all that is told as one JSON object."),
+    watch: str | None = typer.Option(None, "--watch", metavar="TIME", help="Ask again and again: 2s. Ends by Ctrl-C."),
+) -> int:
+    """Show how a running server or gateway does."""
+    if watch is None:
+        _show(_ask(where), as_json=as_json)
+        return ExitCode.DONE
+    _watch(where, seconds(watch, "--watch", low=0.1), as_json=as_json)
+    return ExitCode.DONE
+
+
+def _ask(where: str | None) -> list[dict[str, Any]]:
+    """What the programs tell: one that is named, or all there are. Raises `LinkDown` where there is none."""
+    from ..control.addresses import control_directories
+    from ..control.asking import ask, find_one, find_running
+
+    directories = control_directories()
+    if where is not None:
+        return [ask(find_one(where, *directories))]
+    running = find_running(*directories)
+    if not running:
+        raise LinkDown("no server or gateway of yours is running, or none with a control socket")
+    if len(running) == 1:
+        return [ask(running[0])]
+    return list(_tellers(running))
+
+
+def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
+    """What several programs tell; one that does not answer is said, and does not hide the others."""
+    from ..control.asking import ask
+
+    for one in running:
+        try:
+            yield {"control": str(one), **ask(one)}
+        except ModbusError as error:
+            say(str(error))
+
+
+def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
+    if as_json:
+        for one in told:
+            print_json(one)
+        sys.stdout.flush()
+        return
+    sections = _sections(told)
+    if sys.stdout.isatty():
+        from rich.console import Console
+
+        Console().print(_coloured(sections))
+    else:
+        _print_plain(sections)
+
+
+def _watch(where: str | None, period: float, *, as_json: bool) -> None:
+    """Show again and again; a failure after the first success is said, and watching goes on."""
+    with stop_flag() as stop:
+        told = _ask(where)
+        if as_json or not sys.stdout.isatty():
+            while True:
+                _show(told, as_json=as_json)
+                told = []
+                while not told:
+                    if stop.wait(period):
+                        return
+                    told = _ask_again(where)
+                if not as_json:
+                    print()
+        from rich.live import Live
+
+        with Live(_coloured(_sections(told)), auto_refresh=False, screen=True) as live:
+            while not stop.wait(period):
+                told = _ask_again(where) or told
+                live.update(_coloured(_sections(told)), refresh=True)
+
+
+def _ask_again(where: str | None) -> list[dict[str, Any]]:
+    try:
+        return _ask(where)
+    except ModbusError as error:
+        say(str(error))
+        return []
+
+
+def _sections(told: list[dict[str, Any]]) -> "list[Section]":
+    from .status_view import list_of_programs, sections_of
+
+    return sections_of(told[0]) if len(told) == 1 else [list_of_programs(told)]
+
+
+def _print_plain(sections: "list[Section]") -> None:
+    for number, section in enumerate(sections):
+        if number:
+            print()
+        if section.title:
+            print(section.title)
+        rows = [section.columns, *section.rows] if section.columns else section.rows
+        print_aligned(rows)
+
+
+def _coloured(sections: "list[Section]") -> Any:  # something that rich can print
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    parts: list[Any] = []
+    for section in sections:
+        if parts:
+            parts.append(Text())
+        if section.title:
+            parts.append(Text(section.title, style="bold"))
+        if section.rows:
+            table = Table(
+                *section.columns, box=None, show_header=bool(section.columns), header_style="dim", pad_edge=False
+            )
+            for column in table.columns:
+                column.no_wrap = column.header in _WHOLE
+            for row in section.rows:
+                table.add_row(*(Text(cell, style=section.style_of(index, cell)) for index, cell in enumerate(row)))
+            parts.append(table)
+    return Group(*parts)

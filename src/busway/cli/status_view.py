@@ -1,0 +1,221 @@
+"""What a status says, as sections of rows: words, times and sizes as a person reads them.
+
+Knows the JSON of a control service; prints nothing. What it does not know by name it shows by its name.
+
+1. A column of which no row says anything (zero, empty, no) is left out.
+"""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+JsonObject = dict[str, Any]
+
+_SECONDS: Final = frozenset({"age", "idle", "uptime"})
+_BYTES: Final = frozenset({"received", "sent", "received_bytes", "sent_bytes"})
+_LISTENER_COLUMNS: Final = ("endpoint", "is_open", "communication", "error", "device_status")
+_CONNECTION_COLUMNS: Final = (
+    *("peer", "listener", "pool", "state", "role", "subject"),
+    *("age", "idle", "received", "sent", "requests", "waiting"),
+)
+_ALWAYS: Final = frozenset({*_LISTENER_COLUMNS, "peer", "listener", "age", "idle", "received", "sent", "requests"})
+_HEADINGS: Final = {
+    "endpoint": "listener",
+    "peer": "connection",
+    "is_open": "open",
+    "requests": "transactions",
+    "device_status": "device",
+}
+_LAMPS: Final = ("communication", "error", "device_status")
+_EXPIRES_SOON_DAYS: Final = 30.0
+_STYLES: Final[Mapping[str, Mapping[str, str]]] = {
+    "communication": {"on": "green", "flashing": "yellow"},
+    "error": {"on": "bold red", "flashing": "yellow"},
+    "device": {"on": "green", "flashing": "yellow", "off": "red"},
+    "open": {"no": "red"},
+    "pool": {"priority": "bold"},
+}
+"""Colours by heading and word."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of what is shown.
+
+    Attributes:
+        title: a line above it; empty if there is none.
+        columns: headings; empty where the rows speak for themselves.
+        rows: cells, as many in each row.
+    """
+
+    title: str
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = field(default_factory=tuple)
+
+    def style_of(self, column: int, cell: str) -> str:
+        """The colour of a cell on a terminal; empty for none."""
+        if not self.columns:
+            return ""
+        return _STYLES.get(self.columns[column], {}).get(cell, "")
+
+
+def sections_of(told: JsonObject) -> list[Section]:
+    """All that one program tells."""
+    state = told["status"]
+    sections = [Section(headline(told))]
+    sections += server_sections(state)
+    for front in state.get("fronts") or ():
+        server = front.get("server") or {}
+        sections.append(Section(f"front {front.get('name', '')}".rstrip()))
+        sections += server_sections(server)
+    if state.get("lines"):
+        sections.append(_table(state["lines"], (), ""))
+    return sections
+
+
+def server_sections(state: JsonObject) -> list[Section]:
+    """A server: places, listeners, certificates, connections, and what it has counted."""
+    sections = []
+    places = places_line(state)
+    if places:
+        sections.append(Section(places))
+    if state.get("listeners"):
+        sections.append(_table([_flat(one) for one in state["listeners"]], _LISTENER_COLUMNS, ""))
+    certificates = [line for one in state.get("listeners") or () for line in certificate_lines(one)]
+    if certificates:
+        sections.append(Section("certificates", (), certificates))
+    if state.get("connections"):
+        sections.append(_table(state["connections"], _CONNECTION_COLUMNS, ""))
+    counted = list(_counted(state.get("counters") or {}))
+    if counted:
+        sections.append(Section("counted since the start or the last reset", (), counted))
+    refusals = [[rule, str(count)] for rule, count in (state.get("refusals") or {}).items() if count]
+    if refusals:
+        sections.append(Section("refused by rule", (), refusals))
+    return sections
+
+
+def list_of_programs(told: Iterable[JsonObject]) -> Section:
+    """Several programs, a line each."""
+    rows = [
+        [
+            str(one["pid"]),
+            str(one["name"]),
+            "running" if one["status"].get("running") else "stopped",
+            duration(one["status"].get("uptime") or 0.0),
+            str(len(_connections(one["status"]))),
+            " ".join(one["status"].get("endpoints") or ()),
+        ]
+        for one in told
+    ]
+    return Section("", ("process", "name", "state", "uptime", "connections", "endpoints"), rows)
+
+
+def headline(told: JsonObject) -> str:
+    """What it is, where, and since when: one line."""
+    state = told["status"]
+    since = f"up {duration(state.get('uptime') or 0.0)}" if state.get("running") else "stopped"
+    endpoints = ", ".join(state.get("endpoints") or ())
+    place = f" on {endpoints}" if endpoints else ""
+    return f"{told['name']}{place}: {since}, process {told['pid']}, busway {told['version']}"
+
+
+def places_line(state: JsonObject) -> str:
+    """How many connections there are, and may be."""
+    if "supported_connections" not in state:
+        return ""
+    remote = state.get("remote_connections", len(_connections(state)))
+    line = f"{remote} remote connections of {state['supported_connections']} supported"
+    return f"{line}, {state['local_connections']} local" if "local_connections" in state else line
+
+
+def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
+    """What there is to say of a listener's certificate and handshakes."""
+    security = listener.get("security")
+    if not security:
+        return
+    day = time.strftime("%Y-%m-%d", time.gmtime(security["not_after"]))
+    left = security["days_left"]
+    if left < 0:
+        expiry = f"EXPIRED on {day}"
+    else:
+        soon = "; renew it" if left < _EXPIRES_SOON_DAYS else ""
+        expiry = f"expires on {day}, in {left:.0f} days{soon}"
+    yield [listener["endpoint"], security.get("subject", ""), expiry]
+    done = [f"{security.get('established', 0)} handshakes agreed"]
+    done += [f"{count} refused: {reason}" for reason, count in (security.get("refused") or {}).items() if count]
+    yield ["", "", ", ".join(done)]
+
+
+def duration(time: float) -> str:
+    """Seconds as two units at most: ``0.4 s``, ``42 s``, ``13 min``, ``5 h 12 min``, ``3 d 4 h``."""
+    if time < 10:
+        return f"{time:.1f} s"
+    if time < 120:
+        return f"{time:.0f} s"
+    minutes = int(time // 60)
+    if minutes < 120:
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:
+        return f"{hours} h {minutes} min"
+    return f"{hours // 24} d {hours % 24} h"
+
+
+def size(number: float) -> str:
+    """Bytes: ``512 B``, ``12.3 kB``, ``4.5 MB``."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if number < 1000:
+            return f"{number:.0f} B" if unit == "B" else f"{number:.1f} {unit}"
+        number /= 1000
+    return f"{number:.1f} TB"
+
+
+def shown(name: str, value: Any) -> str:
+    """A cell."""
+    if value is None or value == "":
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if name in _SECONDS and isinstance(value, int | float):
+        return duration(value)
+    if name in _BYTES and isinstance(value, int | float):
+        return size(value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Section:
+    """Rows of scalars under headings, the known columns first."""
+    names = list(dict.fromkeys([*known, *(name for row in rows for name in row)]))
+    names = [
+        name
+        for name in names
+        if not any(isinstance(row.get(name), dict | list) for row in rows)
+        and (any(row.get(name) for row in rows) or (name in _ALWAYS and name in rows[0]))
+    ]
+    headings = [_HEADINGS.get(name, name.replace("_", " ")) for name in names]
+    return Section(title, headings, [[shown(name, row.get(name)) for name in names] for row in rows])
+
+
+def _flat(listener: JsonObject) -> JsonObject:
+    """A listener with its lamps as columns; its diagnostic counters only where they tell of something wrong."""
+    counters = listener.get("counters") or {}
+    wrong = {name: count for name, count in counters.items() if "error" in name or "overrun" in name}
+    return {**listener, **(listener.get("lamps") or {}), **wrong}
+
+
+def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
+    """The counters that are not zero, those of classes behind their class."""
+    for name, count in counters.items():
+        label = f"{prefix}{name.replace('_', ' ')}"
+        if isinstance(count, dict):
+            yield from _counted(count, f"{label}: ")
+        elif count:
+            yield [label, shown(name, count)]
+
+
+def _connections(state: JsonObject) -> list[Any]:
+    """The connections of a server, or of all fronts of a gateway."""
+    fronts = [(front.get("server") or {}).get("connections") or [] for front in state.get("fronts") or ()]
+    return [*(state.get("connections") or ()), *(one for front in fronts for one in front)]
