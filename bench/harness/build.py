@@ -13,7 +13,7 @@ from pathlib import Path
 SOURCES = Path(__file__).parent.parent / "c"
 TARGET = Path(__file__).parent.parent / "build"
 FLAGS = ["-O2", "-Wall", "-Wextra"]
-LIBRARIES: dict[str, str | None] = {"floor_server": None, "load": None, "libmodbus_server": "libmodbus"}
+LIBRARIES: dict[str, str | None] = {"floor_server": None, "load": None, "paced": None, "libmodbus_server": "libmodbus"}
 
 
 def programs(say: Callable[[str], None]) -> dict[str, Path]:

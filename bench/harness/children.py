@@ -2,8 +2,8 @@
 
 Rules:
 1. A child is ended through its own handle, never by name; leaving the `with` block of a server ends it.
-2. A server announces itself by a word and what it has to tell on its first line, `port N` for one on TCP; it has START
-   seconds for that.
+2. A server announces itself by a word and what it has to tell on its first line, `port N` for one on TCP, or by its
+   URL as `busway serve` does; it has START seconds for that.
 3. What a child says on stderr is kept and shown only when it fails.
 """
 
@@ -64,6 +64,8 @@ def server(command: Sequence[str | Path], core: int | None, word: str = "port") 
         process = _start(command, core, complaints)
         try:
             first = _line(process, START)
+            if first.startswith("tcp://"):
+                first = f"port {first.rpartition(':')[2]}"
             if not first.startswith(f"{word} "):
                 raise ChildFailed(_failure(command, f"did not tell its {word} but {first!r}", complaints))
             yield Server(process, first.split()[1:])

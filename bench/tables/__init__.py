@@ -5,6 +5,7 @@ TABLES = {
     "client": "tables.client",
     "line": "tables.line",
     "gateway": "tables.gateway",
+    "connections": "tables.connections",
     "memory": "tables.memory",
     "startup": "tables.startup",
 }
