@@ -1,6 +1,7 @@
 """Servers, listeners and connections as a status shows them (Messaging on TCP/IP V1.0b §5.1.2). Times are seconds."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -113,6 +114,7 @@ class ServerStatus:
         local_connections: how many this program has itself towards others, where the server was told whom to ask.
         counters: what happened since the server was made or reset.
         listeners: the listeners, with their lamps and diagnostic counters.
+        refusals: requests that the policy has refused, by the name of the rule.
     """
 
     running: bool
@@ -124,3 +126,4 @@ class ServerStatus:
     local_connections: int
     counters: ServerCounters
     listeners: tuple[ListenerStatus, ...] = ()
+    refusals: Mapping[str, int] = field(default_factory=dict)
