@@ -11,6 +11,10 @@ from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
 from busway.pdu.read_items import ReadHoldingRegisters
+from busway.server.listener import Listener
+from busway.server.policy.addresses import AddressList
+from busway.server.policy.networks import Networks
+from busway.server.policy.rules import Policy
 
 READ = ReadHoldingRegisters(0, 2).encode()
 REPLY = bytes.fromhex("03 04 00 00 00 01")
@@ -102,6 +106,105 @@ async def test_there_are_as_many_peers_as_connections_may_be() -> None:
         status = server.status()
         assert len(status.connections) == 2
         assert (status.counters.accepted, status.counters.evicted, status.counters.requests) == (4, 2, 4)
+
+
+class Marked(Sender):
+    """A sender from an address that the priority places are for."""
+
+    def __init__(self, endpoint: str) -> None:
+        super().__init__(endpoint)
+        self.socket.close()
+        parts = urlsplit(endpoint)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(5.0)
+        self.socket.bind(("127.0.0.2", 0))
+        self.socket.connect((parts.hostname, parts.port))
+
+
+@pytest.mark.clause("T13")
+async def test_strangers_push_out_no_marked_peer_however_many_senders_there_are() -> None:
+    options = {"priority": ["127.0.0.2"], "max_connections": 1, "max_priority_connections": 1}
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
+        with Marked(server.endpoints[0]) as marked:
+            await marked.ask(frame_of("udp", 1, READ))
+            for _ in range(5):
+                with Sender(server.endpoints[0]) as sender:
+                    await sender.ask(frame_of("udp", 1, READ))
+            await marked.ask(frame_of("udp", 1, READ))
+            status = server.status()
+            assert [(one.pool.value, one.requests) for one in status.connections] == [("priority", 2), ("other", 1)]
+            assert status.counters.priority.accepted == 1
+            assert status.listeners[0].priority_connections == 1
+
+
+@pytest.mark.clause("T40")
+async def test_sender_without_a_place_gets_nothing() -> None:
+    options = {"priority": ["127.0.0.2"], "max_connections": 1, "max_priority_connections": 1}
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
+        with (
+            Marked(server.endpoints[0]) as first,
+            Marked(server.endpoints[0]) as second,
+            Sender(server.endpoints[0]) as third,
+        ):
+            for one in (first, second):
+                await one.ask(frame_of("udp", 1, READ))
+            third.socket.send(frame_of("udp", 1, READ))
+            await first.ask(frame_of("udp", 1, READ))  # sent after it, and so answered after it was looked at
+            assert server.counters.refused_full == 1
+            third.socket.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                third.socket.recv(2048)
+
+
+async def test_datagrams_over_the_rate_of_a_host_are_dropped_and_counted_and_a_marked_host_has_none() -> None:
+    options = {"priority": ["127.0.0.2"], "request_rate": 0.001}
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
+        with Sender(server.endpoints[0]) as sender, Marked(server.endpoints[0]) as marked:
+            await sender.ask(frame_of("udp", 1, READ))
+            for _ in range(3):
+                sender.socket.send(frame_of("udp", 1, READ))
+            for _ in range(3):
+                await marked.ask(frame_of("udp", 1, READ))
+            assert (server.counters.rate_limited, server.status().counters.requests) == (3, 4)
+
+
+@pytest.mark.clause("T15")
+async def test_listener_over_udp_has_access_rules_of_its_own_and_the_policy_of_the_server() -> None:
+    units = {1: device()}
+    listener = Listener("udp://127.0.0.1:0", access=AddressList(deny=Networks(["127.0.0.2"])))
+    async with busway.serve(listener, units=units, policy=Policy.read_only()) as server:
+        with Sender(server.endpoints[0]) as sender, Marked(server.endpoints[0]) as refused:
+            refused.socket.send(frame_of("udp", 1, READ))
+            write = frame_of("udp", 1, bytes.fromhex("06 0000 0009"))
+            assert await sender.ask(write) == frame_of("udp", 1, bytes.fromhex("86 01"))
+            assert server.counters.unauthorised == 1
+    assert units[1].holding_registers[0] == 0
+
+
+async def test_no_datagram_is_answered_by_more_than_the_reply_of_its_request() -> None:
+    """Whatever is sent, at most one datagram comes back; to what is no request, none."""
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}) as server:
+        with Sender(server.endpoints[0]) as sender:
+            reply = frame_of("udp", 1, bytes.fromhex("03 FA") + bytes(250))
+            for data in (b"", b"\0" * 7, frame_of("udp", 1, READ) * 2, frame_of("udp", 1, REPLY)[:-1], bytes(1472)):
+                sender.socket.send(data)
+            answer = await sender.ask(frame_of("udp", 1, ReadHoldingRegisters(20, 80).encode()))
+            assert len(answer) == 9 + 160 <= len(reply)
+            sender.socket.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                sender.socket.recv(2048)
+
+
+@pytest.mark.clause("T20")
+async def test_empty_host_hears_datagrams_of_both_families_on_one_port_and_counts_them_together() -> None:
+    async with busway.serve("udp://:0", units={1: device()}) as server:
+        assert sorted(url.rpartition(":")[0] for url in server.endpoints) == ["udp://0.0.0.0", "udp://[::]"]
+        port = urlsplit(server.endpoints[0]).port
+        for host in ("127.0.0.1", "[::1]"):
+            async with busway.open(f"udp://{host}:{port}") as link:
+                assert await link.unit(1).read_holding_registers(0, count=2) == [0, 1]
+        status = server.status()
+        assert (status.counters.requests, len(status.listeners), len(status.connections)) == (2, 1, 2)
 
 
 @pytest.mark.clause("S2")

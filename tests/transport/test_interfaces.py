@@ -1,0 +1,41 @@
+"""The interfaces of this host, as the system tells them."""
+
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+from busway.transport import interfaces
+from busway.transport.interfaces import Interface, interfaces_with
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux is asked")
+
+
+@pytest.mark.clause("T20")
+def test_the_loopback_interface_has_its_address_and_netmask() -> None:
+    assert interfaces_with("127.0.0.1") == (Interface("lo", "127.0.0.1", "255.0.0.0"),)
+    assert interfaces_with("::1") == (Interface("lo", "::1", "/128"),)
+    assert Interface("lo", "127.0.0.1", "255.0.0.0") in interfaces_with("0.0.0.0")
+    assert interfaces_with("192.0.2.1") == ()
+
+
+@pytest.mark.clause("T20")
+def test_the_gateway_is_that_of_the_default_route(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    gateway = int.from_bytes(socket.inet_aton("10.0.0.254"), sys.byteorder)
+    table = tmp_path / "route"
+    table.write_text(
+        "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\n"
+        "lo\t0000000A\t00000000\t0001\t0\t0\t0\t00FFFFFF\n"
+        f"lo\t00000000\t{gateway:08X}\t0003\t0\t0\t0\t00000000\n"
+    )
+    monkeypatch.setattr(interfaces, "_ROUTES", table)
+    (found,) = interfaces_with("127.0.0.1")
+    assert found.gateway == "10.0.0.254"
+
+
+def test_a_system_that_does_not_tell_has_nothing_to_show(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(interfaces, "_IPV6_ADDRESSES", tmp_path / "none")
+    assert interfaces_with("::1") == ()
+    monkeypatch.setattr(sys, "platform", "other")
+    assert interfaces_with("127.0.0.1") == ()
