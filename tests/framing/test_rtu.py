@@ -619,7 +619,17 @@ PATTERNS = {
     "random": random.Random(1).randbytes(MEGABYTE),
     **{
         name: (bytes.fromhex(name) * MEGABYTE)[:MEGABYTE]
-        for name in ("01 03 FA", "01", "0F", "01 10 00 00 00 7B F6", "2B 0E", "01 18", "83", "05 41 C1 0F 00 00 00")
+        for name in (
+            "01 03 FA",
+            "01",
+            "0F",
+            "01 10 00 00 00 7B F6",
+            "2B 0E",
+            "01 18",
+            "83",
+            "05 41 C1 0F 00 00 00",
+            "01 2B 0E 01",
+        )
     },
 }
 

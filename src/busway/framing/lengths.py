@@ -29,7 +29,7 @@ _SAMPLES: Final = range(0, 256, 5)
 _DECIDING: Final = 3
 """Function code and two bytes: a sub-function, or a byte count of two bytes."""
 _ANSWERS_KEPT: Final = 4096
-"""Answers of the table that are kept for each direction: noise must not fill the memory."""
+"""Answers and rules of the table that are kept for each direction: noise must not fill the memory."""
 
 LengthRule = Callable[[bytes, int, int], int]
 
@@ -50,7 +50,7 @@ class FrameLengths:
         answers: what the table said lately where it had to be asked, by direction and the first three bytes of the PDU.
     """
 
-    __slots__ = ("_ask", "answers", "replies", "requests", "shapes")
+    __slots__ = ("asked_replies", "asked_requests", "replies", "requests", "shapes")
 
     def __init__(self, functions: FunctionTable) -> None:
         self.requests = [_flatten(functions, code, functions.request_length) for code in range(256)]
@@ -59,11 +59,8 @@ class FrameLengths:
             tuple(dict.fromkeys(shape for shape in map(shape_of, rules) if shape is not None and shape[1]))
             for rules in zip(self.replies, self.requests, strict=True)
         ]
-        self.answers: dict[Direction, dict[int, int]] = {Direction.REQUEST: {}, Direction.REPLY: {}}
-        self._ask: dict[Direction, LengthRule] = {
-            Direction.REQUEST: functions.request_length,
-            Direction.REPLY: functions.reply_length,
-        }
+        self.asked_requests = AskedLengths(functions, Direction.REQUEST)
+        self.asked_replies = AskedLengths(functions, Direction.REPLY)
 
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
         """Length of the frame that starts at ``at``, from what ``data[at:end]`` shows.
@@ -80,21 +77,53 @@ class FrameLengths:
             return UNKNOWN_LENGTH
         if rule != ASK:
             return data[at - rule] + 1 - rule + 2 if at - rule < end else NEED_MORE
-        return self._asked(direction, bytes(data[at + 1 : min(end, at + RTU_ADU_LIMIT)]))
+        asked = self.asked_requests if direction is Direction.REQUEST else self.asked_replies
+        return asked.length(data, at + 1, min(end, at + RTU_ADU_LIMIT))
 
-    def _asked(self, direction: Direction, shown: bytes) -> int:
-        """The answer of the table; kept where three bytes decide, which is so for all but function 43."""
-        beginning = int.from_bytes(shown[:_DECIDING], "big") if len(shown) >= _DECIDING else -1
-        answers = self.answers[direction]
-        answer = answers.get(beginning)
+
+class AskedLengths:
+    """What the table says of the functions whose length one look does not tell, for one direction.
+
+    Attributes:
+        answers: what it said lately, by the first three bytes of the PDU.
+    """
+
+    __slots__ = ("_ask", "_find", "_is_reply", "_rules", "answers")
+
+    def __init__(self, functions: FunctionTable, direction: Direction) -> None:
+        self._is_reply = direction is Direction.REPLY
+        self._ask: LengthRule = functions.reply_length if self._is_reply else functions.request_length
+        self._find = functions.find
+        self.answers: dict[int, int] = {}
+        self._rules: dict[int, LengthRule] = {}
+
+    def length(self, data: bytearray, at: int, end: int) -> int:
+        """Length of the frame whose PDU is at ``at``, as `FrameLengths.length` gives it.
+
+        Three bytes decide for all but the objects of function 43. There the rule is kept instead of the answer: a line
+        full of what looks like such replies is asked at every one of them.
+        """
+        shown = bytes(data[at:end])
+        if len(shown) < _DECIDING:
+            return _around(self._ask(shown, 0, len(shown)))
+        beginning = shown[0] << 16 | shown[1] << 8 | shown[2]
+        rule = self._rules.get(beginning)
+        if rule is not None:
+            return _around(rule(shown, 0, len(shown)))
+        answer = self.answers.get(beginning)
         if answer is None:
-            ask = self._ask[direction]
-            answer = _around(ask(shown[:_DECIDING], 0, min(_DECIDING, len(shown))))
+            answer = _around(self._ask(shown[:_DECIDING], 0, _DECIDING))
             if answer == NEED_MORE:
-                answer = _around(ask(shown, 0, len(shown)))
-            elif beginning >= 0 and len(answers) < _ANSWERS_KEPT:
-                answers[beginning] = answer
+                self._keep_rule(beginning, shown)
+                answer = _around(self._ask(shown, 0, len(shown)))
+            elif len(self.answers) < _ANSWERS_KEPT:
+                self.answers[beginning] = answer
         return answer
+
+    def _keep_rule(self, beginning: int, shown: bytes) -> None:
+        function = self._find(shown, 0, _DECIDING)
+        if function is not None and not shown[0] & 0x80 and len(self._rules) < _ANSWERS_KEPT:
+            self._rules[beginning] = function.Reply.wire_length if self._is_reply else function.wire_length
 
 
 def _around(length: int) -> int:

@@ -449,7 +449,7 @@ class RtuReceiver:
             self._scan = size
             return _DEAD, Direction.UNKNOWN
         unit, checks, shape_of_code = due.unit, _checks(), self._shapes_of_due(due).get
-        answers = self._lengths.answers[Direction.REPLY]
+        answers, asked = self._lengths.asked_replies.answers, self._lengths.asked_replies.length
         for at in range(self._scan, size - SHORTEST + 1):
             if buffer[at] != unit:
                 continue
@@ -463,9 +463,11 @@ class RtuReceiver:
                 end = at + around
             else:
                 length = answers.get(buffer[at + 1] << 16 | buffer[at + 2] << 8 | buffer[at + 3])
+                if length is None:
+                    length = asked(buffer, at + 1, min(size, at + RTU_ADU_LIMIT))
                 if length == UNKNOWN_LENGTH:
                     continue
-                end = at + (self._asked_of_due(at, size) if length is None else min(length, IMPOSSIBLE))
+                end = size + 1 if length == NEED_MORE else at + min(length, IMPOSSIBLE)
             if end <= size:
                 low, high = checks[end - at]
                 state = states[at]
@@ -484,13 +486,6 @@ class RtuReceiver:
         if due.size > 0:
             shapes[function] = 0, due.size + AROUND_PDU
         return {code: shape for code, shape in shapes.items() if shape is not None}
-
-    def _asked_of_due(self, at: int, size: int) -> int:
-        """The length of the reply at ``at`` where only the table tells; beyond the buffer while it can not be told."""
-        length = self._length(Direction.REPLY, at, size)
-        if length == NEED_MORE:
-            return size - at + 1
-        return IMPOSSIBLE if length == UNKNOWN_LENGTH else min(length, IMPOSSIBLE)
 
     def _search_any(self, *, at_limit: bool) -> tuple[int, Direction]:
         """As `_search`, for functions whose length one look tells: the others are found by silence alone."""
