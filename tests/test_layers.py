@@ -28,6 +28,7 @@ LAYER_OF = {
     "client": 5,
     "server": 5,
     "observe": 5,
+    "assembly": 6,
     "control": 6,
     "gateway": 6,
     "simulator": 6,

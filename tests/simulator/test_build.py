@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 import busway
+from busway.assembly.configuration import parse_configuration
 from busway.config.files.device import parse_device_file
-from busway.simulator.build import build_device, build_server, build_units
+from busway.simulator.build import build_device, build_units
 from busway.simulator.points import Points
 
 GOOD = (Path(__file__).parents[1] / "config" / "files" / "good.toml").read_text(encoding="utf-8")
@@ -61,9 +62,9 @@ def test_a_point_takes_no_value_that_does_not_fit() -> None:
 
 
 async def test_a_served_file_answers_as_it_declares() -> None:
-    file = parse_device_file(GOOD, "good.toml")
+    configuration = parse_configuration(GOOD, "good.toml")
     async with (
-        build_server(file, ["tcp://127.0.0.1:0"]) as server,
+        configuration.serve(["tcp://127.0.0.1:0"]) as server,
         busway.open(server.endpoints[0], timeout=0.2, retries=0) as link,
     ):
         unit = link.unit(1)

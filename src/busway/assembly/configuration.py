@@ -220,7 +220,8 @@ class _Makers:
 
     def _checked(self, listener: Listener, place: Place) -> Listener:
         """The listener, whose URL the server has judged with its options."""
-        self._judge.make(lambda: listener_settings(listener, limits=ListenerParameters()), lambda key: place)
+        if listener.tls is not None or parse_endpoint(listener.endpoint).carrier != "tls":
+            self._judge.make(lambda: listener_settings(listener, limits=ListenerParameters()), lambda key: place)
         return listener
 
     def _tls(self, own: Mapping[str, Any], at: Place) -> TlsParameters | None:

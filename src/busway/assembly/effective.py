@@ -50,7 +50,7 @@ def _link(link: NamedLink) -> Iterator[str]:
     yield line("name", link.name)
     yield line("url", link.settings.endpoint.url)
     settings, offered = link.settings, options_of(link.settings.endpoint)
-    parts: list[Any] = [settings.parameters, settings.sockets, settings.management]
+    parts: list[Any] = [settings.parameters, settings.sockets, settings.management, settings.security]
     if settings.line is not None:
         found = settings.line
         parts += [found.port, found.conversation, found.breaker, found.framing, found.opening]

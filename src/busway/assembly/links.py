@@ -81,5 +81,11 @@ def _named_link(
             return ("security", str(key))
         return nearest(key, own, at, general, ("client",))
 
-    settings = judge.make(lambda: link_settings(endpoint, options), place)
+    def make() -> LinkSettings:
+        made = link_settings(endpoint, options)
+        if made.security is not None:
+            made.security.check_client()
+        return made
+
+    settings = judge.make(make, place)
     return None if settings is None else NamedLink(section.name, section.url, options, settings)

@@ -10,21 +10,6 @@ from ..codes import Table
 from ..config.files.device import DeviceFile, PointSection, TableSection, UnitSection
 from ..server.cells import Cells
 from ..server.device import Device
-from ..server.server import Server
-from ..server.serving import serve
-
-
-def build_server(file: DeviceFile, listen: Sequence[str] = ()) -> Server:
-    """A server for all that a file declares, not started yet.
-
-    Args:
-        file: the file.
-        listen: endpoints instead of those in the file.
-
-    Raises:
-        ConfigError: an endpoint that can not be listened on.
-    """
-    return serve(*(listen or file.listen), units=build_units(file), **file.server.options())
 
 
 def build_units(file: DeviceFile) -> dict[int, Device]:

@@ -54,7 +54,7 @@ from ...values.refusal import shown
 from .device import DeviceFile, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
-from .options import OptionSection, with_options_of
+from .options import OptionSection, TextOrNone, with_options_of
 from .policy import ActionWord, PolicySection
 from .schema import Faults, Section, Source, read_source
 
@@ -121,22 +121,24 @@ HoldTime = Annotated[
 FilePath = Annotated[str, Field(min_length=1)]
 
 
-class ManagementKeys(OptionSection):
-    """The options of `ManagementParameters`. None of them is set by being left out."""
+class LinkKeys(OptionSection):
+    """The options of a link that are the client's own. None of them is set by being left out."""
 
+    profile: Literal["standard", "strict"] | None = None
     hold: HoldTime | None = None
     reconnect_first: float | None = None
     reconnect_most: float | None = None
     max_connections: int | None = None
+    interface: TextOrNone = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of a link that are set here, by name."""
-        own = {name: getattr(self, name) for name in ManagementKeys.model_fields if name in self.model_fields_set}
+        own = {name: getattr(self, name) for name in LinkKeys.model_fields if name in self.model_fields_set}
         return super().options() | own
 
 
 @with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
-class LinkSection(ManagementKeys):
+class LinkSection(LinkKeys):
     """``[[client.link]]``: one endpoint that is asked, under a name, with options of its own."""
 
     judged: ClassVar = False  # together with those of [client], where the link is put together
@@ -146,7 +148,7 @@ class LinkSection(ManagementKeys):
 
 
 @with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
-class ClientSection(ManagementKeys):
+class ClientSection(LinkKeys):
     """``[client]``: the links, and options for all of them whose scheme has the option."""
 
     link: list[LinkSection] = Field(default_factory=list)
