@@ -164,3 +164,61 @@ def test_nobody_is_passed_twice_while_he_waits(demands: list[Demand]) -> None:
                 since[other].add(caller)
         since[caller] = set()
         waiting[caller] -= 1
+
+
+def test_who_comes_anew_is_served_before_the_one_that_was_served_last() -> None:
+    flood = [demand("flood") for _ in range(3)]
+    queue = filled(*flood)
+    assert queue.pick() is flood[0]
+    queue.remove(flood[0])
+    quiet = demand("quiet")
+    queue.add(quiet)
+    assert serve(queue) == [quiet, *flood[1:]]
+
+
+def test_two_that_ask_one_by_one_take_turns_with_a_flood() -> None:
+    flood = [demand("flood") for _ in range(6)]
+    queue = filled(*flood)
+    order = []
+    for number in range(9):
+        if number in (1, 4):
+            queue.add(demand("one"))
+            queue.add(demand("two"))
+        picked = queue.pick()
+        assert picked is not None
+        queue.remove(picked)
+        order.append(picked.caller)
+    assert order == ["flood", "one", "two", "flood", "one", "two", "flood", "flood", "flood"]
+
+
+def test_no_newcomer_keeps_another_waiting_for_ever() -> None:
+    queue = filled(demand("first"), demand("second"))
+    assert queue.pick().caller == "first"  # type: ignore[union-attr]
+    served = []
+    for number in range(4):
+        queue.add(demand(f"new {number}"))
+        picked = queue.pick()
+        assert picked is not None
+        queue.remove(picked)
+        served.append(picked.caller)
+    assert served[0] == "second"
+    assert "first" in served
+
+
+def test_units_of_a_caller_are_served_in_turn_where_that_is_asked_for() -> None:
+    demands = [demand(unit=unit) for unit in (1, 1, 1, 2, 2, 3)]
+    queue = RequestQueue(64)
+    queue.units_in_turn = True
+    for one in demands:
+        queue.add(one)
+    assert [one.unit for one in serve(queue)] == [1, 2, 3, 1, 2, 1]
+
+
+def test_units_in_turn_keep_the_order_within_a_unit_and_pass_those_that_may_not_be_asked() -> None:
+    demands = [demand(unit=unit) for unit in (1, 1, 2, 2)]
+    queue = RequestQueue(64)
+    queue.units_in_turn = True
+    for one in demands:
+        queue.add(one)
+    assert serve(queue, lambda one: one.unit == 2) == demands[2:]
+    assert serve(queue) == demands[:2]

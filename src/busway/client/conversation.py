@@ -56,6 +56,9 @@ class Conversation(Protocol):
     def send_now(self, demand: Demand, now: float) -> bytes | None:
         """The frame of a demand that need not queue; None: `submit` it."""
 
+    def serve_units_in_turn(self) -> None:
+        """Serve the units of each caller in turn."""
+
     def cancel(self, demand: Demand) -> None:
         """Nobody waits for it any more."""
 

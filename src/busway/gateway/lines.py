@@ -161,6 +161,7 @@ class Line:
             return
         for _ in range(self._connections):
             session = conversation_for(self.settings)
+            session.serve_units_in_turn()
             connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
             self._links.append(Link(connector, session, self.settings))
 

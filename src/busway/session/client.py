@@ -161,6 +161,10 @@ class TcpClientSession:
                 flight.demand = None
         self._ledger.withdraw(demand)
 
+    def serve_units_in_turn(self) -> None:
+        """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""
+        self._ledger.queue.units_in_turn = True
+
     @property
     def has_demands(self) -> bool:
         """Whether something waits to be sent."""

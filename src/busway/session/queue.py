@@ -2,10 +2,12 @@
 
 Knows callers, units and the order among them; knows no clock and no bytes.
 
-1. Round robin over callers, one request each.
+1. Round robin over callers, one request each. Who comes anew is served before the one that was served last: a flood
+   costs others the request that is on the line, and no second one.
 2. Of one caller, its writes go before its reads to other units, never past its own earlier requests to the same unit.
 3. A unit that must not be asked now (``eligible``) holds up its own requests only.
 4. The queue is bounded; what does not fit is refused before anything was sent.
+5. Where a caller stands for many (a client of a gateway), its units can be served in turn too (``units_in_turn``).
 """
 
 from collections import deque
@@ -21,14 +23,17 @@ Eligible = Callable[[Demand], bool]
 class _Caller:
     """The demands of one caller, in the order they came."""
 
-    __slots__ = ("demands", "key", "writes")
+    __slots__ = ("demands", "key", "served", "writes")
 
     def __init__(self, key: object) -> None:
         self.key = key
         self.demands: deque[Demand] = deque()
         self.writes = 0
+        self.served: dict[int, None] | None = None  # units in the order in which they were served, if that matters
 
     def pick(self, eligible: Eligible | None) -> Demand | None:
+        if self.served is not None and not self.writes:
+            return self._unit_in_turn(self.served, eligible)
         first = self.demands[0]
         if (not self.writes or first.is_write) and (eligible is None or eligible(first)):
             return first
@@ -46,17 +51,34 @@ class _Caller:
                 chosen = demand
         return chosen
 
+    def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Demand | None:
+        """The oldest demand of the unit that was served longest ago."""
+        oldest: dict[int, Demand] = {}
+        for demand in self.demands:
+            if demand.unit not in oldest and (eligible is None or eligible(demand)):
+                oldest[demand.unit] = demand
+        never = next((demand for unit, demand in oldest.items() if unit not in served), None)
+        return never or next((oldest[unit] for unit in served if unit in oldest), None)
+
 
 class RequestQueue:
-    """Demands that have something left to send."""
+    """Demands that have something left to send.
 
-    __slots__ = ("_callers", "_ring", "limit", "size")
+    Attributes:
+        limit: how many there may be.
+        size: how many there are.
+        units_in_turn: whether the units of a caller are served in turn, and not its requests in their order.
+    """
+
+    __slots__ = ("_callers", "_last", "_ring", "limit", "size", "units_in_turn")
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.size = 0
+        self.units_in_turn = False
         self._callers: dict[object, _Caller] = {}
         self._ring: deque[_Caller] = deque()
+        self._last: _Caller | None = None  # who was served last
 
     def add(self, demand: Demand) -> None:
         """Put a demand behind the others of its caller. Raises `Overloaded` where the queue is full."""
@@ -72,7 +94,12 @@ class RequestQueue:
         caller = self._callers.get(demand.caller)
         if caller is None:
             caller = self._callers[demand.caller] = _Caller(demand.caller)
-            self._ring.append(caller)
+            if self.units_in_turn:
+                caller.served = {}
+            if self._ring and self._ring[-1] is self._last:
+                self._ring.insert(-1, caller)
+            else:
+                self._ring.append(caller)
         if demand in caller.demands:
             return
         if first:
@@ -90,6 +117,10 @@ class RequestQueue:
             ring.rotate(-1)
             demand = caller.pick(eligible)
             if demand is not None:
+                self._last = caller
+                if caller.served is not None:
+                    caller.served.pop(demand.unit, None)
+                    caller.served[demand.unit] = None
                 return demand
         return None
 
