@@ -8,7 +8,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..config.endpoints import Endpoint
-from ..config.options import build_parameters, option_names
+from ..config.options import build_parameters, converted, option_names
+from ..config.profiles import OPTION
 from ..errors import ConfigError
 from ..pdu.functions import STANDARD, FunctionTable
 from ..session.handler import Handler
@@ -21,9 +22,12 @@ from .local import LocalHandler, UnitPolicy, UnlistedUnit
 from .loops import run as run_on_new_loop
 from .parameters import ListenerParameters
 from .server import Server, ServerStatus
+from .strict import STANDARD_PORT, with_server_profile
 
 if TYPE_CHECKING:
     from ..transport.tls import TlsParameters
+    from .policy.audit import AuditLog
+    from .policy.rules import Policy
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
 
@@ -35,10 +39,13 @@ def serve(
     units: Mapping[int, Device] | Device | None = None,
     handler: Handler | None = None,
     unit_policy: UnitPolicy | str = UnitPolicy.LISTED,
-    unlisted: UnlistedUnit | str = UnlistedUnit.EXCEPTION,
+    unlisted: UnlistedUnit | str | None = None,
     functions: FunctionTable = STANDARD,
     authorise: Authorise = everybody,
     tls: "TlsParameters | None" = None,
+    policy: "Policy | None" = None,
+    audit: "AuditLog | None" = None,
+    local_connections: Callable[[], int] | None = None,
     **options: Any,  # fields of the three parameter classes, checked by them
 ) -> Server:
     """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
@@ -51,16 +58,30 @@ def serve(
             line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
         handler: instead of ``units``, anything that answers requests (`busway.session.handler.Handler`).
         unit_policy: ``listed`` (others get exception 0B) or ``any`` (the sole device answers every unit).
-        unlisted: what a unit that is not listed gets: ``exception`` (0B) or ``silence``.
+        unlisted: what a unit that is not listed gets: ``exception`` (0B, the default) or ``silence``.
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
         authorise: asked with the host of each newcomer (``"10.0.0.7"``), before a byte of it is parsed; where it gives
             False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         tls: certificate, key and authorities of ``tls://`` listeners.
-        options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name.
+        policy: who may ask what; ``Policy.read_only()`` refuses all writes. Without one a server that the network can
+            reach takes writes from everybody, and says so in the log.
+        audit: where denied requests and writes are recorded.
+        local_connections: asked for a status: how many connections this program has itself towards other devices.
+        options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name;
+            ``profile="strict"`` sets what `busway.config.profiles` lists; ``standard_port`` says whether 502 is
+            listened on beside other TCP ports (§4.2.1), and without it that is `Server`'s rule.
 
     Raises:
-        ConfigError: an endpoint, unit or option that can not be.
+        ConfigError: an endpoint, unit or option that can not be, or that contradicts the profile.
     """
+    kinds = (ServerParameters, ListenerParameters, SocketParameters)
+    beside = options.get(STANDARD_PORT)
+    places, options = with_server_profile(
+        endpoints or (DEFAULT_ENDPOINT,),
+        options if unlisted is None else {**options, "unlisted": unlisted},
+        takes=["unlisted", *(name for kind in kinds for name in option_names(kind))],
+    )
+    of_unlisted = options.pop("unlisted", UnlistedUnit.EXCEPTION)
     if (units is None) == (handler is None):
         raise ConfigError("either units or a handler is needed", key="units")
     if handler is None:
@@ -70,10 +91,9 @@ def serve(
         handler = LocalHandler(
             units,
             unit_policy=_chosen(UnitPolicy, "unit_policy", unit_policy),
-            unlisted=_chosen(UnlistedUnit, "unlisted", unlisted),
+            unlisted=_chosen(UnlistedUnit, "unlisted", of_unlisted),
             functions=functions,
         )
-    kinds = (ServerParameters, ListenerParameters, SocketParameters)
     chosen: list[dict[str, object]] = [{}, {}, {}]
     for name, value in options.items():
         for kind, values in zip(kinds, chosen, strict=True):
@@ -81,16 +101,20 @@ def serve(
                 values[name] = value
                 break
         else:
-            known = sorted(name for kind in kinds for name in option_names(kind))
+            known = sorted([OPTION, STANDARD_PORT, *(name for kind in kinds for name in option_names(kind))])
             raise ConfigError(f"unknown option; there are {', '.join(known)}", key=name)
     return Server(
-        endpoints or (DEFAULT_ENDPOINT,),
+        places,
         handler,
         parameters=build_parameters(ServerParameters, chosen[0]),
         listener=build_parameters(ListenerParameters, chosen[1]),
         sockets=build_parameters(SocketParameters, chosen[2]),
         authorise=authorise,
         tls=tls,
+        policy=policy,
+        audit=audit,
+        standard_port=None if beside is None else bool(converted(STANDARD_PORT, beside, bool)),
+        local_connections=local_connections,
     )
 
 
@@ -146,6 +170,14 @@ class ServerThread:
     def reset(self) -> None:
         """Stop, clear the counters, start again."""
         asyncio.run_coroutine_threadsafe(self._server.reset(), self._loop).result()
+
+    def reload_security(self) -> None:
+        """As `Server.reload_security`."""
+
+        async def reload() -> None:
+            self._server.reload_security()
+
+        asyncio.run_coroutine_threadsafe(reload(), self._loop).result()
 
 
 @contextlib.contextmanager
