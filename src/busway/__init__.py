@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .config.access.addresses import AddressList
     from .config.access.rules import Policy, Rule
     from .config.endpoints import Endpoint, parse_endpoint
+    from .control.service import Control
     from .errors import (
         BadReply,
         ConfigError,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
         UnitSuspended,
         WriteOutcomeUnknown,
     )
+    from .observe.metrics.endpoint import start_metrics
     from .observe.trace import TRACE, TraceLevel
     from .pdu.diagnostics import (
         GetCommEventCounter,
@@ -85,6 +87,7 @@ _HOME = {
     "config.access.addresses": ("AddressList",),
     "config.access.rules": ("Policy", "Rule"),
     "config.endpoints": ("Endpoint", "parse_endpoint"),
+    "control.service": ("Control",),
     "errors": (
         "BadReply",
         "ConfigError",
@@ -97,6 +100,7 @@ _HOME = {
         "UnitSuspended",
         "WriteOutcomeUnknown",
     ),
+    "observe.metrics.endpoint": ("start_metrics",),
     "observe.trace": ("TRACE", "TraceLevel"),
     "pdu.diagnostics": (
         "GetCommEventCounter",
@@ -158,6 +162,7 @@ __all__ = [
     "Change",
     "ConfigError",
     "Configuration",
+    "Control",
     "Device",
     "DiagnosticCode",
     "Endpoint",
@@ -225,6 +230,7 @@ __all__ = [
     "serve",
     "serve_forever",
     "serve_in_thread",
+    "start_metrics",
     "u8",
     "u16",
     "value_type",

@@ -199,3 +199,14 @@ def test_watching_shows_again_says_a_failure_and_ends_by_ctrl_c(home: Path) -> N
         assert "nobody answers" in watching.wait_for("nobody")
         watching.stop()
         assert watching.process.returncode == 0
+
+
+def test_refusals_of_a_policy_are_told_by_rule(home: Path, run: Callable[..., Any]) -> None:
+    with Busway("serve", "--listen", "tcp://127.0.0.1:0", "--policy", "read-only") as program:
+        assert program.process.stdout is not None
+        endpoint = program.process.stdout.readline().decode().strip()
+        with busway.connect(endpoint) as link, pytest.raises(busway.ExceptionReply):
+            link.unit(1).write_single_register(0, 1)
+        result = run("status")
+    _, _, refused = result.out.partition("refused by rule\n")
+    assert refused.split()[-1] == "1"
