@@ -1,13 +1,18 @@
 """A flood of datagrams from many senders: bounded memory, and nobody is sent more than the answer that he asked for."""
 
+import asyncio
 import socket
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 from crowd import answer, question
+from handlers import Gate, ScriptedHandler
 from told_program import Program
+from waiting import until
+
+import busway
 
 SENDERS = 1500
 ROUNDS = 12
@@ -80,13 +85,7 @@ def _own_question(number: int) -> bytes:
 def _nobody_got_more_than_his_answer(senders: list[socket.socket]) -> None:
     sizes: defaultdict[bool, int] = defaultdict(int)
     for number, sender in enumerate(senders):
-        sender.setblocking(False)
-        answers = []
-        try:
-            while True:
-                answers.append(sender.recv(1500))
-        except BlockingIOError:
-            pass
+        answers = _received(sender)
         if number % 2:
             assert answers == []
         else:
@@ -94,3 +93,51 @@ def _nobody_got_more_than_his_answer(senders: list[socket.socket]) -> None:
             assert set(answers) <= {answer(number % 64, number)}
         sizes[bool(answers)] += 1
     assert sizes[True] > SENDERS // 4  # most were heard: the flood tried the server, and not the system's buffers alone
+
+
+# --- slow answers ------------------------------------------------------------
+
+SLOW_SENDERS, REQUESTS = 40, 10
+SLOW_PEERS, SLOTS = 8, 4
+SLOW = 1000
+"""From this address on, the handler waits."""
+
+
+@pytest.mark.clause("T27", "T40")
+async def test_flood_of_slow_requests_waits_in_bounded_places_and_every_answer_goes_to_its_asker() -> None:
+    gate = Gate()
+    handler = ScriptedHandler(gate.decide)
+    server = busway.serve("udp://127.0.0.1:0", handler=handler, max_connections=SLOW_PEERS, max_transactions=SLOTS)
+    async with server:
+        port = int(server.endpoints[0].rpartition(":")[2])
+        with _senders(port) as all_senders:
+            senders = all_senders[:SLOW_SENDERS]
+            for number, sender in enumerate(senders):
+                for one in range(REQUESTS):
+                    address = SLOW + number * REQUESTS + one
+                    sender.send(question(address, address))
+                # One sender after another, so that the bound is the server's and not the system's buffer.
+                await until(lambda wanted=number: server.status().counters.refused_busy >= (wanted + 1) * 6)
+                assert sum(one.waiting for one in server.status().connections) <= SLOW_PEERS * SLOTS
+                assert len(asyncio.all_tasks()) <= SLOW_PEERS * SLOTS + 10
+            gate.opened.set()
+            await until(lambda: not any(one.waiting for one in server.status().connections))
+            for number, sender in enumerate(senders):
+                first = SLOW + number * REQUESTS
+                slow = [answer(address, address) for address in range(first, first + SLOTS)]
+                busy = [_busy(address) for address in range(first + SLOTS, first + REQUESTS)]
+                kept_its_place = number >= SLOW_SENDERS - SLOW_PEERS
+                assert sorted(_received(sender)) == sorted(busy + (slow if kept_its_place else []))
+
+
+def _busy(transaction: int) -> bytes:
+    return transaction.to_bytes(2, "big") + bytes.fromhex("0000 0003 01 83 06")
+
+
+def _received(sender: socket.socket) -> list[bytes]:
+    sender.setblocking(False)
+    datagrams = []
+    with suppress(BlockingIOError):
+        while True:
+            datagrams.append(sender.recv(1500))
+    return datagrams

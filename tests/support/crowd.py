@@ -26,9 +26,9 @@ def answer(value: int, transaction: int = 1) -> bytes:
     return struct.pack(">HHHBBBH", transaction, 0, 5, 1, 3, 2, value)
 
 
-def dial(port: int, host: str = "127.0.0.1", *, source: str | None = None) -> socket.socket:
+def dial(port: int, *, source: str | None = None) -> socket.socket:
     """A plain connection to the local host; ``source`` is the address it comes from."""
-    link = socket.create_connection((host, port), timeout=10, source_address=(source, 0) if source else None)
+    link = socket.create_connection(("127.0.0.1", port), timeout=10, source_address=(source, 0) if source else None)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
     return link
 
@@ -99,9 +99,9 @@ class Crowd:
 
 
 @contextmanager
-def crowd(port: int, count: int) -> Iterator[Crowd]:
-    """So many connections to the local host, for the length of the block."""
-    gathered = Crowd([dial(port) for _ in range(count)])
+def crowd(port: int, count: int, *, source: str | None = None) -> Iterator[Crowd]:
+    """So many connections to the local host, from ``source`` if it is given, for the length of the block."""
+    gathered = Crowd([dial(port, source=source) for _ in range(count)])
     try:
         yield gathered
     finally:
