@@ -54,8 +54,18 @@ def test_noise_does_not_fill_the_memory_of_answers() -> None:
     lengths = FrameLengths(STANDARD)
     for value in range(0x10000):
         lengths.length(Direction.REPLY, bytearray((1, 8, value >> 8, value & 0xFF, 0, 0)), 0, 6)
-    assert len(lengths.answers[Direction.REPLY]) <= 4096
+    assert 0 < len(lengths.asked_replies.answers) <= 4096
 
 
 def test_rules_are_flattened_once_for_each_table() -> None:
     assert lengths_of(STANDARD) is LENGTHS
+
+
+def test_replies_that_three_bytes_do_not_measure_are_measured_each_time_anew() -> None:
+    lengths = FrameLengths(STANDARD)
+    head = bytes.fromhex("01 2B 0E 01 81 00 00 01 00")
+    for size in (1, 7, 200):
+        frame = bytearray(head + bytes((size,)) + bytes(size + 2))
+        assert lengths.length(Direction.REPLY, frame, 0, len(head)) == NEED_MORE
+        assert lengths.length(Direction.REPLY, frame, 0, len(frame)) == len(frame)
+    assert not lengths.asked_replies.answers

@@ -21,37 +21,28 @@ A silence before a burst is measured to the moment at which its first byte began
 gaps; a read that comes late makes it look longer than it was, never shorter than zero.
 """
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Container
-from dataclasses import dataclass
-from functools import cache
-from operator import attrgetter
 from typing import Final
 
 from ..codes import RTU_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
+from .bursts import NEVER, Bursts
 from .conversation import REPLY_WINDOW, Conversation, Due, Role
 from .crc import crc_bytes, running_states, span_check
 from .echo import Echo, EchoFilter
-from .lengths import AROUND_PDU, SHORTEST, lengths_of, shape_of
+from .lengths import AROUND_PDU, SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, Received, SerialFrame
+from .rtu_search import DEAD, WAITS, find_any, find_reply
 from .timing import SerialTiming
 
 DEFAULT_GAP_LIMIT: Final = 0.050
 """Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems skip a beat."""
 
-_NEVER: Final = float("-inf")
-IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
-"""Stands for every length that no frame has."""
 _PIECE: Final = RTU_ADU_LIMIT
 _SILENCES_KEPT: Final = 4
 """How many silences inside an undecided chunk a server remembers as places where a frame may have begun."""
-
-# What a look at one place gives, besides the position behind a frame.
-_DEAD: Final = 0
-_WAITS: Final = -1
 
 
 def encode_rtu(unit: int, pdu: bytes) -> bytes:
@@ -74,7 +65,6 @@ class RtuReceiver:
         "_at",
         "_buffer",
         "_bursts",
-        "_gone",
         "_in_step",
         "_last",
         "_lengths",
@@ -134,10 +124,9 @@ class RtuReceiver:
         self._scan = 1  # places of the chunk before this one are rejected as beginnings of a frame inside it
         self._prefix_end = SHORTEST  # lengths of the chunk below this one are no frame of an unknown function
         self._silences: list[int] = []
-        self._gone = 0  # bytes that have left the buffer, so that the places of the bursts need not be moved
-        self._bursts = [_Burst(0, _NEVER, 0.0)]
-        self._last = _NEVER if started is None else started
-        self._sent_until = _NEVER
+        self._bursts = Bursts()
+        self._last = NEVER if started is None else started
+        self._sent_until = NEVER
         self._quiet = True  # whether the t3.5 after the last byte has been dealt with
         self._in_step = started is None  # a server opened amid traffic believes what stands between two silences
         self._skipping = False
@@ -255,18 +244,16 @@ class RtuReceiver:
     def _append(self, piece: bytes | bytearray, began: float, each: float) -> None:
         gone = self._at
         if gone:
-            self._gone += gone
             del self._buffer[:gone]
             del self._states[:gone]
             self._scan -= gone
             self._silences = [place - gone for place in self._silences]
             self._at = 0
+            self._bursts.forget(gone)
         if self._skipping:
             self._lost.add(piece, began, began + len(piece) * each)
             return
-        self._bursts.append(_Burst(self._gone + len(self._buffer), began, each))
-        if gone:
-            del self._bursts[: bisect_right(self._bursts, self._gone, key=_place) - 1]
+        self._bursts.add(len(self._buffer), began, each)
         self._buffer += piece
         self._states += running_states(piece, self._states[-1])
 
@@ -285,23 +272,23 @@ class RtuReceiver:
                 self._give_up_beginning(found)
 
     def _look(self, at: int) -> tuple[int, Direction]:
-        """The end of the frame at ``at``, or `_WAITS` while it may become one, or `_DEAD`; and its direction."""
+        """The end of the frame at ``at``, or `WAITS` while it may become one, or `DEAD`; and its direction."""
         buffer = self._buffer
         size = len(buffer)
         if size - at < 2:
-            return _WAITS, Direction.UNKNOWN
+            return WAITS, Direction.UNKNOWN
         unit, code = buffer[at], buffer[at + 1]
-        for direction in self.conversation.order(unit, code, self._bursts[-1].began):
+        for direction in self.conversation.order(unit, code, self._bursts.latest):
             length = self._length(direction, at, size)
             if length == NEED_MORE:
-                return _WAITS, direction
+                return WAITS, direction
             if not SHORTEST <= length <= RTU_ADU_LIMIT:
                 continue
             if at + length > size:
-                return _WAITS, direction
+                return WAITS, direction
             if self._fits(at, at + length):
                 return at + length, direction
-        return _DEAD, Direction.UNKNOWN
+        return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
         """The length of a frame of this direction; where only the request tells the length of its reply, that one."""
@@ -338,7 +325,7 @@ class RtuReceiver:
             self._follow(found)
             if self._take_divided(self._at, found):
                 break
-            if self._look(self._at)[0] == _WAITS or not self._take_inner(found, at_limit=False):
+            if self._look(self._at)[0] == WAITS or not self._take_inner(found, at_limit=False):
                 return
         self._report_lost(found)
 
@@ -386,7 +373,7 @@ class RtuReceiver:
         """The end of the frame at ``at`` by the length rule of either direction; or 0."""
         if size - at < SHORTEST:
             return 0
-        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts[-1].began):
+        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts.latest):
             length = self._length(direction, at, size)
             if SHORTEST <= length <= min(size - at, RTU_ADU_LIMIT) and self._fits(at, at + length):
                 return at + length
@@ -394,7 +381,7 @@ class RtuReceiver:
 
     def _end_of_unknown(self, at: int, size: int) -> int:
         """The first place where the CRC fits, for a function without a length rule; or 0."""
-        if size - at < SHORTEST or self._look(at)[0] == _WAITS:
+        if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
         first = self._prefix_end if at == self._at else SHORTEST
         last = min(size - at, RTU_ADU_LIMIT)
@@ -408,10 +395,10 @@ class RtuReceiver:
     def _direction(self, at: int, end: int) -> Direction:
         """The likeliest direction whose length fits the frame, or a guess."""
         unit, code = self._buffer[at], self._buffer[at + 1]
-        for direction in self.conversation.order(unit, code, self._bursts[-1].began):
+        for direction in self.conversation.order(unit, code, self._bursts.latest):
             if self._length(direction, at, end) == end - at:
                 return direction
-        return self.conversation.guess(unit, code, self._bursts[-1].began)
+        return self.conversation.guess(unit, code, self._bursts.latest)
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
         """Take a frame that begins inside the chunk: after a silence for a server, anywhere for the others."""
@@ -427,94 +414,24 @@ class RtuReceiver:
     def _reason(self) -> Damage:
         if len(self._buffer) - self._at < SHORTEST:
             return Damage.TOO_SHORT
-        return Damage.INCOMPLETE if self._look(self._at)[0] == _WAITS else Damage.CHECKSUM
+        return Damage.INCOMPLETE if self._look(self._at)[0] == WAITS else Damage.CHECKSUM
 
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
         """Move ``_scan`` to the first place behind the chunk's beginning where a frame begins, or may begin.
 
-        Gives the frame's end and direction; `_WAITS` where it may become one; `_DEAD` with ``_scan`` at the end of the
+        Gives the frame's end and direction; `WAITS` where it may become one; `DEAD` with ``_scan`` at the end of the
         buffer. ``at_limit``: what is unfinished is rejected too.
         """
-        self._scan = max(self._scan, self._at + 1)
+        start = max(self._scan, self._at + 1)
         if self.conversation.role is Role.MASTER:
-            return self._search_reply(at_limit=at_limit)
-        return self._search_any(at_limit=at_limit)
-
-    def _search_reply(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """As `_search`, for the reply that is due, its exception included."""
-        due, buffer, states, size = self.conversation.due, self._buffer, self._states, len(self._buffer)
-        if due is None:
-            self._scan = size
-            return _DEAD, Direction.UNKNOWN
-        unit, checks, shape_of_code = due.unit, _checks(), self._shapes_of_due(due).get
-        answers, asked = self._lengths.asked_replies.answers, self._lengths.asked_replies.length
-        for at in range(self._scan, size - SHORTEST + 1):
-            if buffer[at] != unit:
-                continue
-            shape = shape_of_code(buffer[at + 1])
-            if shape is None:
-                continue
-            count_at, around = shape
-            if count_at:
-                end = at + around + buffer[at + count_at] if at + count_at < size else size + 1
-            elif around:
-                end = at + around
-            else:
-                length = answers.get(buffer[at + 1] << 16 | buffer[at + 2] << 8 | buffer[at + 3])
-                if length is None:
-                    length = asked(buffer, at + 1, min(size, at + RTU_ADU_LIMIT))
-                if length == UNKNOWN_LENGTH:
-                    continue
-                end = size + 1 if length == NEED_MORE else at + min(length, IMPOSSIBLE)
-            if end <= size:
-                low, high = checks[end - at]
-                state = states[at]
-                if low[state & 0xFF] ^ high[state >> 8] == states[end]:
-                    self._scan = at
-                    return end, Direction.REPLY
-            elif not at_limit and end - at <= RTU_ADU_LIMIT:
-                self._scan = at
-                return _WAITS, Direction.REPLY
-        return self._searched_to_end(at_limit=at_limit)
-
-    def _shapes_of_due(self, due: Due) -> dict[int, tuple[int, int]]:
-        """The shape of the reply and of its exception, by function code; (0, 0) where the table has to be asked."""
-        function, exception = due.function, due.function | 0x80
-        shapes = {code: shape_of(self._lengths.replies[code]) for code in (function, exception)}
-        if due.size > 0:
-            shapes[function] = 0, due.size + AROUND_PDU
-        return {code: shape for code, shape in shapes.items() if shape is not None}
-
-    def _search_any(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """As `_search`, for functions whose length one look tells: the others are found by silence alone."""
-        buffer, states, size = self._buffer, self._states, len(self._buffer)
-        shapes, checks = self._lengths.shapes, _checks()
-        for at in range(self._scan, size - SHORTEST + 1):
-            for count_at, around in shapes[buffer[at + 1]]:
-                if not count_at:
-                    end = at + around
-                elif at + count_at < size:
-                    end = at + around + buffer[at + count_at]
-                else:
-                    end = size + 1
-                if end <= size:
-                    low, high = checks[end - at]
-                    state = states[at]
-                    if low[state & 0xFF] ^ high[state >> 8] == states[end]:
-                        self._scan = at
-                        return end, self._direction(at, end)
-                elif not at_limit and end - at <= RTU_ADU_LIMIT:
-                    self._scan = at
-                    return _WAITS, Direction.UNKNOWN
-        return self._searched_to_end(at_limit=at_limit)
-
-    def _searched_to_end(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """No place fits; the last bytes, too few to tell, may still begin a frame."""
-        size = len(self._buffer)
-        self._scan = max(self._scan, size if at_limit else size - SHORTEST + 1)
-        return (_DEAD if self._scan == size else _WAITS), Direction.UNKNOWN
+            self._scan, end = find_reply(
+                self._buffer, self._states, start, self._lengths, self.conversation.due, at_limit=at_limit
+            )
+            return end, Direction.REPLY
+        self._scan, end = find_any(self._buffer, self._states, start, self._lengths, at_limit=at_limit)
+        return end, self._direction(self._scan, end) if end > 0 else Direction.UNKNOWN
 
     # Giving and losing.
 
@@ -522,8 +439,8 @@ class RtuReceiver:
         """Report what was lost before the frame, then the frame; the chunk begins behind it."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
-        ended = self._end_of(end)
-        found.append(SerialFrame(raw[0], raw[1:-2], raw, direction, self._time_of(self._at), ended, recovered))
+        ended = self._bursts.ended(end)
+        found.append(SerialFrame(raw[0], raw[1:-2], raw, direction, self._bursts.began(self._at), ended, recovered))
         self.conversation.follow(raw[0], raw[1], direction, ended)
         self._move_to(end)
         self._in_step = True
@@ -531,7 +448,7 @@ class RtuReceiver:
     def _lose(self, end: int) -> None:
         """The bytes up to ``end`` are no frame."""
         if end > self._at:
-            self._lost.add(self._buffer[self._at : end], self._time_of(self._at), self._end_of(end))
+            self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
             self._move_to(end)
 
     def _move_to(self, at: int) -> None:
@@ -540,18 +457,6 @@ class RtuReceiver:
         self._prefix_end = SHORTEST
         if self._silences:
             self._silences = [place for place in self._silences if place > at]
-
-    def _time_of(self, place: int) -> float:
-        """When the byte at ``place`` began, as far as the reads tell."""
-        place += self._gone
-        burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
-        return burst.began + (place - burst.place) * burst.each
-
-    def _end_of(self, place: int) -> float:
-        """When the byte ahead of ``place`` ended."""
-        place += self._gone
-        burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
-        return burst.began + (place - burst.place) * burst.each
 
     def _fall_out_of_step(self) -> None:
         self._in_step = False
@@ -566,26 +471,3 @@ class RtuReceiver:
         """Whether a reply may be a copy of its request: their lengths are alike, or not known."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]
-
-
-@dataclass(frozen=True, slots=True)
-class _Burst:
-    """Bytes that were read at once: the place of the first one in the stream, when it began, and seconds for each."""
-
-    place: int
-    began: float
-    each: float
-
-
-_place = attrgetter("place")
-
-
-@cache
-def _checks() -> list[tuple[list[int], list[int]]]:
-    """The tables of `span_check` by length: a search asks for them at every byte of a noisy line.
-
-    Lengths that no frame has never fit.
-    """
-    never = [-1] * 256, [0] * 256
-    spans = [span_check(length) for length in range(SHORTEST, RTU_ADU_LIMIT + 1)]
-    return [never] * SHORTEST + [(span.low, span.high) for span in spans] + [never] * RTU_ADU_LIMIT

@@ -1,0 +1,59 @@
+"""When each byte of a stream was on the line, as far as the reads tell.
+
+Knows places in a stream and times; knows no bytes. What was read at once is taken as sent without gaps.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Final
+
+NEVER: Final = float("-inf")
+
+
+@dataclass(frozen=True, slots=True)
+class _Burst:
+    """Bytes that were read at once: the place of the first one in the stream, when it began, and seconds for each."""
+
+    place: int
+    began: float
+    each: float
+
+
+_place = attrgetter("place")
+
+
+class Bursts:
+    """The reads of a stream whose beginning is forgotten bit by bit. Places count from what is remembered."""
+
+    __slots__ = ("_bursts", "_forgotten")
+
+    def __init__(self) -> None:
+        self._forgotten = 0  # bytes, so that the places of the bursts need not be moved
+        self._bursts = [_Burst(0, NEVER, 0.0)]
+
+    @property
+    def latest(self) -> float:
+        """When the last burst began."""
+        return self._bursts[-1].began
+
+    def add(self, place: int, began: float, each: float) -> None:
+        """Bytes were read, the first of them at ``place``, sent from ``began`` on in ``each`` seconds."""
+        self._bursts.append(_Burst(self._forgotten + place, began, each))
+
+    def forget(self, count: int) -> None:
+        """The first ``count`` bytes are not asked for any more."""
+        self._forgotten += count
+        del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
+
+    def began(self, place: int) -> float:
+        """When the byte at ``place`` began."""
+        place += self._forgotten
+        burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
+        return burst.began + (place - burst.place) * burst.each
+
+    def ended(self, place: int) -> float:
+        """When the byte ahead of ``place`` ended."""
+        place += self._forgotten
+        burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
+        return burst.began + (place - burst.place) * burst.each

@@ -1,0 +1,120 @@
+"""Looking for the next frame inside a damaged chunk of RTU: the only work that grows with the noise on a line.
+
+Knows bytes, running CRC states and length rules; knows no time and no conversation. A place is rejected once and for
+all, and costs one comparison: the caller begins behind it the next time.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Final
+
+from ..codes import RTU_ADU_LIMIT
+from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
+from .conversation import Due
+from .crc import span_check
+from .lengths import AROUND_PDU, SHORTEST, FrameLengths, shape_of
+
+DEAD: Final = 0
+"""Instead of the position behind a frame: none begins here."""
+WAITS: Final = -1
+"""Instead of the position behind a frame: one may begin here, and is unfinished."""
+
+_IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
+"""Stands for every length that no frame has."""
+
+Place = tuple[int, int]
+"""Where a frame begins, and the position behind it, or `WAITS`, or `DEAD` with the end of the bytes as the place."""
+
+
+def find_reply(
+    buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
+) -> Place:
+    """The first place from ``start`` on where the reply that is due begins or may begin, its exception included.
+
+    Args:
+        buffer: bytes of the line.
+        states: the running CRC ahead of each of them, and behind the last one.
+        start: the first place that is not rejected yet.
+        lengths: the length rules.
+        due: the reply; None: there is none.
+        at_limit: whether what is unfinished is rejected too.
+    """
+    size = len(buffer)
+    if due is None:
+        return size, DEAD
+    unit, checks, shape_of_code = due.unit, _checks(), _shapes_of(due, lengths).get
+    answers, asked = lengths.asked_replies.answers, lengths.asked_replies.length
+    for at in range(start, size - SHORTEST + 1):
+        if buffer[at] != unit:
+            continue
+        shape = shape_of_code(buffer[at + 1])
+        if shape is None:
+            continue
+        count_at, around = shape
+        if count_at:
+            end = at + around + buffer[at + count_at] if at + count_at < size else size + 1
+        elif around:
+            end = at + around
+        else:
+            length = answers.get(buffer[at + 1] << 16 | buffer[at + 2] << 8 | buffer[at + 3])
+            if length is None:
+                length = asked(buffer, at + 1, min(size, at + RTU_ADU_LIMIT))
+            if length == UNKNOWN_LENGTH:
+                continue
+            end = size + 1 if length == NEED_MORE else at + min(length, _IMPOSSIBLE)
+        if end <= size:
+            low, high = checks[end - at]
+            state = states[at]
+            if low[state & 0xFF] ^ high[state >> 8] == states[end]:
+                return at, end
+        elif not at_limit and end - at <= RTU_ADU_LIMIT:
+            return at, WAITS
+    return _to_end(start, size, at_limit=at_limit)
+
+
+def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
+    """As `find_reply`, for a frame of either direction whose length one look tells: the others need a silence."""
+    size = len(buffer)
+    shapes, checks = lengths.shapes, _checks()
+    for at in range(start, size - SHORTEST + 1):
+        for count_at, around in shapes[buffer[at + 1]]:
+            if not count_at:
+                end = at + around
+            elif at + count_at < size:
+                end = at + around + buffer[at + count_at]
+            else:
+                end = size + 1
+            if end <= size:
+                low, high = checks[end - at]
+                state = states[at]
+                if low[state & 0xFF] ^ high[state >> 8] == states[end]:
+                    return at, end
+            elif not at_limit and end - at <= RTU_ADU_LIMIT:
+                return at, WAITS
+    return _to_end(start, size, at_limit=at_limit)
+
+
+def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
+    """No place fits; the last bytes, too few to tell, may still begin a frame."""
+    place = max(start, size if at_limit else size - SHORTEST + 1)
+    return place, DEAD if place == size else WAITS
+
+
+def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
+    """The shape of the reply and of its exception, by function code; (0, 0) where the table has to be asked."""
+    function, exception = due.function, due.function | 0x80
+    shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
+    if due.size > 0:
+        shapes[function] = 0, due.size + AROUND_PDU
+    return {code: shape for code, shape in shapes.items() if shape is not None}
+
+
+@cache
+def _checks() -> list[tuple[list[int], list[int]]]:
+    """The tables of `span_check` by length: a search asks for them at every byte of a noisy line.
+
+    Lengths that no frame has never fit.
+    """
+    never = [-1] * 256, [0] * 256
+    spans = [span_check(length) for length in range(SHORTEST, RTU_ADU_LIMIT + 1)]
+    return [never] * SHORTEST + [(span.low, span.high) for span in spans] + [never] * RTU_ADU_LIMIT
