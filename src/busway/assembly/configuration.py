@@ -206,10 +206,12 @@ class _Makers:
         """The listener whose URL stands at a place; without what the judge had to refuse."""
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
             self._judge.warn(place, f"{endpoint.url} listens on every interface of this host")
-        if place[0] != "listener":
-            tls = self._tls({}, place) if endpoint.carrier == "tls" else None
-            return self._checked(Listener(endpoint, tls=tls), place)
-        section, at = self._file.listener[int(place[1])], place[:2]
+        if endpoint.carrier == "serial":
+            return self._checked(Listener(endpoint), place)
+        section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
+        if section is None:
+            tls = self._tls({}, at) if endpoint.carrier == "tls" else None
+            return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
         access = self._judge.make(
             lambda: AddressList(section.allow, section.deny, section.secure),
             lambda key: nearest(key, ("allow", "deny"), at, (), at),

@@ -4,7 +4,7 @@ Knows what goes together; opens files, and no connection.
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from ..config.endpoints import parse_endpoint
@@ -12,7 +12,8 @@ from ..config.files.lines import Path as Place
 from ..config.files.system import SystemFile
 from ..errors import ConfigError
 from ..server.listener import Listener
-from .judging import Judge
+from ..transport.tls import TlsParameters
+from .judging import Judge, nearest
 from .paths import TLS_FILES, within
 
 
@@ -38,7 +39,19 @@ def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], ju
         return
     for (place, _), listener in zip(file.places(), listeners, strict=True):
         if listener.tls is not None:
-            _usable(place, listener, judge)
+            _usable(listener.tls, _Keys(file, place), judge)
+
+
+class _Keys:
+    """Where the keys of the certificates of a listener stand: with the listener, or in ``[security]``."""
+
+    def __init__(self, file: SystemFile, place: Place) -> None:
+        self._own = file.listener[int(place[1])].options() if place[0] == "listener" else {}
+        self._general = file.security.options()
+        self._at = place[:2]
+
+    def __call__(self, key: str | None) -> Place:
+        return nearest(key, self._own, self._at, self._general, ("security",))
 
 
 def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
@@ -63,12 +76,11 @@ def _readable(place: Place, path: str, judge: Judge) -> None:
         judge.refuse(place, f"{path} can not be read: {reason[:1].lower()}{reason[1:]}")
 
 
-def _usable(place: Place, listener: Listener, judge: Judge) -> None:
-    """Certificates and keys that are read, but do not fit, or have ended."""
+def _usable(tls: TlsParameters, place: Callable[[str | None], Place], judge: Judge) -> None:
+    """Certificates and keys that can be read, but do not fit."""
     from ..transport.tls_context import server_context
 
-    assert listener.tls is not None
     try:
-        server_context(listener.tls)
+        server_context(tls)
     except ConfigError as error:
-        judge.refuse(place, error.message if error.key is None else f"{error.key}: {error.message}")
+        judge.refuse(place(error.key), f"{error.file}: {error.message}" if error.file else error.message)

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ..config.access.addresses import AddressList
 from ..config.access.rules import AccessRules, Policy
-from ..errors import ConfigError
 from ..server.listener import Listener
 from .access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
 from .configuration import Configuration
@@ -223,12 +222,7 @@ class Service:
             if listener.tls is not None:
                 from ..transport.tls_context import server_context
 
-                try:
-                    server_context(listener.tls)
-                except ConfigError as error:
-                    raise ConfigError(
-                        f"{listener.endpoint}: {error.message}", file=configuration.name, key=error.key
-                    ) from error
+                server_context(listener.tls)
 
 
 def _differences(old: Configuration, new: Configuration) -> list[str]:

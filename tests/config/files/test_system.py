@@ -1,6 +1,7 @@
 """Configuration files: what they may say, what does not go together, and their JSON Schema."""
 
 import random
+import re
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -284,6 +285,13 @@ def test_a_file_after_accidents_is_right_or_wrong_at_a_line_but_never_a_surprise
         assert problem.line is not None
         assert 1 <= problem.line <= text.count("\n") + 1
         assert "\n" not in str(problem)
+
+
+def test_the_example_of_the_reference_is_right() -> None:
+    (example,) = re.findall(r"```toml\n(.*?)```", REFERENCE.read_text(encoding="utf-8"), re.DOTALL)
+    configuration = parse_configuration(example, "plant.toml")
+    assert (len(configuration.listeners), list(configuration.links)) == (2, ["boiler", "meters"])
+    assert configuration.warnings == ()
 
 
 def test_the_reference_names_every_key() -> None:
