@@ -124,7 +124,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._failed(self, self.failure or TlsFailure(FailureKind.GONE, reason))
         above, self._above = self._above, None
         if above is not None:
-            above.connection_lost(self.failure or exc)
+            above.connection_lost(self.failure or self._stream.end_reason(exc))
         if self._gone is not None:
             self._gone(self)
 

@@ -92,13 +92,20 @@ class TlsSocket:
             BlockingIOError: none have come.
             TlsFailure, OSError: the connection has ended.
         """
-        size = self._socket.recv_into(self._records)
-        if not size:
-            return 0
+        try:
+            size = self._socket.recv_into(self._records)
+        except ConnectionError as error:
+            reason = self._stream.end_reason(error)
+            if reason is None or reason is error:
+                raise
+            raise reason from error
         self._stream.feed(memoryview(self._records)[:size])
-        plain = self._stream.read_into(memoryview(buffer))
-        if not plain and not self._stream.ended:
+        plain = self._stream.read_into(memoryview(buffer)) if size else 0
+        if size and not plain and not self._stream.ended:
             raise BlockingIOError
+        reason = self._stream.end_reason(None) if not plain else None
+        if reason is not None:
+            raise reason
         return plain
 
     def send(self, data: bytes, /) -> int:

@@ -18,9 +18,10 @@ class TlsStream:
 
     Attributes:
         ended: whether the peer said that it sends no more.
+        heard: whether any plain bytes have come.
     """
 
-    __slots__ = ("_failure", "_incoming", "_outgoing", "_server_side", "_ssl", "ended")
+    __slots__ = ("_failure", "_incoming", "_outgoing", "_server_side", "_ssl", "ended", "heard")
 
     def __init__(self, context: ssl.SSLContext, *, server_side: bool, server_name: str | None = None) -> None:
         self._incoming = ssl.MemoryBIO()
@@ -31,6 +32,7 @@ class TlsStream:
         )
         self._failure: TlsFailure | None = None  # found behind bytes that were good
         self.ended = False
+        self.heard = False
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
@@ -74,6 +76,7 @@ class TlsStream:
                 self.ended = True
                 break
             size += got
+            self.heard = True
             if not self._incoming.pending and not self._ssl.pending():
                 break  # without asking, which costs an exception
         return size
@@ -91,6 +94,19 @@ class TlsStream:
                 rest = rest[self._ssl.write(rest) :]
         except ssl.SSLError as error:
             raise failure_of(error, server_side=self._server_side) from error
+
+    def end_reason(self, error: Exception | None) -> Exception | None:
+        """What a connection that ended without a failure of TLS ended with; ``error`` is the network's.
+
+        Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
+        believes itself connected. Only that nothing was ever heard tells that from other ends.
+        """
+        if self._server_side or self.heard or not (error is None or isinstance(error, ConnectionError)):
+            return error
+        sentence = "the server closed the connection without a word: it may not accept our certificate, or its role"
+        failure = TlsFailure(FailureKind.GONE, sentence)
+        failure.__cause__ = error
+        return failure
 
     def outgoing(self) -> bytes:
         """What is to be sent to the peer now; empty where nothing is."""

@@ -3,24 +3,26 @@
 ::
 
     pymodbus_client.py tcp HOST PORT UNIT
+    pymodbus_client.py tls HOST PORT UNIT CERTIFICATE KEY AUTHORITY
     pymodbus_client.py rtu|ascii DEVICE BAUD UNIT      8 data bits, no parity, 2 stop bits
 
 It understands the commands of ``conversation.py``; the names are those of the functions in the specification.
 """
 
 import logging
+import ssl
 import sys
 from collections.abc import Callable
 from typing import Any
 
 from conversation import Refused, converse
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
 from pymodbus.framer import FramerType
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.diag_message import DiagnosticBase
 from pymodbus.pdu.file_message import FileRecord
 
-Client = ModbusTcpClient | ModbusSerialClient
+Client = ModbusTcpClient | ModbusTlsClient | ModbusSerialClient
 
 DIAGNOSTICS_WITHOUT_DATA = {
     0x02: "diag_read_diagnostic_register",
@@ -160,12 +162,23 @@ def commands_of(client: Client, unit: int) -> dict[str, Callable[..., dict[str, 
 
 def client_of(words: list[str]) -> Client:
     """The client that the words of the command line ask for, not connected yet."""
-    kind, where, number, _ = words
+    kind, where, number, _, *files = words
     if kind == "tcp":
         return ModbusTcpClient(where, port=int(number), timeout=5, retries=0)
+    if kind == "tls":
+        return ModbusTlsClient(where, port=int(number), sslctx=tls_context(*files), timeout=5, retries=0)
     return ModbusSerialClient(
         where, framer=FramerType(kind), baudrate=int(number), parity="N", stopbits=2, timeout=5, retries=0
     )
+
+
+def tls_context(certificate: str, key: str, authority: str) -> ssl.SSLContext:
+    """For the TLS client, which does not say the server's name, so that it can not be checked."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.load_verify_locations(authority)
+    context.load_cert_chain(certificate, key)
+    return context
 
 
 def main() -> None:

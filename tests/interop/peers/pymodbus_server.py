@@ -3,6 +3,7 @@
 ::
 
     pymodbus_server.py tcp PORT                        port 0 takes a free one; every unit
+    pymodbus_server.py tls PORT CERTIFICATE KEY AUTHORITY
     pymodbus_server.py rtu|ascii DEVICE BAUD UNIT      8 data bits, no parity, 2 stop bits
 
 Prints ``ready PORT`` (or ``ready DEVICE``). Four tables of 1000 items with the known content. File records and the FIFO
@@ -11,12 +12,13 @@ queue have the constant content that pymodbus itself gives them.
 
 import asyncio
 import logging
+import ssl
 import sys
 
 from conversation import COILS, DISCRETE_INPUTS, HOLDING_REGISTERS, IDENTITY, INPUT_REGISTERS, say
 from pymodbus.framer import FramerType
 from pymodbus.pdu.device import ModbusDeviceIdentification
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer, ModbusTlsServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 ANY_UNIT = 0
@@ -43,6 +45,22 @@ async def serve_tcp(port: int) -> None:
     await server.serving
 
 
+async def serve_tls(port: int, certificate: str, key: str, authority: str) -> None:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    context.load_verify_locations(authority)
+    context.verify_mode = ssl.CERT_REQUIRED
+    server = ModbusTlsServer(
+        device(ANY_UNIT),
+        address=("127.0.0.1", port),
+        sslctx=context,
+        identity=ModbusDeviceIdentification(info=IDENTITY),
+    )
+    await server.serve_forever(background=True)
+    say(f"ready {server.transport.sockets[0].getsockname()[1]}")
+    await server.serving
+
+
 async def serve_line(framing: str, path: str, baud: int, unit: int) -> None:
     server = ModbusSerialServer(
         device(unit),
@@ -63,7 +81,9 @@ logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 match sys.argv[1:]:
     case ["tcp", port]:
         asyncio.run(serve_tcp(int(port)))
+    case ["tls", port, certificate, key, authority]:
+        asyncio.run(serve_tls(int(port), certificate, key, authority))
     case ["rtu" | "ascii" as framing, path, baud, unit]:
         asyncio.run(serve_line(framing, path, int(baud), int(unit)))
     case _:
-        sys.exit("usage: pymodbus_server.py tcp PORT | rtu|ascii DEVICE BAUD UNIT")
+        sys.exit("usage: pymodbus_server.py tcp PORT | tls PORT CERTIFICATE KEY AUTHORITY | rtu|ascii DEVICE BAUD UNIT")
