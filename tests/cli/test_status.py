@@ -6,16 +6,17 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 from control_sockets import short_directory
 from program import Busway
+from prometheus_client.parser import text_string_to_metric_families
 
 import busway
-from busway.control import Control
+from busway.control import Control, ask, control_directories, find_running
 
 
 @pytest.fixture
@@ -210,3 +211,39 @@ def test_refusals_of_a_policy_are_told_by_rule(home: Path, run: Callable[..., An
         result = run("status")
     _, _, refused = result.out.partition("refused by rule\n")
     assert refused.split()[-1] == "1"
+
+
+def test_the_metrics_of_a_running_serve_are_scraped_and_read_over_its_control_socket(home: Path) -> None:
+    with Busway("serve", "--listen", "tcp://127.0.0.1:0", "--metrics", "127.0.0.1:0") as program:
+        assert program.process.stdout is not None
+        endpoint = program.process.stdout.readline().decode().strip()
+        with busway.connect(endpoint) as link:
+            for address in (0, 0, 999):
+                with suppress(busway.ExceptionReply):
+                    link.unit(1).read_holding_registers(address, count=2)
+        (running,) = find_running(*control_directories())
+        counted = {
+            (sample.labels["function"], sample.labels["exception"]): sample.value
+            for family in text_string_to_metric_families(ask(running, "/metrics"))
+            for sample in family.samples
+            if sample.name == "busway_requests_total"
+        }
+        assert counted == {("3", "none"): 2, ("3", "02"): 1}
+
+
+def test_a_running_serve_reads_its_policy_again_when_it_is_told(home: Path) -> None:
+    policy = home / "policy.toml"
+    policy.write_text('[policy]\ndefault = "deny"\n')
+    with Busway("serve", "--listen", "tcp://127.0.0.1:0", "--policy", str(policy)) as program:
+        assert program.process.stdout is not None
+        endpoint = program.process.stdout.readline().decode().strip()
+        (running,) = find_running(*control_directories())
+        with busway.connect(endpoint) as link:
+            with pytest.raises(busway.ExceptionReply, match="exception 01"):
+                link.unit(1).read_holding_registers(0, count=1)
+            policy.write_text("default = [")
+            with pytest.raises(busway.ConfigError, match=r"policy\.toml"):
+                ask(running, "/reload", method="POST")
+            policy.write_text('[policy]\ndefault = "allow"\n')
+            assert ask(running, "/reload", method="POST")["reloaded"]
+            assert link.unit(1).read_holding_registers(0, count=1) == [0]

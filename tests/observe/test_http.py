@@ -95,9 +95,14 @@ def test_what_is_no_request_is_refused(request_bytes: bytes, status: int) -> Non
 
 
 def test_a_client_that_sends_half_a_request_is_closed_in_time() -> None:
-    with serving(HttpLimits(seconds=0.05)) as address, connected(address) as connection:
+    with serving(HttpLimits(request_seconds=0.05, seconds=600)) as address, connected(address) as connection:
         connection.sendall(b"GET / HTTP/1.1\r\n")
         assert received(connection) == b""
+
+
+def test_an_answer_that_does_not_come_is_given_up_in_time() -> None:
+    with serving(HttpLimits(seconds=0.05)) as address:
+        assert exchange(address, b"GET /hang HTTP/1.1\r\n\r\n") == b""
 
 
 def test_a_client_that_goes_away_leaves_nothing() -> None:

@@ -24,6 +24,7 @@ from busway.errors import ConfigError, LinkDown
 from busway.observe.metrics import MeteredHandler, MetricsEndpoint, PeerClass, RequestTally, start_metrics
 from busway.observe.metrics.handler import ClassifyByMark, metered
 from busway.observe.metrics.requests import Unanswered
+from busway.session.diagnostics import CommunicationState
 from busway.session.handler import ReadPlanner, UnitHolder
 
 FREE = "127.0.0.1:0"
@@ -309,6 +310,20 @@ async def test_in_listen_only_mode_nothing_counts_as_answered(device: busway.Dev
         await writer.wait_closed()
     assert endpoint.tally.total() == 1
     assert endpoint.tally.unanswered_counts()[Unanswered.SILENT] == 2
+
+
+def test_a_broadcast_is_executed_by_each_unit_and_counts_as_no_answer(device: busway.Device) -> None:
+    from busway.server.local import LocalHandler
+
+    handler = metered(LocalHandler({1: device, 2: busway.Device(holding_registers=10)}))
+    executed: set[int] = set()
+    for unit in (1, 2):
+        context = busway.RequestContext(unit=unit, function=16, diagnostics=CommunicationState())
+        context.executed = executed
+        handler.handle(context, handler.functions.decode_request(PDUS["write"]))
+    assert device.holding_registers[0] == 7
+    assert handler.tally.unanswered_counts()[Unanswered.BROADCAST] == 2
+    assert handler.tally.total() == 0
 
 
 def test_marked_devices_are_a_class_of_their_own() -> None:

@@ -27,3 +27,26 @@ def test_a_context_without_a_way_back_takes_replies_and_does_nothing() -> None:
     context = RequestContext(unit=1, function=3, diagnostics=CommunicationState())
     assert context.replied
     context.refuse(6)
+
+
+def test_a_late_reply_is_seen_by_all_who_watch_and_once() -> None:
+    order: list[str] = []
+    context = RequestContext(
+        unit=1, function=3, diagnostics=CommunicationState(), finish=lambda who, reply: order.append("gone")
+    )
+    context.watch(lambda reply: order.append("first"))
+    context.watch(lambda reply: order.append("second"))
+    assert not context.replied
+    context.refuse(6)
+    context.refuse(6)
+    assert order == ["second", "first", "gone"]
+
+
+def test_where_no_reply_can_be_given_there_is_none_to_watch() -> None:
+    context = RequestContext(unit=1, function=3, diagnostics=CommunicationState(), finish=lambda who, reply: None)
+    seen: list[object] = []
+    context.watch(seen.append)
+    context.abandon()
+    context.watch(seen.append)
+    context.refuse(6)
+    assert seen == []

@@ -78,10 +78,12 @@ class HttpLimits:
     """What one client may take.
 
     Attributes:
+        request_seconds: from the accepted connection to the last byte of the request.
         seconds: from the accepted connection to the last byte of the answer.
         connections: at once.
     """
 
+    request_seconds: float = 5.0
     seconds: float = 10.0
     connections: int = 16
 
@@ -180,7 +182,9 @@ class HttpService:
         try:
             if len(self._tasks) > self._limits.connections:
                 raise HttpError(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections at once")
-            return await self._answer(await read_request(reader))
+            async with asyncio.timeout(self._limits.request_seconds):
+                request = await read_request(reader)
+            return await self._answer(request)
         except HttpError as error:
             return HttpResponse(f"{error}\n".encode(), status=error.status)
         except (OSError, EOFError):  # TimeoutError is one of them

@@ -109,9 +109,11 @@ class MeteredHandler:
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Have the inner handler answer; count when it has."""
+        if context.executed is not None:  # a broadcast: each unit executes it, and none answers
+            self.tally.unanswered(Unanswered.BROADCAST)
+            return self.inner.handle(context, request)
         waiting = _Waiting(self, context)
-        if context.executed is None:
-            context.watch(waiting.finished)
+        context.watch(waiting.finished)
         try:
             outcome = self.inner.handle(context, request)
         except Refusal as refusal:
@@ -189,9 +191,7 @@ class _Waiting:
     def answered(self, exception: int | None) -> None:
         """The answer is there, whether an exception or none; in listen-only mode it does not leave."""
         context = self._context
-        if context.executed is not None:
-            self._unanswered(Unanswered.BROADCAST)
-        elif self._was_muted or _is_muted(context):
+        if self._was_muted or _is_muted(context):
             self._unanswered(Unanswered.SILENT)
         elif not self._is_counted:
             self._is_counted = True

@@ -40,8 +40,11 @@ class Unanswered(Enum):
     """Why a request that reached the handler got no answer."""
 
     BROADCAST = "broadcast"
+    """On a serial line; counted for each unit that it reached."""
     SILENT = "silent"
+    """As the handler decided, or in listen-only mode."""
     GONE = "gone"
+    """The client went away before a late answer was there."""
 
 
 class Series:
