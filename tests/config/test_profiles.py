@@ -123,6 +123,14 @@ def test_a_profile_that_is_not_there_is_refused() -> None:
     assert profile_of(None) is Profile.STANDARD
 
 
+def test_the_reference_lists_every_setting_of_the_profile() -> None:
+    page = (ROOT / "docs" / "reference" / "defaults.md").read_text(encoding="utf-8")
+    for setting in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_SERVERS):
+        value = "on" if setting.value is True else setting.value
+        shown = f"`{setting.option}={value:g}`" if isinstance(value, int | float) else f"`{setting.option}={value}`"
+        assert f"{shown}*" in page if setting.adaptable else shown in page, setting.option
+
+
 # Servers.
 
 
