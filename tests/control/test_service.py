@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from control_sockets import connected, exchange, received, short_directory
+from handles import settled_handles
 from waiting import until
 
 import busway
@@ -250,6 +251,18 @@ async def test_a_control_can_be_started_again(directory: Path) -> None:
             await control.start()  # it is started already: nothing happens
             assert await asked(directory)
         await control.stop()
+
+
+async def test_starting_asking_and_stopping_again_and_again_keeps_no_handle(directory: Path, at: str | None) -> None:
+    handles = []
+    for _ in range(12):
+        async with Control(Subject(), at, directory=directory) as control:
+            await asked(directory)
+            unfinished = connected(str(control.address))
+            unfinished.sendall(b"GET /sta")
+        unfinished.close()
+        handles.append(settled_handles())
+    assert max(handles[3:]) <= handles[2]
 
 
 @pytest.mark.parametrize(
