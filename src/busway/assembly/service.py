@@ -75,6 +75,7 @@ class Service:
         configuration: the one that holds.
         server: the server, after the start.
         read_only: URLs of the listeners that are read-only because nobody wrote a policy.
+        metrics: where the metrics are scraped; empty without any.
 
     Raises:
         ConfigError, LinkDown: something can not be, or can not be had; then nothing runs.
@@ -87,6 +88,7 @@ class Service:
         self._wishes = wishes or Wishes()
         self.configuration = read()
         self.read_only: tuple[str, ...] = ()
+        self.metrics = ""
         self._rules = self._wishes.rules(self.configuration)
         self._entrance = Entrance()
         self._entrances: dict[str, Entrance] = {}
@@ -130,6 +132,7 @@ class Service:
             from ..observe.metrics import start_metrics
 
             endpoint = await stack.enter_async_context(start_metrics(server, metrics))
+            self.metrics = endpoint.url
         await stack.enter_async_context(server)
         if self._is_guarded:
             server.replace_policy(self._policy([url for url in server.endpoints if reaches_network(url)]))

@@ -141,6 +141,8 @@ async def _serve(service: "Service", file: str | None) -> None:
                 say(f"unit 1 has {ITEMS} coils, discrete inputs, input registers and holding registers")
             if service.read_only:
                 say(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
+            if service.metrics:
+                say(f"metrics on {service.metrics}")
             for endpoint in service.server.endpoints:
                 print(endpoint, flush=True)
             await stop.wait()
