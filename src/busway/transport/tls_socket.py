@@ -92,20 +92,23 @@ class TlsSocket:
             BlockingIOError: none have come.
             TlsFailure, OSError: the connection has ended.
         """
-        try:
-            size = self._socket.recv_into(self._records)
-        except ConnectionError as error:
-            reason = self._stream.end_reason(error)
-            if reason is None or reason is error:
-                raise
-            raise reason from error
-        self._stream.feed(memoryview(self._records)[:size])
-        plain = self._stream.read_into(memoryview(buffer)) if size else 0
-        if size and not plain and not self._stream.ended:
-            raise BlockingIOError
-        reason = self._stream.end_reason(None) if not plain else None
-        if reason is not None:
-            raise reason
+        plain = 0
+        while not plain:  # what has come may be of TLS alone: tickets of a session
+            try:
+                size = self._socket.recv_into(self._records)
+            except ConnectionError as error:
+                reason = self._stream.end_reason(error)
+                if reason is None or reason is error:
+                    raise
+                raise reason from error
+            if size:
+                self._stream.feed(memoryview(self._records)[:size])
+                plain = self._stream.read_into(memoryview(buffer))
+            if not size or (self._stream.ended and not plain):
+                reason = self._stream.end_reason(None)
+                if reason is not None:
+                    raise reason
+                return 0
         return plain
 
     def send(self, data: bytes, /) -> int:
