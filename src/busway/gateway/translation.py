@@ -26,6 +26,8 @@ def behind(request: Request, route: Route) -> tuple[Request, ...]:
         moved = _moved(request, type(request), route.shift)
         assert isinstance(moved, Request)
         request = moved
+    if route.max_registers is None and route.max_bits is None:
+        return (request,)
     limit = _limit(request, route)
     if limit is None or _count(request) <= limit:
         return (request,)
