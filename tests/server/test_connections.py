@@ -413,3 +413,28 @@ async def test_counters_set_to_zero_while_connections_live_count_on_from_zero() 
         await client.close()
         await until(lambda: server.counters.closed == 1)
         assert server.status().counters.requests == 1
+
+
+# --- the end -------------------------------------------------------------------------------------
+
+
+@pytest.mark.clause("T38")
+async def test_server_that_takes_no_more_reads_nothing_more_and_still_gives_the_answers_it_owes() -> None:
+    handler = ScriptedHandler(later)
+    async with served(units=None, handler=handler, request_rate=5) as server:
+        client = await Client.of(server)
+        client.writer.write(QUESTION * 6)  # one more than its rate: it is held for a moment
+        await until(lambda: len(handler.contexts) == 6)
+        await server.take_no_more()
+        client.writer.write(QUESTION)
+        slow = served(header_timeout=0.3)  # longer than the moment
+        async with slow:
+            clock = await Client.of(slow)
+            clock.writer.write(b"\0")
+            assert await clock.is_closed()
+            await clock.close()
+        assert len(handler.contexts) == 6
+        for context in handler.contexts:
+            context.reply(registers(0))
+        assert await client.reader.readexactly(6 * len(ANSWER)) == ANSWER * 6
+        await client.close()

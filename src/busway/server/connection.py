@@ -50,10 +50,10 @@ class ServerConnection(asyncio.BufferedProtocol):
         "_buffer",
         "_half_closed",
         "_is_rated",
+        "_is_single",
         "_is_stuck",
         "_late",
         "_management",
-        "_parameters",
         "_tasks",
         "_trace",
         "_transport",
@@ -76,7 +76,6 @@ class ServerConnection(asyncio.BufferedProtocol):
         self, management: "ConnectionManagement", *, role: str | None = None, subject: str = "", accepted: bool = False
     ) -> None:
         self._management = management
-        self._parameters = management.parameters
         self._accepted = accepted
         self._buffer = receive_buffer(management.loop)
         # The TLS of asyncio slices what it is given and fills the slice: of a bytearray, that would be a copy.
@@ -86,6 +85,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._trace: Trace | None = None
         self._half_closed = False
         self._is_rated = False
+        self._is_single = management.parameters.single_adu_segments
         self._is_stuck = False
         self._late: list[bytes] | None = None  # late replies that leave at the end of this turn
         self.session: Session | None = None
@@ -107,7 +107,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.peer, self.host = peer_name(address), host_of(address)
         self.opened = self.last_used = time.monotonic()
         if self._accepted or self._management.accept(transport):
-            self._transport.set_write_buffer_limits(high=self._parameters.write_buffer)
+            self._transport.set_write_buffer_limits(high=self._management.parameters.write_buffer)
             self.session = self._management.admit(self)
             self._is_rated = self._management.rates is not None and not self.marked
         if self.session is None:
@@ -144,7 +144,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     def eof_received(self) -> bool:
         """The client sends no more; replies that are still to come go out first."""
         self._half_closed = (
-            self.session is not None and self.session.waiting > 0 and self._parameters.answer_half_closed
+            self.session is not None and self.session.waiting > 0 and self._management.parameters.answer_half_closed
         )
         return self._half_closed
 
@@ -259,7 +259,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _write(self, replies: list[bytes]) -> None:
         self.last_used = time.monotonic()
-        if self._parameters.single_adu_segments:
+        if self._is_single:
             for reply in replies:
                 self._transport.write(reply)
                 self.sent += len(reply)

@@ -63,6 +63,7 @@ class ConnectionManagement:
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at = 0.0
         self._emptied: asyncio.Event | None = None
+        self._is_draining = False
         self.gate: Gate | None = None
 
     def __len__(self) -> int:
@@ -201,12 +202,19 @@ class ConnectionManagement:
         wait = self.rates.charge(connection.host, requests, now)
         if wait:
             self.counters.rate_limited += 1
+            self.reception.say(
+                logging.INFO,
+                connection.host,
+                "%s: held back, %g requests a second are its rate",
+                connection.peer,
+                self.rates.rate,
+            )
             connection.hold()
             self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
 
     def is_held(self, connection: ServerConnection) -> bool:
-        """Whether nothing is read from it because of the rate of its host."""
-        return self._deadlines.is_held(connection)
+        """Whether nothing is read from it: its host is over its rate, or the listener takes no more."""
+        return self._is_draining or self._deadlines.is_held(connection)
 
     def _set_timer(self, now: float) -> None:
         self._set_timer_by(self._deadlines.next_due(now, anybody=bool(self._connections)), now)
@@ -272,6 +280,7 @@ class ConnectionManagement:
 
     def pause_all(self) -> None:
         """Read nothing more from any connection; what is in work is still answered."""
+        self._is_draining = True
         for connection in self._connections:
             connection.hold()
 
