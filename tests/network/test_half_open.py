@@ -24,7 +24,7 @@ LATE = 2.0
 """Seconds that a loaded machine may add."""
 NEVER = {"keepalive": False, "user_timeout": None}
 """The system finds out nothing within the time of a test."""
-SOON = 1.0
+SOON = 2.0
 """Seconds after which something that needs no timer of TCP must have happened, on a loaded machine too."""
 
 both_skins = pytest.mark.parametrize("skin", ["asyncio", "blocking"])
@@ -36,11 +36,15 @@ def _server(host: Host, **options: Any) -> Program:
 
 
 def _client(host: Host, skin: str, server: Host, **options: Any) -> Program:
-    return host.start(PROGRAMS / "client.py", skin, f"tcp://{server.address}:{PORT}", json.dumps(options))
+    client = host.start(PROGRAMS / "client.py", skin, f"tcp://{server.address}:{PORT}", json.dumps(options))
+    server.ready()
+    return client
 
 
 def _fixed(host: Host, server: Host, own_port: int) -> Program:
-    return host.start(PROGRAMS / "fixed_port.py", server.address, str(PORT), str(own_port))
+    client = host.start(PROGRAMS / "fixed_port.py", server.address, str(PORT), str(own_port))
+    server.ready()
+    return client
 
 
 def _reads(client: Program, address: int = 5, **call: Any) -> dict[str, Any]:
@@ -172,6 +176,7 @@ def test_server_that_was_killed_and_started_again_is_asked_as_if_nothing_had_bee
     server.kill()
     client.until_established(PORT, 0, SOON)
     server = _server(there)
+    server.ready()
     answer = client.ask(do, address=6)
     assert "value" in answer, answer
     assert answer["seconds"] < SOON
@@ -187,6 +192,7 @@ def test_read_that_a_returned_server_resets_is_asked_again_at_once(network: Netw
     there.crash()
     there.boot()
     server = _server(there)
+    server.ready()
     assert client.established(PORT) == 1  # the client knows of nothing
     assert _reads(client)["seconds"] < SOON + LATE
     assert server.ask("status")["accepted"] == 1
@@ -204,6 +210,7 @@ def test_write_that_a_returned_server_resets_is_not_repeated_and_the_next_one_is
     there.crash()
     there.boot()
     server = _server(there)
+    server.ready()
     answer = client.ask("write", address=6)
     assert (answer["error"], answer["cause"]) == ("WriteOutcomeUnknown", "LinkDown"), answer
     assert server.ask("status")["requests"] == 0
@@ -220,9 +227,10 @@ def test_connection_to_a_returned_server_ends_by_the_first_probe_where_nothing_i
     _reads(client)
     there.crash()
     there.boot()
-    server = _server(there)
     assert client.established(PORT) == 1
     client.until_established(PORT, 0, 2 + LATE)
+    server = _server(there)
+    server.ready()
     _reads(client)
     assert server.ask("status")["accepted"] == 1
 
@@ -274,6 +282,27 @@ def test_client_that_came_back_takes_the_place_of_its_half_open_past_where_it_ma
         here.boot()
     status = server.ask("status")
     assert (status["accepted"], status["evicted"], status["handles"]) == (3, 2, handles + 1)
+
+
+@pytest.mark.clause("T13", "T19")
+def test_marked_client_that_came_back_is_served_at_once_and_moves_up_when_its_half_open_past_ends(
+    network: Network,
+) -> None:
+    here, there = network.host(), network.host()
+    marked = {"priority": [here.address], "max_priority_connections": 1, "max_connections": 1}
+    server = _server(there, **SHORT, **marked)
+    _reads(_client(here, "asyncio", there))
+    assert server.ask("status")["pools"] == ["priority"]
+    (old,) = server.ask("status")["connections"]
+    here.crash()
+    here.boot()
+    client = _client(here, "asyncio", there)
+    assert _reads(client)["seconds"] < SOON
+    # We close no marked connection: the past one ends because the system finds out that nobody is there.
+    left = server.ask("until", connections=1, seconds=KEEPALIVE + LATE)
+    assert left["connections"] != [old]
+    assert (left["pools"], left["evicted"], left["closed"]) == (["priority"], 0, 1)
+    _reads(client)
 
 
 def test_client_that_came_back_by_the_same_port_is_accepted_and_its_half_open_past_is_gone(network: Network) -> None:

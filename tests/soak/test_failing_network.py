@@ -70,6 +70,7 @@ class System:
     def _start_server(self) -> None:
         endpoint = f"tcp://{self._there.address}:{PORT}"
         self._server = self._there.start(PROGRAMS / "server.py", endpoint, json.dumps(KEEPALIVE))
+        self._server.ready()
 
     def _client(self, number: int) -> Program:
         skin = ("asyncio", "blocking")[number % 2]

@@ -124,10 +124,15 @@ class Host:
         _ip("-n", self._switch, "link", "set", self._port, "up")
 
     def start(self, script: Path, *arguments: str) -> "Program":
-        """Start a Python program on this host, and wait until it is ready."""
+        """Start a Python program on this host; it gets ready while others do."""
         program = Program(["ip", "netns", "exec", self._namespace, sys.executable, str(script), *arguments])
         self._programs.append(program)
         return program
+
+    def ready(self) -> None:
+        """Wait until everything that was started here is ready."""
+        for program in self._programs:
+            program.ready()
 
 
 def _ip(*arguments: str) -> None:

@@ -26,7 +26,7 @@ PAUSE = 0.01
 
 
 class Program:
-    """A running program that says ``ready``, and answers each line of JSON with one."""
+    """A running program that says ``ready`` when it is, and answers each line of JSON with one."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self._command = command
@@ -34,12 +34,7 @@ class Program:
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, text=True, bufsize=1
         )
-        try:
-            first = self._line()
-            assert first == "ready", self._story(f"said {first!r} instead of ready")
-        except BaseException:
-            self.kill()
-            raise
+        self._is_ready = False
 
     def __enter__(self) -> Self:
         return self
@@ -49,6 +44,13 @@ class Program:
     ) -> None:
         self.kill()
 
+    def ready(self) -> None:
+        """Wait until it says that it is ready; whatever it is asked waits for that."""
+        if not self._is_ready:
+            first = self._line()
+            assert first == "ready", self._story(f"said {first!r} instead of ready")
+            self._is_ready = True
+
     def ask(self, do: str, **arguments: Any) -> dict[str, Any]:  # Any: whatever JSON holds
         """Have something done, and wait for its outcome."""
         self.tell(do, **arguments)
@@ -56,6 +58,7 @@ class Program:
 
     def tell(self, do: str, **arguments: Any) -> None:
         """Have something done, and fetch its outcome later, by `outcome`."""
+        self.ready()
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps({"do": do, **arguments}) + "\n")
 

@@ -52,6 +52,7 @@ def status(server: busway.Server) -> dict[str, Any]:
     now = server.status()
     return {
         "connections": [one.peer for one in now.connections],
+        "pools": [one.pool.value for one in now.connections],
         "waiting": sum(one.waiting for one in now.connections),
         "accepted": now.counters.accepted,
         "closed": now.counters.closed,
