@@ -70,12 +70,15 @@ if TYPE_CHECKING:
     from .server.cells import Cells
     from .server.device import Device
     from .server.hooks import Access, Change
+    from .server.listener import Listener
+    from .server.parameters import ListenerParameters
     from .server.policy.audit import AuditLog
     from .server.policy.handler import PolicyHandler
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
     from .session.handler import LATER, SILENCE, RequestContext
+    from .transport.tls import TlsParameters
     from .values import Address, ValueType, parse_address, value_type
 
 _HOME = {
@@ -94,6 +97,8 @@ _HOME = {
         "ExceptionReply",
         "InvalidRequest",
         "LinkDown",
+        "Listener",
+        "ListenerParameters",
         "ModbusError",
         "NoReply",
         "Overloaded",
@@ -135,11 +140,14 @@ _HOME = {
     "server.device": ("Device",),
     "server.hooks": ("Access", "Change"),
     "server.policy.audit": ("AuditLog",),
+    "server.listener": ("Listener",),
+    "server.parameters": ("ListenerParameters",),
     "server.policy.handler": ("PolicyHandler",),
     "server.server": ("Server",),
     "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
     "server.single_block": ("SingleBlock",),
     "session.handler": ("LATER", "SILENCE", "RequestContext"),
+    "transport.tls": ("TlsParameters",),
     "values": ("Address", "ValueType", "parse_address", "value_type"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -176,6 +184,8 @@ __all__ = [
     "InvalidRequest",
     "Link",
     "LinkDown",
+    "Listener",
+    "ListenerParameters",
     "LocalConnectionStatus",
     "MaskWriteRegister",
     "Message",
@@ -205,6 +215,7 @@ __all__ = [
     "ServerThread",
     "SingleBlock",
     "Table",
+    "TlsParameters",
     "Touch",
     "TraceLevel",
     "Unit",

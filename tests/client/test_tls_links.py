@@ -3,10 +3,14 @@
 import asyncio
 import contextlib
 import logging
+import os
 import socket
 import ssl
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from handles import open_handles
@@ -410,3 +414,47 @@ def test_a_failed_handshake_is_logged_once_as_a_change_of_state(
     with served(store.expired_server()) as (url, _), pytest.raises(LinkDown):
         read_blocking(f"{url}?{operator.query()}")
     assert "the server's certificate has expired" in caplog.text
+
+
+def test_an_own_certificate_that_expires_is_said_when_the_link_is_made(
+    store: Store, good_server: CertificateFiles, caplog: pytest.LogCaptureFixture
+) -> None:
+    ageing, fresh = store.client("ageing", days=3.5), store.client("fresh", days=300)
+    with served(good_server) as (url, _):
+        for files in (fresh, ageing):
+            assert read_blocking(f"{url}?{files.query()}") == [REGISTER]
+    (warning,) = [record.getMessage() for record in caplog.records if "our certificate" in record.getMessage()]
+    assert f"our certificate {ageing.certificate} expires on " in warning
+    assert warning.endswith((", in 3 days", ", in 4 days"))
+
+
+def test_a_client_does_without_the_package_that_a_listener_needs(
+    good_server: CertificateFiles, operator: CertificateFiles, tmp_path: Path
+) -> None:
+    """In a process of its own, where ``cryptography`` can not be found."""
+    (tmp_path / "cryptography.py").write_text("raise ImportError('not here')")
+    program = (
+        "import busway, sys\n"
+        "with busway.connect(sys.argv[1]) as link:\n"
+        "    assert link.unit(1).read_holding_registers(0, count=1) == [1234]\n"
+        "try:\n"
+        "    with busway.serve_in_thread(sys.argv[2], units=busway.Device()):\n"
+        "        pass\n"
+        "except busway.ConfigError as error:\n"
+        "    print(error)\n"
+    )
+    with served(good_server) as (url, _):
+        done = subprocess.run(
+            [sys.executable, "-c", program, f"{url}?{operator.query()}", f"tls://127.0.0.1:0?{good_server.query()}"],
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 0, done.stderr
+    assert "a tls:// listener needs the package cryptography: pip install 'busway[tls]'" in done.stdout
+
+
+def test_a_blocking_program_loads_no_tls_before_it_needs_it() -> None:
+    program = "import busway, sys; busway.connect('tcp://h'); sys.exit('ssl' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

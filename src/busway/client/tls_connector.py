@@ -4,7 +4,8 @@ Knows TCP, TLS and what their failures mean; knows no conversation.
 
 1. The server is verified: its chain, its time, and its name against the host of the URL or ``server_name``. Without
    that nothing is sent; where it is switched off, each connection says so in the log.
-2. Certificates are read when the link is made, and again when their files have changed.
+2. Certificates are read when the link is made, and again when their files have changed. The own one is looked at then,
+   if ``cryptography`` is there to read it: one that expires is said in the log, before servers refuse it.
 3. With TLS 1.3 a client believes itself connected before the server has looked at its certificate: a refusal comes with
    the first read, and ends the connection with the same sentence.
 """
@@ -17,7 +18,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..config.endpoints import Endpoint
-from ..errors import LinkDown
+from ..errors import ConfigError, LinkDown
 from ..transport.tcp import SocketParameters, link_down
 from ..transport.tls import TlsParameters, Verify
 from ..transport.tls_context import WatchedContext, client_context
@@ -47,6 +48,8 @@ class TlsConnector:
         self._local = (sockets.local_address, 0) if sockets.local_address else None
         self._context = WatchedContext(security, client_context, name=endpoint.url)
         self._server_name = security.server_name or self._host
+        self._looked_at = -1
+        self._look_at_own()
 
     async def connect(self, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> Any:  # a `TlsLayer`, as a transport
         """A transport over which both sides have agreed. Raises `LinkDown`."""
@@ -120,7 +123,22 @@ class TlsConnector:
                 "anybody on the way can read and change what is said",
                 self._endpoint.url,
             )
-        return self._context.current()
+        context = self._context.current()
+        self._look_at_own()
+        return context
+
+    def _look_at_own(self) -> None:
+        """Say where the own certificate expires soon, or has."""
+        name = self._security.certificate
+        if name is None or self._looked_at == self._context.generation:
+            return
+        from ..transport.certificates.facts import facts_of_file
+
+        self._looked_at = self._context.generation
+        with contextlib.suppress(ConfigError):  # TLS can use it; that nobody can read it out is no failure
+            problem = facts_of_file(name)[0].validity()
+            if problem:
+                _log.warning("%s: our certificate %s %s", self._endpoint.url, name, problem)
 
     def _down(self, error: BaseException) -> LinkDown:
         return link_down(error, endpoint=self._endpoint.url)

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .certificates import CertificateFiles, CertificateStore
     from .clients import CLIENT_PERSONALITIES, SLOW_LORIS, ClientPersonality, misbehaving_client
     from .clock import Clock, FakeClock, LoopClock
     from .conversation import FaultyConversation
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from .server import FaultyServer, faulty_server
 
 _HOME = {
+    "certificates": ("CertificateFiles", "CertificateStore"),
     "clients": ("CLIENT_PERSONALITIES", "SLOW_LORIS", "ClientPersonality", "misbehaving_client"),
     "clock": ("Clock", "FakeClock", "LoopClock"),
     "conversation": ("FaultyConversation",),
@@ -51,6 +53,8 @@ __all__ = [
     "SLOW_LORIS",
     "AppliedFault",
     "Carrier",
+    "CertificateFiles",
+    "CertificateStore",
     "ClientPersonality",
     "Clock",
     "Contact",
