@@ -96,8 +96,6 @@ _HOME = {
         "ConfigError",
         "ExceptionReply",
         "InvalidRequest",
-        "LinkDown",
-        "Listener",
         "ListenerParameters",
         "ModbusError",
         "NoReply",
