@@ -96,7 +96,7 @@ _HOME = {
         "ConfigError",
         "ExceptionReply",
         "InvalidRequest",
-        "ListenerParameters",
+        "LinkDown",
         "ModbusError",
         "NoReply",
         "Overloaded",
