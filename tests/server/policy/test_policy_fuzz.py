@@ -152,8 +152,18 @@ def rules(draw: st.DrawFn) -> Rule:
     raise AssertionError("a rule without limits and code can always be")
 
 
+ranges_only = st.builds(
+    lambda action, table, found: Rule(action=action, items={table: found}),
+    st.sampled_from(list(Action)),
+    st.sampled_from([Table.HOLDING_REGISTERS, Table.COILS]),
+    ranges,
+)
+"""Rules that leave windows on the short road."""
+
 policies = st.builds(
-    lambda found, default: Policy(tuple(found), default), st.lists(rules(), max_size=5), st.sampled_from(list(Action))
+    lambda found, default: Policy(tuple(found), default),
+    st.one_of(st.lists(rules(), max_size=5), st.lists(ranges_only, min_size=1, max_size=3)),
+    st.sampled_from(list(Action)),
 )
 
 
