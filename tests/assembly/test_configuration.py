@@ -161,5 +161,7 @@ def test_the_overview_has_a_row_for_everything() -> None:
     assert "a role is required" in rows["listener", "tls://127.0.0.1:0"]
     assert rows["policy", ""] == "2 rules (setpoints, rule 2), else read-only"
     assert rows["server", ""] == "audit audit.jsonl; metrics on 127.0.0.1:9502; control socket busway.sock"
-    assert rows["link", "boiler"].startswith("tcp://10.0.0.5?retries=0; timeout 0.5")
+    assert rows["link", "boiler"] == (
+        "tcp://10.0.0.5?retries=0; timeout 0.5, deadline none, keepalive_idle 30, hold 60.0, max_transactions 4"
+    )
     assert rows["unit", "2"] == "100 holding registers, 1 points"

@@ -161,7 +161,7 @@ def test_sighup_replaces_the_policy_and_keeps_connections(tmp_path: Path) -> Non
                 link.unit(1).write_single_register(0, 1)
             file.write_text(FILE.format(default="allow", rest=""))
             (tmp_path / "audit.jsonl").rename(tmp_path / "audit.1")
-            assert reloaded(program) == ("busway: read again: the policy was replaced; the audit log was opened anew")
+            assert reloaded(program) == ("busway: read again: the audit log was opened anew; the policy was replaced")
             link.unit(1).write_single_register(0, 2)  # on the same connection
         program.stop(signal.SIGTERM)
     assert len((tmp_path / "audit.1").read_text().splitlines()) == 1

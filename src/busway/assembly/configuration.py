@@ -48,6 +48,7 @@ class Configuration:
         file: its sections.
         listeners: where a server of it listens, each with what holds there.
         limits: of the listeners that have none of their own.
+        tls: certificates of the listeners that have none of their own; None without ``[security]``.
         access: rules on what may be asked, and on who may connect; None if there are none.
         audit: path of the audit log; None if there is none.
         control: path or address of the control socket; None for the usual one.
@@ -60,6 +61,7 @@ class Configuration:
     file: SystemFile
     listeners: tuple[Listener, ...]
     limits: ListenerParameters
+    tls: TlsParameters | None
     access: AccessRules | None
     audit: str | None
     control: str | None
@@ -90,21 +92,31 @@ class Configuration:
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
         """The options of `busway.serve` that the file sets."""
-        return self.file.server.options() | dict(self.changes)
+        chosen = self.file.server.options() | dict(self.changes)
+        return chosen if self.tls is None else {**chosen, "tls": self.tls}
 
     def open(self, name: str, *, shared: bool = True) -> "AsyncLink":
         """A named link for asyncio programs, as `busway.open` gives it. Raises `ConfigError` if there is none."""
         from ..client.aio import open_link
 
-        link = self.link(name)
+        link = self._link_to_open(name)
         return open_link(link.url, shared=shared, **link.options)
 
     def connect(self, name: str, *, shared: bool = True) -> "Link":
         """A named link for blocking programs, as `busway.connect` gives it. Raises `ConfigError` if there is none."""
         from ..client.blocking import connect
 
-        link = self.link(name)
+        link = self._link_to_open(name)
         return connect(link.url, shared=shared, **link.options)
+
+    def _link_to_open(self, name: str) -> NamedLink:
+        """A named link, once the limit holds of connections that this process may have."""
+        supported = self.file.client.supported_connections
+        if supported is not None:
+            from ..client.registry import limit_local_connections
+
+            limit_local_connections(supported)
+        return self.link(name)
 
     def link(self, name: str) -> NamedLink:
         """What is declared of a link. Raises `ConfigError` that lists the names there are."""
@@ -113,6 +125,13 @@ class Configuration:
             there = f"there are {', '.join(self.links)}" if self.links else "there is none"
             raise ConfigError(f"there is no link {name!r}; {there}", file=self.name, key="client.link")
         return link
+
+
+def _count_local() -> int:
+    """Connections of this program towards other devices."""
+    from ..client.registry import local_connections
+
+    return len(local_connections())
 
 
 def load_configuration(
@@ -161,6 +180,7 @@ def parse_configuration(
         file,
         tuple(listeners),
         limits or ListenerParameters(),
+        makers.tls(),
         None if file.policy is None else file.policy.access_rules(),
         None if file.audit is None else within(name, file.audit.path),
         _control(file, name),
@@ -192,6 +212,12 @@ class _Makers:
     def limits(self) -> ListenerParameters | None:
         """The limits of the listeners that have none of their own."""
         return self._limits({}, ("server",))
+
+    def tls(self) -> TlsParameters | None:
+        """Certificates of the listeners that have none of their own."""
+        if self._security.get("certificate") is None:
+            return None
+        return build_parameters(TlsParameters, rooted(self._security, self._name))
 
     def _limits(self, own: Mapping[str, Any], at: Place) -> ListenerParameters | None:
         known = option_names(ListenerParameters)

@@ -9,6 +9,7 @@ from ..codes import Table
 from ..config.access.addresses import AddressList
 from ..config.endpoints import parse_endpoint
 from ..config.files.device import UnitSection
+from ..config.options import NONE
 from ..server.listener import Listener
 from ..server.parameters import ListenerParameters
 from .configuration import Configuration
@@ -25,8 +26,8 @@ def overview(configuration: Configuration) -> Iterator[Row]:
     yield "policy", "", _policy(configuration)
     yield "server", "", "; ".join(_server(configuration))
     for link in configuration.links.values():
-        options = ", ".join(f"{name} {value}" for name, value in link.options.items()) or "defaults"
-        yield "link", link.name, f"{link.url}; {options}"
+        options = ", ".join(f"{name} {NONE if value is None else value}" for name, value in link.options.items())
+        yield "link", link.name, f"{link.url}; {options or 'defaults'}"
     for section in file.unit:
         for number in section.unit:
             yield "unit", str(number), _unit(section)

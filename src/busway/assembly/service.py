@@ -49,6 +49,7 @@ class Wishes:
         audit: path of the audit log.
         metrics: address on which the metrics are offered.
         control: path or address of the control socket, or ``off``.
+        standard_port: whether port 502 is listened on beside others; None leaves it to the file.
         can_reload: whether there is something to be read again.
         name: what the program is, for whoever has several.
     """
@@ -60,6 +61,7 @@ class Wishes:
     audit: str | None = None
     metrics: str | None = None
     control: str | None = None
+    standard_port: bool | None = None
     can_reload: bool = False
     name: str = "server"
 
@@ -72,7 +74,7 @@ class Service:
         wishes: what is wanted beside it.
 
     Attributes:
-        configuration: the one that holds.
+        configuration: the one that it was started with.
         server: the server, after the start.
         read_only: URLs of the listeners that are read-only because nobody wrote a policy.
         metrics: where the metrics are scraped; empty without any.
@@ -125,6 +127,8 @@ class Service:
         if self._audit is not None:
             stack.callback(self._audit.close)
             options["audit"] = self._audit
+        if wishes.standard_port is not None:
+            options["standard_port"] = wishes.standard_port
         self.server = server = configuration.serve(listeners, **options)
         metrics = wishes.metrics or (configuration.file.metrics.listen if configuration.file.metrics else None)
         endpoint = None
@@ -157,6 +161,9 @@ class Service:
         rules = self._wishes.rules(new)
         self._check_certificates(new)
         done = []
+        if self._audit is not None:
+            self._audit.reopen()
+            done.append("the audit log was opened anew")
         if rules != self._rules:
             if self._is_guarded:
                 self._rules = rules
@@ -167,13 +174,9 @@ class Service:
             done.append("the address lists of listeners were replaced")
         if any(listener.tls is not None for listener in new.listeners):
             done.append("certificates hold from the next connection on")
-        if self._audit is not None:
-            self._audit.reopen()
-            done.append("the audit log was opened anew")
         later = _differences(self.configuration, new)
         if later:
             done.append(f"only the next start will see {', '.join(later)}")
-        self.configuration = new
         return done or ["nothing has changed"]
 
     def _opened_audit(self) -> "AuditLog | None":

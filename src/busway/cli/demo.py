@@ -73,8 +73,10 @@ def demo(
     """Run a small plant and poll it over TCP."""
     limit = None if forever else seconds(duration, "--seconds", low=0.1)
     wanted = whole_number(port, "--port", 0, 65_535)
+    from ..server.loops import run
+
     show_traffic(verbose)
-    asyncio.run(_run(wanted, limit))
+    run(_run(wanted, limit))
     return ExitCode.DONE
 
 

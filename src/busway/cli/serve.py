@@ -53,6 +53,9 @@ def serve(
     listen: list[str] | None = typer.Option(
         None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
     ),
+    no_standard_port: bool = typer.Option(
+        False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
+    ),
     policy: str | None = typer.Option(
         None, "--policy", metavar="FILE", help="Who may ask what: a policy file, or the word read-only."
     ),
@@ -97,6 +100,7 @@ def serve(
         audit=audit,
         metrics=metrics,
         control=control,
+        standard_port=False if no_standard_port else None,
         can_reload=file is not None or policy not in (None, READ_ONLY),
     )
     service = Service(_reader(file, changes), wishes)

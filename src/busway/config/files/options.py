@@ -46,7 +46,7 @@ class OptionSection(Section):
     def options(self) -> dict[str, Any]:  # of several types
         """The options that are set here, by name."""
         known = {name for kind in self.kinds for name in option_names(kind)}
-        return {name: getattr(self, name) for name in self.model_fields_set if name in known}
+        return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     @model_validator(mode="after")
     def _judge(self) -> "OptionSection":

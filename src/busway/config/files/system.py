@@ -152,6 +152,7 @@ class ClientSection(LinkKeys):
     """``[client]``: the links, and options for all of them whose scheme has the option."""
 
     link: list[LinkSection] = Field(default_factory=list)
+    supported_connections: int | None = Field(default=None, ge=1, le=65_535)
 
     @model_validator(mode="after")
     def _check_names(self) -> "ClientSection":

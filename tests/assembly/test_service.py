@@ -1,0 +1,94 @@
+"""A server with all around it: what is read-only for want of a policy, and what is undone where it can not start."""
+
+from pathlib import Path
+
+import pytest
+
+import busway
+from busway.assembly.access import Entrance, reaches_network, read_only_for
+from busway.assembly.configuration import Configuration, parse_configuration
+from busway.assembly.service import Service, Wishes
+from busway.config.access.addresses import AddressList
+from busway.config.access.rules import Action
+
+UNIT = "[[unit]]\nunit = 1\nholding_registers = 10\n"
+
+
+def configured(listen: str, rest: str = "") -> Configuration:
+    return parse_configuration(f'listen = ["{listen}"]\n{rest}{UNIT}', "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("url", "reaches"),
+    [
+        ("tcp://:502", True),
+        ("tcp://0.0.0.0:502", True),
+        ("udp://10.0.0.1:502", True),
+        ("tls://[fe80::1%25eth0]:802", True),
+        ("rtu+tcp://plant.example:4001", True),
+        ("tcp://127.0.0.9:502", False),
+        ("tcp://[::1]:502", False),
+        ("tcp://localhost:502", False),
+        ("rtu:///dev/ttyUSB0", False),
+    ],
+)
+def test_whether_other_hosts_can_reach_a_listener(url: str, reaches: bool) -> None:
+    assert reaches_network(url) is reaches
+
+
+def test_a_policy_for_want_of_another_is_about_the_listeners_that_it_names() -> None:
+    policy = read_only_for(["tcp://0.0.0.0:502"])
+    assert (policy.default, [rule.action for rule in policy.rules]) == (Action.ALLOW, [Action.READ_ONLY])
+    assert read_only_for([]).rules == ()
+
+
+def test_an_entrance_asks_all_of_its_lists_and_takes_others() -> None:
+    entrance = Entrance([AddressList(allow=["10.0.0.0/8"]), AddressList(deny=["10.0.0.9"])])
+    assert [entrance(host) for host in ("10.0.0.1", "10.0.0.9", "192.0.2.1")] == [True, False, False]
+    entrance.lists = ()
+    assert entrance("192.0.2.1")
+
+
+async def test_what_was_opened_before_is_closed_where_the_rest_can_not_be_had(tmp_path: Path) -> None:
+    busy = busway.serve("tcp://127.0.0.1:0", units={1: busway.Device()})
+    async with busy:
+        service = Service(lambda: configured(busy.endpoints[0]), Wishes(audit=str(tmp_path / "a.jsonl"), control="off"))
+        with pytest.raises(busway.LinkDown, match="the port is taken"):
+            async with service:
+                pass
+        assert not service.server.is_running
+
+
+async def test_the_control_socket_answers_where_it_is_wanted_and_reads_files_again() -> None:
+    text = ["read-only"]
+    wishes = Wishes(control="127.0.0.1:0", can_reload=True)
+
+    def read() -> Configuration:
+        return configured("tcp://127.0.0.1:0", f'[policy]\ndefault = "{text[0]}"\n')
+
+    async with Service(read, wishes) as service:
+        assert service.reload() == ["nothing has changed"]
+        text[0] = "allow"
+        assert service.reload() == ["the policy was replaced"]
+        assert service.reload() == ["nothing has changed"]
+        async with busway.open(service.server.endpoints[0], shared=False) as link:
+            await link.unit(1).write_single_register(0, 1)
+        text[0] = "nobody"
+        with pytest.raises(busway.ConfigError):
+            service.reload()
+        async with busway.open(service.server.endpoints[0], shared=False) as link:
+            await link.unit(1).write_single_register(0, 2)
+
+
+async def test_a_policy_that_is_no_longer_written_leaves_network_listeners_read_only() -> None:
+    rest = ['[policy]\ndefault = "allow"\n']
+    wishes = Wishes(control="off", can_reload=True, standard_port=False)
+    async with Service(lambda: configured("tcp://0.0.0.0:0", rest[0]), wishes) as service:
+        assert service.read_only == ()
+        rest[0] = ""
+        assert service.reload() == ["the policy was replaced"]
+        assert service.read_only == tuple(service.server.endpoints)
+        url = service.server.endpoints[0].replace("0.0.0.0", "127.0.0.1")
+        async with busway.open(url, shared=False) as link:
+            with pytest.raises(busway.ExceptionReply, match="exception 01"):
+                await link.unit(1).write_single_register(0, 1)
