@@ -170,6 +170,22 @@ def test_a_strict_server_refuses_what_contradicts_it_by_name(options: dict[str, 
         busway.serve(units={1: Device(coils=1)}, profile="strict", **options)
 
 
+@pytest.mark.clause("S21")
+async def test_a_strict_server_and_a_strict_client_converse() -> None:
+    device = Device(holding_registers=[7] * 10)
+    strict: dict[str, Any] = {"profile": "strict", "standard_port": False}
+    async with (
+        busway.serve("tcp://127.0.0.1:0", units={1: device}, **strict) as server,
+        busway.open(server.endpoints[0] + "?profile=strict", timeout=0.3, retries=0) as link,
+    ):
+        assert await link.unit(1).read_holding_registers(0, count=2) == [7, 7]
+        await link.unit(1).write_multiple_registers(0, [1, 2])
+        assert device.holding_registers[0:2] == [1, 2]
+        assert await link.unit(1).diagnostics(0x0A) == b"\0\0"  # on network listeners only where that is switched on
+        with pytest.raises(busway.NoReply):
+            await link.unit(2).read_holding_registers(0, count=1)
+
+
 def test_a_server_without_a_profile_is_as_it_was() -> None:
     server = busway.serve(units={1: Device(coils=1)}, unit_policy=UnitPolicy.LISTED)
     assert isinstance(server._handler, LocalHandler)

@@ -18,6 +18,7 @@ from typing import Any, Final, Protocol, Self
 
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.options import build_parameters, option_names
+from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, with_profile
 from ..errors import ConfigError, LinkDown
 from ..framing.conversation import Role
 from ..framing.received import Damaged, Received
@@ -183,9 +184,9 @@ class _ClaimedPort:
 def line_to_hear(url: str | Endpoint) -> LineToHear:
     """The line of a URL: ``rtu:///dev/…``, ``rtu+tcp://host:port``, ``rtu+udp://:port``, and the same of ``ascii``.
 
-    Options behind ``?`` are fields of `FramingParameters`, and of `SerialSettings` with ``reopen_first`` and
-    ``reopen_most`` of `OpeningParameters`; over TCP of `SocketParameters`, over UDP only its ``receive_buffer``. The
-    host of a UDP URL is one of this machine, empty for every IPv4 address of it.
+    Options behind ``?`` are ``profile``, fields of `FramingParameters`, and those of `SerialSettings` with
+    ``reopen_first`` and ``reopen_most`` of `OpeningParameters`; over TCP those of `SocketParameters`, over UDP only its
+    ``receive_buffer``. The host of a UDP URL is one of this machine, empty for every IPv4 address of it.
 
     Raises:
         ConfigError: another scheme, or an option that can not be.
@@ -197,10 +198,11 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
         )
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
-    for name, value in endpoint.options.items():
+    takes = {name for names in offered.values() for name in names}
+    for name, value in with_profile(endpoint.options, STRICT_LINE_LISTENERS, takes=takes).items():
         owner = next((kind for kind, names in offered.items() if name in names), None)
         if owner is None:
-            known = sorted(one for names in offered.values() for one in names)
+            known = sorted({*takes, OPTION})
             raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
         chosen[owner][name] = value
     port = None
