@@ -416,7 +416,7 @@ async def test_a_server_stops_at_once_while_handshakes_are_under_way(server_file
 
 
 def test_two_hundred_refusals_leave_no_handle_behind(
-    served: ServerThread, store: Store, operator: CertificateFiles
+    served: ServerThread, store: Store, operator: CertificateFiles, caplog: pytest.LogCaptureFixture
 ) -> None:
     stranger = store.client("stranger", authority=store.foreign)
     context = foreign_context(operator, stranger)
@@ -424,6 +424,7 @@ def test_two_hundred_refusals_leave_no_handle_behind(
     for _ in range(200):
         try_to_read(port_of(served), context)
     wait_for(lambda: security_of(served).refused == {"unknown authority": 200})
+    assert caplog.text.count("refused at") == 1  # in a minute
     wait_for(lambda: open_handles() == handles)
     assert security_of(served).handshakes == 0
 

@@ -3,7 +3,8 @@
 Knows connections that are not admitted yet; knows no request. What a role may do is policy's business.
 
 1. Order: address (before a byte is read) → a place among the handshakes → TLS, with a client's certificate → its role
-   → a place among the connections. Every refusal is counted by its reason, and has a line in the log.
+   → a place among the connections. Every refusal is counted by its reason, and has a line in the log: one a minute for
+   the same host and reason, with how many there were.
 2. The context is taken when a connection is accepted: certificates and authorities that have changed hold from the
    next connection on, and those that stand are not disturbed.
 3. At most ``max_handshakes`` are under way; a newcomer takes the place of the oldest of them, so that clients who begin
@@ -205,14 +206,16 @@ class Gate:
                 sentence = f"the client's certificate {facts.subject} has no role{about}, and one is required"
                 raise TlsFailure(FailureKind.NO_ROLE, sentence)
             if reading.reason:
-                _log.warning("%s: the certificate %s has no role: %s", peer, facts.subject, reading.reason)
+                about = f"{_host_of(peer)} {facts.subject}"
+                self._say(about, "%s: the certificate %s has no role: %s", peer, facts.subject, reading.reason)
         return reading.role, facts.subject
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
         """A newcomer is not let in, or has gone."""
         peer = self._waiting.pop(layer, "?")
         self._refused[failure.kind.value] += 1
-        _log.warning("%s: refused at %s: %s", peer, self._management.listener, failure)
+        about = f"{_host_of(peer)} {failure.kind.value}"
+        self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
         if layer.state is TlsState.REFUSED:
             while len(self._leaving) >= self._parameters.max_handshakes:
                 oldest = next(iter(self._leaving))
@@ -220,9 +223,16 @@ class Gate:
                 oldest.abort()
             self._leaving[layer] = None
 
+    def _say(self, about: str, message: str, *arguments: object) -> None:
+        self._management.reception.say(logging.WARNING, about, message, *arguments)
+
     def _gone(self, layer: TlsLayer) -> None:
         """The connection of somebody who was refused has ended."""
         self._leaving.pop(layer, None)
+
+
+def _host_of(peer: str) -> str:
+    return peer.rpartition(":")[0]
 
 
 class _Newcomer(asyncio.Protocol):
