@@ -104,3 +104,98 @@ def test_only_a_valid_reply_resets_the_pause() -> None:
 def test_only_a_link_that_is_down_may_dial() -> None:
     for state in S:
         assert at(state).may_dial(0.0) == (state is S.DOWN)
+
+
+# --- ends that prove nothing, and news -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("failures", [0, 3])
+@pytest.mark.parametrize("state", [S.UP, S.SUSPECT])
+def test_a_connection_that_is_closed_unused_proves_nothing_either_way(state: ConnectionState, failures: int) -> None:
+    one = at(state)
+    one.failures = failures
+    one.move(E.RELEASED, 5.0)
+    assert (one.state, one.failures) == (S.DOWN, failures)
+    assert one.may_dial(5.0)
+
+
+def test_it_flaps_from_the_second_attempt_in_a_row_on() -> None:
+    one = Reconnect(lambda: 1.0)
+    seen = []
+    now = 0.0
+    for _ in range(3):
+        assert one.may_dial(now)
+        one.move(E.DIALLED, now)
+        one.move(E.CONNECTED, now)
+        one.move(E.LOST, now)
+        seen.append(one.is_flapping)
+        now = one.not_before
+    assert seen == [False, True, True]
+    one.may_dial(now)
+    assert not one.is_flapping
+
+
+STORIES = {
+    "a peer that works, is lost and works again": [
+        (E.DIALLED, ""),
+        (E.CONNECTED, "up: connected"),
+        (E.VALID_REPLY, ""),
+        (E.TIMEOUT, "suspect: no reply in time"),
+        (E.TIMEOUT, ""),
+        (E.VALID_REPLY, "up: it answers again"),
+        (E.RELEASED, "down: why"),
+        (E.DIALLED, ""),
+        (E.CONNECTED, "up: connected"),
+    ],
+    "a peer that is not there for three attempts": [
+        (E.DIALLED, ""),
+        (E.FAILED, "backing off: why"),
+        (E.PAUSE_OVER, ""),
+        (E.DIALLED, ""),
+        (E.FAILED, ""),
+        (E.PAUSE_OVER, ""),
+        (E.DIALLED, ""),
+        (E.FAILED, ""),
+        (E.PAUSE_OVER, ""),
+        (E.DIALLED, ""),
+        (E.CONNECTED, ""),
+        (E.VALID_REPLY, "up: it answers again, after 3 attempts without a reply"),
+    ],
+    "a peer that accepts and closes": [
+        (E.DIALLED, ""),
+        (E.CONNECTED, "up: connected"),
+        (E.LOST, "backing off: why"),
+        (E.PAUSE_OVER, ""),
+        (E.DIALLED, ""),
+        (E.CONNECTED, ""),
+        (E.TIMEOUT, ""),
+        (E.LOST, ""),
+        (E.PAUSE_OVER, ""),
+        (E.DIALLED, ""),
+        (E.CONNECTED, ""),
+        (E.VALID_REPLY, "up: it answers again, after 2 attempts without a reply"),
+    ],
+    "a peer that misses one attempt": [
+        (E.DIALLED, ""),
+        (E.FAILED, "backing off: why"),
+        (E.PAUSE_OVER, ""),
+        (E.DIALLED, ""),
+        (E.CONNECTED, ""),
+        (E.VALID_REPLY, "up: it answers again, after 1 attempt without a reply"),
+    ],
+}
+
+
+@pytest.mark.parametrize("story", list(STORIES))
+def test_every_change_is_told_once_and_attempts_that_fail_in_a_row_are_counted(story: str) -> None:
+    one = Reconnect(lambda: 0.0)
+    assert [one.move(event, 0.0, reason="why") for event, _ in STORIES[story]] == [news for _, news in STORIES[story]]
+
+
+def test_a_connection_that_had_worked_is_told_as_down_when_it_is_lost() -> None:
+    one = at(S.UP)
+    assert one.move(E.LOST, 1.0, reason="the peer closed it", had_reply=True) == "down: the peer closed it"
+
+
+def test_an_event_that_the_table_does_not_know_is_no_news() -> None:
+    assert at(S.DOWN).move(E.TIMEOUT, 1.0) == ""

@@ -119,7 +119,7 @@ class BlockingLink:
         """Bring a demand to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
         with self._turn:
             now = time.monotonic()
-            if self._hold < math.inf:
+            if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
                 self._let_go(now)
             self._refuse_while_down(demand, now)
             self.session.submit(demand, now)

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 from ..session.parameters import TransactionScope
 from .blocking_link import BlockingLink
@@ -27,7 +28,7 @@ class BlockingPool:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._shared: dict[str, _Shared] = {}
-        self._links: dict[str, list[BlockingLink]] = {}
+        self._links: dict[str, WeakKeyDictionary[BlockingLink, None]] = {}  # in the order they were made
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLink:
@@ -35,7 +36,7 @@ class BlockingPool:
         name = settings.endpoint.url
         with self._lock:
             if not shared:
-                check_room(self._links.get(name, ()), settings)
+                check_room(list(self._links.get(name, ())), settings)
                 return self._make(settings, shared=False)
             entry = self._shared.get(name)
             if entry is None:
@@ -47,7 +48,7 @@ class BlockingPool:
     def choose(self, settings: LinkSettings, rule: Selection) -> BlockingLink:
         """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
         with self._lock:
-            return chosen(self._links.get(settings.endpoint.url, ()), settings, rule)
+            return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLink) -> None:
         """A user leaves; the last one closes the connection."""
@@ -59,11 +60,9 @@ class BlockingPool:
                 if entry.users:
                     return
                 del self._shared[name]
-            links = self._links.get(name, [])
-            if link in links:
-                links.remove(link)
-                if not links:
-                    del self._links[name]
+            self._links[name].pop(link, None)
+            if not self._links[name]:
+                del self._links[name]
         link.close()
 
     def _make(self, settings: LinkSettings, *, shared: bool) -> BlockingLink:
@@ -76,7 +75,7 @@ class BlockingPool:
         if scope is not None:
             with scope.lock:
                 scope.enter(link)
-        self._links.setdefault(settings.endpoint.url, []).append(link)
+        self._links.setdefault(settings.endpoint.url, WeakKeyDictionary())[link] = None
         return link
 
 

@@ -36,14 +36,14 @@ class LinkPool:
 
     def __init__(self) -> None:
         self._shared: dict[str, _Shared] = {}
-        self._links: dict[str, list[Link]] = {}
+        self._links: dict[str, WeakKeyDictionary[Link, None]] = {}  # in the order they were made
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> Link:
         """A link for one more user. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         if not shared:
-            check_room(self._links.get(name, ()), settings)
+            check_room(list(self._links.get(name, ())), settings)
             return self._make(settings, shared=False)
         entry = self._shared.get(name)
         if entry is None:
@@ -54,7 +54,7 @@ class LinkPool:
 
     def choose(self, settings: LinkSettings, rule: Selection) -> Link:
         """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
-        return chosen(self._links.get(settings.endpoint.url, ()), settings, rule)
+        return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     async def release(self, settings: LinkSettings, link: Link) -> None:
         """A user leaves."""
@@ -65,11 +65,9 @@ class LinkPool:
             if entry.users:
                 return
             del self._shared[name]
-        links = self._links.get(name, [])
-        if link in links:
-            links.remove(link)
-            if not links:
-                del self._links[name]
+        self._links[name].pop(link, None)
+        if not self._links[name]:
+            del self._links[name]
         await link.close()
 
     def _make(self, settings: LinkSettings, *, shared: bool) -> Link:
@@ -81,7 +79,7 @@ class LinkPool:
         link = Link(connector, session, settings, shared=shared, scope=scope)
         if scope is not None:
             scope.enter(link)
-        self._links.setdefault(settings.endpoint.url, []).append(link)
+        self._links.setdefault(settings.endpoint.url, WeakKeyDictionary())[link] = None
         return link
 
 
@@ -96,4 +94,9 @@ def pool_of_running_loop() -> LinkPool:
         raise ConfigError(
             "a link of busway.open is used in coroutines; busway.connect is for blocking programs"
         ) from None
-    return _pools.setdefault(loop, LinkPool())
+    pool = _pools.get(loop)
+    if pool is None:
+        for ended in [one for one in _pools if one.is_closed()]:
+            del _pools[ended]  # links that were never closed know their loop, and would keep it alive here
+        pool = _pools[loop] = LinkPool()
+    return pool

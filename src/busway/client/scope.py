@@ -10,6 +10,7 @@ Knows links that wait for a place, and serves them in turn; knows nothing of wha
 """
 
 import threading
+import weakref
 from collections import deque
 from typing import Protocol
 
@@ -37,29 +38,30 @@ class ClientScope:
         self.limit = limit
         self.places: Places = places(limit)
         self.lock = threading.Lock()
-        self._links: deque[Served] = deque()
+        self._links: deque[weakref.ref[Served]] = deque()
 
     @property
     def is_used(self) -> bool:
         """Whether a link takes its places from here."""
-        return bool(self._links)
+        return any(link() is not None for link in self._links)
 
     def enter(self, link: Served) -> None:
         """A link was made."""
-        self._links.append(link)
+        self._links.append(weakref.ref(link))
 
     def leave(self, link: Served) -> None:
         """A link was closed; its places are free already."""
-        self._links.remove(link)
+        self._links = deque(one for one in self._links if one() not in (None, link))
 
     def serve(self, now: float) -> None:
         """Give free places to the links that wait, in turn."""
         for _ in range(len(self._links)):
             if not self.places:
                 return
-            link = self._links[0]
+            link = self._links[0]()
             self._links.rotate(-1)
-            link.serve(now)
+            if link is not None:
+                link.serve(now)
 
 
 def same_scope(scope: ClientScope | None, limit: int) -> ClientScope:
