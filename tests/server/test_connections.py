@@ -317,6 +317,15 @@ async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_othe
         await closed(*clients, other, marked)
 
 
+async def test_a_flood_on_a_host_with_a_rate_is_taken_in_small_pieces() -> None:
+    async with served(request_rate=10) as server:
+        client = await Client.of(server)
+        client.writer.write(QUESTION * 1000)
+        await until(lambda: server.counters.rate_limited == 1)
+        assert server.status().connections[0].received <= 260
+        client.writer.transport.abort()
+
+
 # --- access --------------------------------------------------------------------------------------
 
 

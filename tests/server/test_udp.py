@@ -5,6 +5,7 @@ import socket
 from urllib.parse import urlsplit
 
 import pytest
+from waiting import until
 
 import busway
 from busway.framing.ascii import encode_ascii
@@ -193,6 +194,19 @@ async def test_no_datagram_is_answered_by_more_than_the_reply_of_its_request() -
             sender.socket.setblocking(False)
             with pytest.raises(BlockingIOError):
                 sender.socket.recv(2048)
+
+
+@pytest.mark.clause("T39")
+async def test_while_the_system_takes_no_datagrams_answers_are_lost_and_nothing_piles_up() -> None:
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}) as server:
+        (bound,) = server._datagrams[0]._sockets
+        bound.pause_writing()
+        with Sender(server.endpoints[0]) as sender:
+            sender.socket.send(frame_of("udp", 1, READ))
+            await until(lambda: server.status().counters.requests == 1)
+            bound.resume_writing()
+            assert await sender.ask(frame_of("udp", 7, READ)) == frame_of("udp", 7, bytes.fromhex("83 0B"))
+        assert server.counters.reading_paused == 1
 
 
 @pytest.mark.clause("T20")

@@ -11,7 +11,7 @@ Knows when bytes come and go; knows nothing of what they say.
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
@@ -24,6 +24,10 @@ from .status import ConnectionState
 
 if TYPE_CHECKING:
     from .connections import ConnectionManagement
+
+_USUAL_REQUEST: Final = 12
+"""Bytes of a read."""
+_LONGEST_REQUEST: Final = 260
 
 
 class ServerConnection(asyncio.BufferedProtocol):
@@ -109,7 +113,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         if self._accepted or self._management.accept(transport):
             self._transport.set_write_buffer_limits(high=self._management.parameters.write_buffer)
             self.session = self._management.admit(self)
-            self._is_rated = self._management.rates is not None and not self.marked
+            self._limit_receiving()
         if self.session is None:
             self._transport.abort()
 
@@ -256,6 +260,13 @@ class ServerConnection(asyncio.BufferedProtocol):
         return ConnectionState.RECEIVING if self.unfinished else ConnectionState.IDLE
 
     # Inside.
+
+    def _limit_receiving(self) -> None:
+        """Where its host has a rate, take no more at once than about a second of it: what has come is answered."""
+        rates = self._management.rates
+        if rates is not None and not self.marked:
+            self._is_rated = True
+            self._window = memoryview(self._buffer)[: max(int(rates.rate) * _USUAL_REQUEST, _LONGEST_REQUEST)]
 
     def _write(self, replies: list[bytes]) -> None:
         self.last_used = time.monotonic()

@@ -22,7 +22,7 @@ from .deadlines import Deadlines, Overdue
 from .diagnosis import Diagnosis
 from .framed import Session
 from .parameters import ListenerParameters
-from .peers import host_of, peer_name
+from .peers import host_of
 from .pools import Pools
 from .rates import Rates
 from .reception import Reception, add_living
@@ -112,7 +112,7 @@ class ConnectionManagement:
         A refusal is counted and logged; closing is the caller's.
         """
         address = transport.get_extra_info("peername")
-        if not self.reception.welcomes(host_of(address), peer_name(address)):
+        if not self.reception.welcomes(host_of(address), address):
             return False
         socket = transport.get_extra_info("socket")
         if socket is not None:

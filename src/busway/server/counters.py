@@ -28,7 +28,8 @@ class ServerCounters:
         header_timeouts, frame_timeouts: requests that did not end in time, in their header or after it.
         write_timeouts: clients that did not take their replies.
         idle_timeouts: connections that were not used.
-        reading_paused: times that nothing more was read from a client that did not take its replies.
+        reading_paused: times that nothing more was read from a client that did not take its replies; over UDP, times
+            that the system took none, and they were lost.
         rate_limited: times that a host was over its rate: held back, or over UDP its datagram dropped.
         handler_failures: handlers that raised.
         requests: requests, by all ways.

@@ -24,6 +24,7 @@ from .diagnosis import Diagnosis
 from .failures import report_failures
 from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
+from .peers import peer_name
 from .pools import Pool
 from .rates import Rates
 from .repeats import Repeats, so_often
@@ -124,12 +125,13 @@ class Reception:
         """``mbap``, ``rtu`` or ``ascii``."""
         return self.settings.endpoint.framing
 
-    def welcomes(self, host: str, peer: str) -> bool:
-        """Whether a newcomer may stay. A refusal is counted and logged."""
+    def welcomes(self, host: str, address: object) -> bool:
+        """Whether a newcomer at a socket address may stay. A refusal is counted and logged."""
         if self._authorise(host):
             return True
         self.counters.unauthorised += 1
-        self.say(logging.WARNING, host, "%s: refused before anything was read: it is not authorised", peer)
+        sentence = "%s: refused before anything was read: it is not authorised"
+        self.say(logging.WARNING, host, sentence, peer_name(address))
         return False
 
     def is_marked(self, host: str) -> bool:

@@ -99,7 +99,7 @@ class UdpListener:
         now = time.monotonic()
         reception.diagnosis.traffic = now
         host = host_of(address)
-        if not reception.welcomes(host, peer_name(address)):
+        if not reception.welcomes(host, address):
             return
         if not self._is_whole(data):
             reception.broken()
@@ -151,6 +151,7 @@ class _Socket(asyncio.DatagramProtocol):
     def __init__(self, listener: UdpListener) -> None:
         self._listener = listener
         self._transport: asyncio.DatagramTransport | None = None
+        self._is_full = False
         self.closed = listener.reception.loop.create_future()
 
     # What asyncio calls.
@@ -158,6 +159,8 @@ class _Socket(asyncio.DatagramProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Bound."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
+        limits: Any = transport  # every transport has them, but the declared type of those for datagrams
+        limits.set_write_buffer_limits(high=self._listener.reception.parameters.write_buffer)
         self._listener.reception.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
@@ -166,6 +169,15 @@ class _Socket(asyncio.DatagramProtocol):
 
     def error_received(self, exc: Exception) -> None:
         """A peer does not take its answer: it has gone, and others have not."""
+
+    def pause_writing(self) -> None:
+        """The system takes no more: answers are lost from now on, as datagrams may be, and nothing piles up."""
+        self._is_full = True
+        self._listener.reception.counters.reading_paused += 1
+
+    def resume_writing(self) -> None:
+        """It takes them again."""
+        self._is_full = False
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Closed."""
@@ -177,7 +189,7 @@ class _Socket(asyncio.DatagramProtocol):
 
     def send(self, adu: bytes, address: Any) -> None:
         """Send an answer."""
-        if self._transport is not None and not self._transport.is_closing():
+        if self._transport is not None and not self._is_full and not self._transport.is_closing():
             self._transport.sendto(adu, address)
 
     def ends(self, address: Any) -> Ends:
