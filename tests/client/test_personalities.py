@@ -490,6 +490,52 @@ def test_wide_register_is_a_broken_reply(skin: Skin, size: int) -> None:
         assert link.counters.connections == 1
 
 
+@pytest.mark.parametrize("size", [4, 6, 8, 10, 12])
+def test_wide_register_is_read_where_the_link_is_told_its_width(skin: Skin, size: int) -> None:
+    device = _device()
+    device.holding_registers[500] = 0xFFFF
+    with (
+        faulty_server(device, "wide-register", size=size) as server,
+        skin.link(f"{server.endpoint}?register_width={size}", timeout=AMPLE) as link,
+    ):
+        unit = link.unit(1)
+        _read(unit, 10, count=20)
+        assert unit.read_input_registers(0, count=3) == [0, 0, 0]
+        assert unit.read("4x501", "int16") == -1  # a value narrower than its register is its last bytes
+        assert unit.read("4x11", "uint16", count=100, split=True) == list(range(10, 110))
+        assert unit.read_coils(0, count=3) == [False] * 3
+        with pytest.raises(busway.InvalidRequest, match=f"1…{250 // size}"):
+            unit.read_holding_registers(0, count=250 // size + 1)
+        with pytest.raises(busway.BadReply):
+            unit.execute(busway.ReadHoldingRegisters(10, 2))  # a request says itself what its reply is
+        assert link.counters.connections == 1
+
+
+@pytest.mark.parametrize(("size", "kind"), [(4, "uint32"), (8, "uint64")])
+def test_wide_register_is_a_number_of_its_width_where_no_type_is_named(skin: Skin, size: int, kind: str) -> None:
+    with (
+        faulty_server(_device(), "wide-register", size=size) as server,
+        skin.link(server.endpoint, register_width=size, timeout=AMPLE) as link,
+    ):
+        unit = link.unit(1)
+        assert unit.read("4x8") == unit.read("4x8", kind) == 7
+        assert unit.read("4x8", count=3) == [7, 8, 9]
+        assert server.requests[-1].pdu == bytes.fromhex("03 0007 0003")
+
+
+def test_wide_register_of_an_odd_size_needs_a_type_and_a_narrow_device_a_link_that_is_not_told_so(skin: Skin) -> None:
+    with faulty_server(_device()) as server:
+        with skin.link(server.endpoint, register_width=6, timeout=AMPLE) as link:
+            with pytest.raises(busway.InvalidRequest, match="name a type"):
+                link.unit(1).read("4x8")
+            assert not server.requests
+            with pytest.raises(busway.BadReply):
+                link.unit(1).read("4x8", "uint16")
+        for width in ("1", "3", "14"):
+            with pytest.raises(busway.ConfigError), skin.link(server.endpoint, register_width=width):
+                raise AssertionError("the link was made")
+
+
 @pytest.mark.parametrize("missing", [1, 2, 4, 5])
 def test_short_reply_is_broken_and_shows_its_bytes(skin: Skin, missing: int) -> None:
     with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=AMPLE) as link:

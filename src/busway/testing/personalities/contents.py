@@ -101,7 +101,7 @@ WIDE_REGISTER = Personality(
     "wide-register",
     "4 to 12 bytes for one register",
     ("libmodbus#695",),
-    "ends with `BadReply`, unless the caller has a request of his own for that device",
+    "ends with `BadReply`, unless the link is told their width with `register_width`",
     _wide_register,
 )
 SHORT = Personality(
