@@ -12,6 +12,7 @@ import pytest
 from program import Busway
 
 import busway
+from busway.testing.certificates import CertificateStore
 
 LOOPBACK = "tcp://127.0.0.1:0"
 NETWORK = "tcp://0.0.0.0:0"
@@ -22,6 +23,30 @@ listen = ["tcp://127.0.0.1:0"]
 [policy]
 default = "{default}"
 {rest}
+[[unit]]
+unit = 1
+holding_registers = 10
+"""
+
+
+SECURE = """\
+[[listener]]
+url = "tls://127.0.0.1:0"
+require_role = true
+
+[security]
+certificate = "{certificate}"
+key = "{key}"
+authority = "{authority}"
+
+[policy]
+default = "read-only"
+
+[[policy.rule]]
+roles = ["operator"]
+functions = ["write"]
+addresses = "4x1"
+
 [[unit]]
 unit = 1
 holding_registers = 10
@@ -201,3 +226,28 @@ def test_the_lists_of_a_listener_are_replaced_too(tmp_path: Path) -> None:
         file.write_text(text.format("10.0.0.1"))
         assert reloaded(program) == "busway: read again: the address lists of listeners were replaced"
         assert write(url) == "done"
+
+
+@pytest.mark.clause("T33")
+@pytest.mark.clause("M6")
+def test_one_file_serves_over_tls_with_roles_and_certificates_that_can_be_replaced(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    host, operator = store.server(), store.client("operator", role="operator")
+    file = tmp_path / "plant.toml"
+    file.write_text(SECURE.format(**host.options()), encoding="utf-8")
+    with serving(str(file)) as (program, url):
+        client = tmp_path / "client.toml"
+        client.write_text(
+            "[security]\n"
+            + "".join(f'{name} = "{path}"\n' for name, path in operator.options().items())
+            + f'[[client.link]]\nname = "plant"\nurl = "{url}"\nretries = 0\n'
+        )
+        with busway.load_configuration(client).connect("plant", shared=False) as link:
+            link.unit(1).write_single_register(0, 7)
+            with pytest.raises(busway.ExceptionReply, match="exception 01"):
+                link.unit(1).write_single_register(1, 7)
+        certificate = Path(host.options()["certificate"])
+        certificate.rename(tmp_path / "kept.pem")
+        assert "nothing was changed" in reloaded(program)
+        (tmp_path / "kept.pem").rename(certificate)
+        assert reloaded(program) == "busway: read again: certificates hold from the next connection on"

@@ -21,9 +21,9 @@ from ..config.files.system import SystemFile, read_system_file
 from ..config.options import build_parameters, option_names
 from ..errors import ConfigError
 from ..server.listener import Listener
-from ..server.listener_settings import listener_settings
 from ..server.parameters import ListenerParameters
 from ..transport.tls import OF_CLIENTS, TlsParameters
+from .certificates import tls_of
 from .examining import examine_files, judge_roles
 from .judging import Judge, nearest
 from .links import NamedLink, named_links
@@ -235,27 +235,30 @@ class _Makers:
         if endpoint.carrier == "serial":
             return self._checked(Listener(endpoint), place)
         section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
+        own = {} if section is None else section.options()
+        tls = self._tls(own, at) if endpoint.carrier == "tls" else None
         if section is None:
-            tls = self._tls({}, at) if endpoint.carrier == "tls" else None
             return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
         access = self._judge.make(
             lambda: AddressList(section.allow, section.deny, section.secure),
             lambda key: nearest(key, ("allow", "deny"), at, (), at),
         )
         limits = self._limits(section.limits(), at) if section.limits() else None
-        tls = self._tls(section.options(), at) if endpoint.carrier == "tls" else None
-        return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place)
+        return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
-    def _checked(self, listener: Listener, place: Place) -> Listener:
-        """The listener, whose URL the server has judged with its options."""
-        if listener.tls is not None or parse_endpoint(listener.endpoint).carrier != "tls":
-            self._judge.make(lambda: listener_settings(listener, limits=ListenerParameters()), lambda key: place)
+    def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
+        """The listener, whose URL and certificates the server has judged."""
+        options = parse_endpoint(listener.endpoint).options
+
+        def place_of(key: str | None) -> Place:
+            return place if key in options else nearest(key, own or {}, place[:2], self._security, ("security",))
+
+        self._judge.make(lambda: tls_of(listener), place_of)
         return listener
 
     def _tls(self, own: Mapping[str, Any], at: Place) -> TlsParameters | None:
-        def make() -> TlsParameters:
-            made = build_parameters(TlsParameters, rooted({**self._security, **own}, self._name))
-            made.check_server()
-            return made
-
-        return self._judge.make(make, lambda key: nearest(key, own, at, self._security, ("security",)))
+        chosen = rooted({**self._security, **own}, self._name)
+        return self._judge.make(
+            lambda: build_parameters(TlsParameters, chosen),
+            lambda key: nearest(key, own, at, self._security, ("security",)),
+        )

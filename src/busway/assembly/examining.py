@@ -12,7 +12,7 @@ from ..config.files.lines import Path as Place
 from ..config.files.system import SystemFile
 from ..errors import ConfigError
 from ..server.listener import Listener
-from ..transport.tls import TlsParameters
+from .certificates import try_certificates
 from .judging import Judge, nearest
 from .paths import TLS_FILES, within
 
@@ -38,8 +38,7 @@ def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], ju
     if len(judge.problems) > wrong:
         return
     for (place, _), listener in zip(file.places(), listeners, strict=True):
-        if listener.tls is not None:
-            _usable(listener.tls, _Keys(file, place), judge)
+        _usable(listener, _Keys(file, place), judge)
 
 
 class _Keys:
@@ -76,11 +75,9 @@ def _readable(place: Place, path: str, judge: Judge) -> None:
         judge.refuse(place, f"{path} can not be read: {reason[:1].lower()}{reason[1:]}")
 
 
-def _usable(tls: TlsParameters, place: Callable[[str | None], Place], judge: Judge) -> None:
+def _usable(listener: Listener, place: Callable[[str | None], Place], judge: Judge) -> None:
     """Certificates and keys that can be read, but do not fit."""
-    from ..transport.tls_context import server_context
-
     try:
-        server_context(tls)
+        try_certificates(listener)
     except ConfigError as error:
         judge.refuse(place(error.key), f"{error.file}: {error.message}" if error.file else error.message)

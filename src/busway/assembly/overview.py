@@ -12,6 +12,7 @@ from ..config.files.device import UnitSection
 from ..config.options import NONE
 from ..server.listener import Listener
 from ..server.parameters import ListenerParameters
+from .certificates import tls_of
 from .configuration import Configuration
 
 Row = tuple[str, str, str]
@@ -49,9 +50,10 @@ def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
     limits = listener.limits or general
     marked = f" for {', '.join(limits.priority)}" if limits.priority else ""
     yield f"{limits.max_priority_connections} priority places{marked}, {limits.max_connections} others"
-    if listener.tls is not None:
-        yield f"certificate {listener.tls.certificate}, authority {listener.tls.authority}"
-        if listener.tls.require_role:
+    tls = tls_of(listener)
+    if tls is not None:
+        yield f"certificate {tls.certificate}, authority {tls.authority}"
+        if tls.require_role:
             yield "a role is required"
 
 

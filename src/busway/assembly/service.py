@@ -19,6 +19,7 @@ from ..config.access.addresses import AddressList
 from ..config.access.rules import AccessRules, Policy
 from ..server.listener import Listener
 from .access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
+from .certificates import tls_of, try_certificates
 from .configuration import Configuration
 
 if TYPE_CHECKING:
@@ -159,7 +160,8 @@ class Service:
         """
         new = self._read()
         rules = self._wishes.rules(new)
-        self._check_certificates(new)
+        for listener in new.listeners:
+            try_certificates(listener)
         done = []
         if self._audit is not None:
             self._audit.reopen()
@@ -172,7 +174,7 @@ class Service:
             done.append("the policy was replaced")
         if self._replace_lists(new):
             done.append("the address lists of listeners were replaced")
-        if any(listener.tls is not None for listener in new.listeners):
+        if any(tls_of(listener) is not None for listener in new.listeners):
             done.append("certificates hold from the next connection on")
         later = _differences(self.configuration, new)
         if later:
@@ -222,13 +224,6 @@ class Service:
                 entrance.lists = (one.access,)
                 changed = True
         return changed
-
-    def _check_certificates(self, configuration: Configuration) -> None:
-        for listener in configuration.listeners:
-            if listener.tls is not None:
-                from ..transport.tls_context import server_context
-
-                server_context(listener.tls)
 
 
 def _differences(old: Configuration, new: Configuration) -> list[str]:
