@@ -40,7 +40,7 @@ async def test_every_address_is_taken_and_warned_of(said: pytest.LogCaptureFixtu
         async with busway.open(f"tcp://127.0.0.1:{port}") as link:
             assert await link.unit(1).read_holding_registers(0, count=1) == [7]
     (line,) = said.messages
-    assert line == f"tcp://0.0.0.0:{port}: listens on every address of this host; name one to listen there alone"
+    assert line == f"tcp://0.0.0.0:{port}: every address of this host; name one to listen there alone"
 
 
 def test_a_server_that_the_network_can_write_to_says_so_once_and_how_to_change_it(
@@ -49,7 +49,7 @@ def test_a_server_that_the_network_can_write_to_says_so_once_and_how_to_change_i
     warn_of_exposure(["tcp://10.0.0.5:502", "udp://10.0.0.5:502", "rtu:///dev/ttyS0"], guarded=False)
     (line,) = said.messages
     assert line.startswith("tcp://10.0.0.5:502, udp://10.0.0.5:502: takes writes from everybody")
-    assert "policy=Policy.read_only()" in line
+    assert "policy=busway.Policy.read_only()" in line
 
 
 async def test_on_loopback_on_a_line_and_behind_a_policy_nothing_is_said(said: pytest.LogCaptureFixture) -> None:

@@ -29,12 +29,13 @@ class Guard(Protocol):
 def warn_of_exposure(bound: Sequence[str], *, guarded: bool) -> None:
     """Say it, for the URLs that were bound; ``guarded``: whether a policy stands before the devices."""
     network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
-    for url in filter(is_everywhere, network):
-        _log.warning("%s: listens on every address of this host; name one to listen there alone", url)
+    everywhere = [url for url in network if is_everywhere(url)]
+    if everywhere:
+        _log.warning("%s: every address of this host; name one to listen there alone", ", ".join(everywhere))
     reachable = [url for url in network if not is_loopback(url)]
     if reachable and not guarded:
         _log.warning(
-            "%s: takes writes from everybody who reaches it; policy=Policy.read_only() or a policy of your own "
-            "changes that (busway.server.policy.rules)",
+            "%s: takes writes from everybody who reaches it; policy=busway.Policy.read_only(), or a policy of your own, "
+            "changes that",
             ", ".join(reachable),
         )
