@@ -1,0 +1,264 @@
+"""The audit log's file: when lines stand in it, what happens when it can not be written, rotation and rights."""
+
+import asyncio
+import errno
+import json
+import os
+import stat
+import threading
+
+import pytest
+
+from busway.errors import ConfigError
+from busway.server.policy.audit import AuditLog, time_text
+
+
+class FakeTime:
+    """A clock and a schedule that only go on when told."""
+
+    def __init__(self):
+        self.now = 0.0
+        self.later = []
+
+    def __call__(self):
+        return self.now
+
+    def schedule(self, seconds, function):
+        self.later.append((self.now + seconds, function))
+        return True
+
+    def advance(self, seconds):
+        self.now += seconds
+        due = [each for each in self.later if each[0] <= self.now]
+        self.later = [each for each in self.later if each[0] > self.now]
+        for _, function in due:
+            function()
+
+
+class Disk:
+    """Takes the place of ``os.write``: full after some bytes."""
+
+    def __init__(self, monkeypatch, room=None):
+        self.room = room
+        self.calls = 0
+        self._write = os.write
+        monkeypatch.setattr("busway.server.policy.audit.os.write", self)
+
+    def __call__(self, file, data):
+        self.calls += 1
+        if self.room is not None:
+            if not self.room:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            data = data[: self.room]
+            self.room -= len(data)
+        return self._write(file, data)
+
+
+@pytest.fixture
+def time():
+    return FakeTime()
+
+
+def opened(tmp_path, time, **options):
+    return AuditLog(tmp_path / "audit.jsonl", clock=time, schedule=time.schedule, **options)
+
+
+def test_lines_stand_in_the_file_after_the_interval_at_the_latest(tmp_path, time):
+    log = opened(tmp_path, time)
+    log.append('{"a":1}\n')
+    time.advance(0.1)
+    log.append('{"a":2}\n')
+    assert log.path.read_text() == ""
+    time.advance(0.1)
+    assert log.path.read_text() == '{"a":1}\n{"a":2}\n'
+    assert log.written == 2
+    assert time.later == []
+
+
+def test_many_lines_do_not_wait_and_go_in_one_write(tmp_path, time, monkeypatch):
+    disk = Disk(monkeypatch)
+    log = opened(tmp_path, time)
+    for _ in range(1000):
+        log.append("x" * 99 + "\n")
+    assert disk.calls == 1
+    assert 500 < log.path.read_text().count("\n") < 1000
+    log.close()
+    assert log.path.read_text().count("\n") == 1000
+
+
+def test_without_an_interval_or_without_anybody_to_call_later_each_line_is_written_at_once(tmp_path, time):
+    at_once = AuditLog(tmp_path / "one", interval=0, clock=time, schedule=time.schedule)
+    at_once.append("1\n")
+    assert at_once.path.read_text() == "1\n"
+    alone = AuditLog(tmp_path / "two", clock=time, schedule=lambda seconds, function: False)
+    alone.append("1\n")
+    assert alone.path.read_text() == "1\n"
+
+
+async def test_the_running_loop_is_who_calls_later(tmp_path):
+    log = AuditLog(tmp_path / "log", interval=0.001)
+    written = asyncio.Event()
+    flush = log.flush
+    log.flush = lambda: (flush(), written.set())
+    log.append("1\n")
+    await written.wait()
+    assert log.path.read_text() == "1\n"
+    log.close()
+
+
+def test_a_timer_whose_loop_has_gone_holds_nothing_back(tmp_path, time):
+    log = opened(tmp_path, time)
+    log.append("1\n")
+    time.later.clear()
+    time.now += 2
+    log.append("2\n")
+    assert log.path.read_text() == "1\n2\n"
+
+
+def test_it_is_only_for_its_owner_and_is_never_cut(tmp_path, time):
+    mask = os.umask(0)
+    try:
+        with opened(tmp_path, time) as log:
+            log.append("1\n")
+    finally:
+        os.umask(mask)
+    assert stat.S_IMODE(log.path.stat().st_mode) == 0o600
+    with opened(tmp_path, time) as log:
+        log.append("2\n")
+    assert log.path.read_text() == "1\n2\n"
+
+
+def test_two_logs_of_one_file_do_not_write_over_each_other(tmp_path, time):
+    one, two = opened(tmp_path, time), opened(tmp_path, time)
+    for log, text in ((one, "1\n"), (two, "2\n"), (one, "3\n")):
+        log.append(text)
+        log.flush()
+    assert one.path.read_text() == "1\n2\n3\n"
+
+
+def test_a_full_disk_is_said_once_and_what_is_kept_is_written_when_there_is_room(tmp_path, time, monkeypatch, caplog):
+    disk = Disk(monkeypatch, room=10)
+    log = opened(tmp_path, time)
+    for number in range(4):
+        log.append(f'{{"a":{number}}}\n')
+    time.advance(0.2)
+    assert log.path.read_text() == '{"a":0}\n{"'
+    assert (log.is_failing, log.failures, log.written) == (True, 1, 1)
+    assert log.takes_writes
+    time.advance(1)
+    time.advance(1)
+    assert log.failures == 3
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
+    assert "no space left on device" in caplog.text
+    disk.room = None
+    log.append('{"a":4}\n')
+    time.advance(1)
+    assert [json.loads(line) for line in log.path.read_text().splitlines()] == [{"a": number} for number in range(5)]
+    assert (log.is_failing, log.lost, log.written) == (False, 0, 5)
+
+
+def test_what_can_not_be_kept_is_counted_and_the_file_says_how_much(tmp_path, time, monkeypatch):
+    monkeypatch.setattr("busway.server.policy.audit._KEPT", 100)
+    disk = Disk(monkeypatch, room=0)
+    log = opened(tmp_path, time)
+    for _ in range(100):
+        log.append('{"a":12}\n')
+        time.advance(0.01)
+    assert log.lost == 88
+    disk.room = None
+    time.advance(2)
+    time.advance(2)
+    found = [json.loads(line) for line in log.path.read_text().splitlines()]
+    assert found[:12] == [{"a": 12}] * 12
+    assert (found[12]["outcome"], found[12]["lines"], len(found)) == ("lost", 88, 13)
+
+
+def test_while_it_fails_no_write_is_taken_if_that_is_wanted(tmp_path, time, monkeypatch):
+    disk = Disk(monkeypatch, room=0)
+    log = opened(tmp_path, time, on_failure="refuse")
+    assert log.takes_writes
+    log.append("1\n")
+    time.advance(0.2)
+    assert not log.takes_writes
+    disk.room = None
+    time.advance(1)
+    assert log.takes_writes
+
+
+def test_after_a_rotation_it_goes_on_in_the_new_file_with_whole_lines(tmp_path, time, monkeypatch):
+    disk = Disk(monkeypatch, room=3)
+    log = opened(tmp_path, time)
+    log.append("11111\n")
+    log.append("22222\n")
+    time.advance(0.2)
+    os.rename(log.path, tmp_path / "old")
+    disk.room = 0
+    log.reopen()
+    disk.room = None
+    time.advance(1)
+    assert (tmp_path / "old").read_text() == "111"
+    first, last = log.path.read_text().splitlines()
+    assert first == "22222"
+    assert json.loads(last)["lines"] == log.lost == 1
+
+
+def test_a_rotation_to_a_place_that_can_not_be_keeps_the_old_file(tmp_path, time):
+    (tmp_path / "folder").mkdir()
+    log = AuditLog(tmp_path / "folder" / "log", clock=time, schedule=time.schedule)
+    log.append("1\n")
+    os.rename(tmp_path / "folder", tmp_path / "moved")
+    with pytest.raises(ConfigError, match="can not be opened: no such file"):
+        log.reopen()
+    log.append("2\n")
+    log.close()
+    assert (tmp_path / "moved" / "log").read_text() == "1\n2\n"
+
+
+def test_lines_after_the_end_are_counted_as_lost(tmp_path, time):
+    log = opened(tmp_path, time)
+    log.close()
+    log.append("1\n")
+    log.close()
+    assert log.lost == 1
+    assert log.path.read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [({"interval": -1}, "interval"), ({"interval": 11}, "interval"), ({"on_failure": "x"}, "on_failure")],
+)
+def test_what_can_not_be_is_refused(tmp_path, options, key):
+    with pytest.raises(ConfigError) as caught:
+        AuditLog(tmp_path / "log", **options)
+    assert caught.value.key == key
+    assert not (tmp_path / "log").exists()
+
+
+def test_a_file_that_can_not_be_opened_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="the audit log can not be opened"):
+        AuditLog(tmp_path / "nowhere" / "log")
+
+
+def test_lines_of_several_threads_are_whole(tmp_path, time):
+    log = opened(tmp_path, time)
+    start = threading.Barrier(4)
+
+    def write(name):
+        start.wait()
+        for _ in range(2000):
+            log.append(name * 50 + "\n")
+
+    threads = [threading.Thread(target=write, args=(name,)) for name in "abcd"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    log.close()
+    lines = log.path.read_text().splitlines()
+    assert len(lines) == 8000
+    assert {(len(line), len(set(line))) for line in lines} == {(50, 1)}
+
+
+def test_the_time_is_utc_with_milliseconds():
+    assert time_text(1_772_366_400.25) == "2026-03-01T12:00:00.250Z"
+    assert time_text(0) == "1970-01-01T00:00:00.000Z"
