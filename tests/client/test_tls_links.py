@@ -138,7 +138,15 @@ def test_a_server_may_be_called_by_another_name(store: Store, operator: Certific
 BAD_SERVERS: dict[str, tuple[Callable[[Store], CertificateFiles], str]] = {
     "expired": (
         lambda store: store.expired_server(),
-        "the server's certificate has expired (one of its chain; or the clock here is wrong)",
+        "the server's certificate has expired on 20",
+    ),
+    "not yet valid": (
+        lambda store: store.write("early", store.authority.server(["localhost"], days=30, starts_in=20)),
+        "the server's certificate is not valid before 20",
+    ),
+    "of an expired authority": (
+        lambda store: store.server("late", authority=store.authority.intermediate("old authority", days=-1)),
+        "the certificate of an authority above the server's has expired",
     ),
     "self-signed": (
         lambda store: store.self_signed(),

@@ -137,7 +137,7 @@ def _show(names: Sequence[str]) -> None:
 
 
 def _lines(name: str, facts: "CertificateFacts") -> list[tuple[str, str]]:
-    from ..transport.certificates.facts import date_of
+    from ..transport.tls_failures import date_of
 
     role = repr(facts.role) if facts.role is not None else "none"
     if facts.role_problem:

@@ -8,28 +8,35 @@ Knows TCP, TLS and what their failures mean; knows no conversation.
    if ``cryptography`` is there to read it: one that expires is said in the log, before servers refuse it.
 3. With TLS 1.3 a client believes itself connected before the server has looked at its certificate: a refusal comes with
    the first read, and ends the connection with the same sentence.
+4. A certificate whose time is wrong is looked at in a second connection, over which nothing is sent: an operator who
+   reads the date knows whether the certificate or the clock is to blame.
 """
 
 import contextlib
 import logging
 import socket
 import ssl
+import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown
 from ..transport.tcp import SocketParameters, link_down
 from ..transport.tls import TlsParameters, Verify
-from ..transport.tls_context import WatchedContext, client_context
-from ..transport.tls_failures import TlsFailure
+from ..transport.tls_context import WatchedContext, client_context, timeless_context
+from ..transport.tls_failures import FailureKind, TlsFailure, dated
 
 if TYPE_CHECKING:
     import asyncio
 
+    from ..transport.tls_layer import TlsLayer
     from ..transport.tls_socket import TlsSocket
 
 _log = logging.getLogger("busway.client")
+
+_OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
+"""What a second look is worth for: ``ssl`` does not say when a certificate has expired that it refuses."""
 
 
 class TlsConnector:
@@ -53,12 +60,22 @@ class TlsConnector:
 
     async def connect(self, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> Any:  # a `TlsLayer`, as a transport
         """A transport over which both sides have agreed. Raises `LinkDown`."""
+        try:
+            return await self._agree(self._context_now(), protocol)
+        except TlsFailure as failure:
+            if failure.kind not in _OF_TIME:
+                raise self._down(failure) from failure
+            raise self._down(await self._look_at_date(failure)) from failure
+        except (OSError, ValueError) as error:
+            raise self._down(error) from error
+
+    async def _agree(self, context: ssl.SSLContext, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> "TlsLayer":
+        """Raises `TlsFailure`, `OSError`, `ValueError`."""
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
         from ..transport.tls_layer import TlsLayer
 
         loop = asyncio.get_running_loop()
-        context = self._context_now()
         agreed: asyncio.Future[None] = loop.create_future()
 
         def established(layer: TlsLayer) -> asyncio.BufferedProtocol:
@@ -81,37 +98,56 @@ class TlsConnector:
                 failed=failed,
             )
 
-        try:
-            async with asyncio.timeout(self._sockets.connect_timeout):
-                below, layer = await loop.create_connection(new_layer, self._host, self._port, local_addr=self._local)
-        except (OSError, ValueError) as error:
-            raise self._down(error) from error
+        async with asyncio.timeout(self._sockets.connect_timeout):
+            below, layer = await loop.create_connection(new_layer, self._host, self._port, local_addr=self._local)
         try:
             with contextlib.suppress(OSError):  # a peer that is gone already says so to the handshake
                 self._sockets.apply(below.get_extra_info("socket"))
             await agreed
-        except OSError as error:
-            layer.abort()
-            raise self._down(error) from error
         except BaseException:
             layer.abort()
             raise
         return layer
 
+    async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
+        """The failure with the date that it is about, if that can be found out."""
+        try:
+            layer = await self._agree(timeless_context(self._security), _nobody)
+        except (OSError, ValueError):
+            return failure
+        certificate = layer.get_extra_info("ssl_object").getpeercert()
+        layer.close()
+        return dated(failure, certificate, time.time())
+
     def dial(self) -> "TlsSocket":
         """A connection of a blocking link, over which both sides have agreed. Raises `LinkDown`."""
-        from ..transport.tls_socket import TlsSocket
-
-        context = self._context_now()
         try:
-            connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
-            with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
-                self._sockets.apply(connection)
-            return TlsSocket(
-                connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout
-            )
+            return self._agree_now(self._context_now())
+        except TlsFailure as failure:
+            if failure.kind not in _OF_TIME:
+                raise self._down(failure) from failure
+            raise self._down(self._look_at_date_now(failure)) from failure
         except (OSError, ValueError) as error:
             raise self._down(error) from error
+
+    def _agree_now(self, context: ssl.SSLContext) -> "TlsSocket":
+        """Raises `TlsFailure`, `OSError`, `ValueError`."""
+        from ..transport.tls_socket import TlsSocket
+
+        connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
+        with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
+            self._sockets.apply(connection)
+        return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
+
+    def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
+        """As `_look_at_date`."""
+        try:
+            connection = self._agree_now(timeless_context(self._security))
+        except (OSError, ValueError):
+            return failure
+        certificate = connection.ssl_object.getpeercert()
+        connection.close()
+        return failure if certificate is None else dated(failure, certificate, time.time())
 
     def release(self) -> None:
         """Nothing is held."""
@@ -142,3 +178,14 @@ class TlsConnector:
 
     def _down(self, error: BaseException) -> LinkDown:
         return link_down(error, endpoint=self._endpoint.url)
+
+
+def _nobody() -> "asyncio.BufferedProtocol":
+    """A protocol for a connection over which nothing is said."""
+    import asyncio
+
+    class Nobody(asyncio.BufferedProtocol):
+        def get_buffer(self, sizehint: int) -> bytearray:
+            return bytearray(1024)
+
+    return Nobody()

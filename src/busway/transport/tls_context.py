@@ -27,6 +27,8 @@ _VERSIONS: Final = {TlsVersion.TLS_1_2: ssl.TLSVersion.TLSv1_2, TlsVersion.TLS_1
 _BEGIN_CERTIFICATE: Final = "-----BEGIN CERTIFICATE-----"
 _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
 """What of a directory of authorities is read."""
+_NO_CHECK_TIME: Final = 0x20_0000
+"""X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
 _LOOK_SECONDS: Final = 1.0
 """The files of a context are looked at this often at most, however many connections come."""
 
@@ -47,6 +49,13 @@ def client_context(parameters: TlsParameters) -> ssl.SSLContext:
     if parameters.verify is Verify.OFF_INSECURE:
         context.check_hostname = False
         context.verify_mode = ssl.CERT_NONE
+    return context
+
+
+def timeless_context(parameters: TlsParameters) -> ssl.SSLContext:
+    """As `client_context`, but certificates never expire: to find out when one did. Nothing is ever sent over it."""
+    context = client_context(parameters)
+    context.verify_flags |= ssl.VerifyFlags(_NO_CHECK_TIME)
     return context
 
 

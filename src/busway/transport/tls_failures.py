@@ -7,6 +7,8 @@ is about the peer's.
 """
 
 import ssl
+import time
+from collections.abc import Mapping
 from enum import Enum
 from typing import Final
 
@@ -54,6 +56,24 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
     failure = TlsFailure(kind, sentence)
     failure.__cause__ = error
     return failure
+
+
+def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
+    """A failure of time with the date, from the certificate as ``ssl`` gives it; ``now`` is seconds since 1970."""
+    begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
+    if now > ends:
+        sentence = f"the server's certificate has expired on {date_of(ends)}"
+    elif now < begins:
+        sentence = f"the server's certificate is not valid before {date_of(begins)}; it is {date_of(now)} here"
+    else:
+        which = "has expired" if failure.kind is FailureKind.EXPIRED else "is not valid yet"
+        sentence = f"the certificate of an authority above the server's {which}"
+    return TlsFailure(failure.kind, sentence)
+
+
+def date_of(moment: float) -> str:
+    """``2027-03-01 12:00 UTC`` of seconds since 1970."""
+    return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(moment))
 
 
 def _verdict(error: ssl.SSLError, peer: str) -> tuple[FailureKind, str]:

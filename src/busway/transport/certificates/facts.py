@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from ...errors import ConfigError
 from ..roles import require_cryptography, role_of_certificate
-from ..tls_failures import TlsFailure
+from ..tls_failures import TlsFailure, date_of
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -65,11 +65,6 @@ class CertificateFacts:
 
 WARNING_DAYS: Final = 30.0
 """From so many days before the end on, a warning is logged."""
-
-
-def date_of(moment: float) -> str:
-    """``2027-03-01 12:00 UTC`` of seconds since 1970."""
-    return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(moment))
 
 
 def facts_of_file(name: str) -> list[CertificateFacts]:
