@@ -71,3 +71,14 @@ def _ask_until_nothing_is_taken(links: list[socket.socket]) -> int:
                 with suppress(BlockingIOError):
                     left += key.fileobj.send(questions)  # type: ignore[union-attr]
     return left
+
+
+@pytest.mark.clause("T19", "T39")
+def test_client_that_takes_nothing_for_the_user_timeout_is_ended_by_the_system(start_server: type[Program]) -> None:
+    server = start_server(user_timeout=1.0, write_timeout=None, send_buffer=16_384)
+    link = _greedy(server.ask("status")["port"])
+    _ask_until_nothing_is_taken([link])
+    after = server.ask("status", connections=0)
+    assert after["connections"] == 0
+    assert (after["counters"]["closed"], after["counters"]["write_timeouts"]) == (1, 0)
+    link.close()

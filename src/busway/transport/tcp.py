@@ -26,8 +26,8 @@ class SocketParameters:
         keepalive_idle, keepalive_interval, keepalive_count: seconds of idleness before the first probe, seconds
             between probes, and lost probes that end the connection.
         user_timeout: seconds that sent data may stay unacknowledged before the connection ends, where the system has
-            it (Linux); None leaves it to the system. With keepalive it is never longer than the probes take: see
-            ``effective_user_timeout``.
+            it (Linux); None leaves it to the system. Linux ends a peer that lives and takes nothing for so long, too.
+            With keepalive it is never longer than the probes take: see ``effective_user_timeout``.
         no_delay: whether small segments leave at once (TCP_NODELAY).
         receive_buffer, send_buffer: bytes, at least 900; None leaves them to the system.
         local_address: address to connect from; None lets the system choose. The port is always the system's choice,
