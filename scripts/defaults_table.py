@@ -12,6 +12,7 @@ from typing import Any, get_args, get_type_hints
 
 from marked import ROOT, replaced, update
 
+from busway.client.management import ManagementParameters
 from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
 from busway.session.breaker import BreakerParameters
@@ -24,6 +25,7 @@ from busway.transport.tcp import SocketParameters
 
 TABLES = {
     "client": ClientParameters,
+    "management": ManagementParameters,
     "server": ServerParameters,
     "listener": ListenerParameters,
     "sockets": SocketParameters,
@@ -42,18 +44,19 @@ def render(kind: type[Any]) -> str:
     hints = get_type_hints(kind)
     lines = ["| option | default | values | meaning |", "| --- | --- | --- | --- |"]
     for field in fields(kind):
-        if field.default is MISSING:
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        if default is MISSING:
             raise SystemExit(f"{kind.__name__}.{field.name} has no default")
         meaning = meanings[field.name]
         lines.append(
-            f"| `{field.name}` | {shown(field.default)} | {values(kind, field.name, hints[field.name])} | {meaning} |"
+            f"| `{field.name}` | {shown(default)} | {values(kind, field.name, hints[field.name])} | {meaning} |"
         )
     return "\n".join(lines)
 
 
 def shown(default: object) -> str:
     """A default as a person writes it."""
-    if default is None:
+    if default is None or (hasattr(default, "parse") and not default):
         return "none"
     if isinstance(default, bool):
         return "on" if default else "off"
@@ -71,6 +74,8 @@ def values(kind: type[Any], name: str, hint: Any) -> str:
         text = "on, off"
     elif issubclass(only, Enum):
         text = ", ".join(f"`{one.value}`" for one in only)
+    elif hasattr(only, "parse"):
+        text = "a list"
     elif only in (int, float):
         text = numbers(kind, name)
     else:
