@@ -184,9 +184,11 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """``199`` in ``holding:100-199`` is ``holding:199``."""
+    """``199`` in ``holding:100-199`` is ``holding:199``; ``0x8`` may be hexadecimal only behind a table's name."""
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
-    return f"{prefix[0]}{last}" if prefix is not None and _NUMBER.fullmatch(last) else last
+    if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):
+        return last
+    return f"{prefix[0]}{last}"
 
 
 def _item(text: str | int, table: Table | None) -> Address:
