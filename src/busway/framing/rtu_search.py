@@ -76,8 +76,8 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
     """As `find_reply`, for a frame of either direction whose length one look tells: the others need a silence."""
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
-    for at in range(start, size - SHORTEST + 1):
-        for count_at, around in shapes[buffer[at + 1]]:
+    for at, code in enumerate(buffer[start + 1 : size - SHORTEST + 2], start):
+        for count_at, around in shapes[code]:
             if not count_at:
                 end = at + around
             elif at + count_at < size:
