@@ -118,9 +118,7 @@ class Service:
         self._entrance.lists = self._lists(self._rules)
         options: dict[str, Any] = {"authorise": self._entrance}  # as `busway.serve` takes them
         self._is_guarded = (
-            self._rules is not None
-            or wishes.can_reload
-            or (not wishes.allow_writes and any(reaches_network(str(one.endpoint)) for one in listeners))
+            self._rules is not None or wishes.can_reload or any(reaches_network(str(one.endpoint)) for one in listeners)
         )
         if self._is_guarded:
             options["policy"] = self._policy(NETWORK_SCHEMES)

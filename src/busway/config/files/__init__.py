@@ -1,12 +1,17 @@
 """Files that people write: TOML text → checked, frozen values, with every error at its line.
 
-Knows texts; reads no file itself (the command line does) and builds nothing (`busway.simulator.build` does). Imported
-only where a file is used: it loads pydantic.
+Knows texts; reads no file itself and builds nothing: `busway.assembly` does both, and `busway.simulator.build` makes the
+devices. Imported only where a file is used: it loads pydantic.
 
 ==============  =======================================================================
 `lines`         at which line each key of a TOML text stands
 `problems`      everything that is wrong with a file, as one error
-`schema`        how a schema's violations become sentences
+`schema`        how a schema's violations become sentences, and its JSON Schema
+`options`       keys that are options of a component, made from its parameter class
 `device`        the schema of device files, and `parse_device_file`
+`listeners`     where a file says to listen, and who may connect there
+`policy`        the schema of policies
+`system`        the schema of configuration files: all of it
+`gateway`       the schema of gateway files
 ==============  =======================================================================
 """
