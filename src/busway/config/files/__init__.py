@@ -1,6 +1,6 @@
 """Files that people write: TOML text → checked, frozen values, with every error at its line.
 
-Knows texts; reads no file itself and builds nothing: `busway.assembly` does both, and `busway.simulator.build` makes the
+Knows texts; reads no file itself and builds nothing: `busway.assembly` does both, `busway.simulator.build` makes the
 devices. Imported only where a file is used: it loads pydantic.
 
 ==============  =======================================================================
