@@ -18,17 +18,33 @@ Knows what can be written; what it means, and what goes together, is said by `bu
 or in one word: ``policy = "read-only"``.
 """
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...errors import ConfigError
+from ...values.refusal import shown
 from ..access.addresses import AddressList
 from ..access.rules import AccessRules, Action, Limits, Policy, Rule
 from .lines import Path
 from .schema import Faults, Section, parse_file
 
-Numbers = int | str | list[int | str]
+
+def _as_numbers(value: object) -> object:
+    """A number, a text or a list of them."""
+    values = value if isinstance(value, list) else [value]
+    for each in values:
+        if isinstance(each, bool) or not isinstance(each, int | str):
+            raise ValueError(f"must be a number, a text such as '1-5', or a list of them, not {shown(each)}")
+    return values
+
+
+def _as_texts(value: object) -> object:
+    return [value] if isinstance(value, str) else value
+
+
+Numbers = Annotated[list[int | str], BeforeValidator(_as_numbers, json_schema_input_type=int | str | list[int | str])]
+Texts = Annotated[list[str], BeforeValidator(_as_texts, json_schema_input_type=str | list[str])]
 ActionWord = Literal["allow", "deny", "read-only"]
 
 
@@ -76,7 +92,7 @@ class RuleSection(Section):
     listeners: list[str] | None = Field(default=None, min_length=1)
     units: Numbers | None = None
     functions: Numbers | None = None
-    table: str | list[str] | None = None
+    table: Texts | None = None
     addresses: Numbers | None = None
     files: Numbers | None = None
     access: Literal["read", "write", "any"] = "any"
