@@ -35,7 +35,7 @@ def warn_of_exposure(bound: Sequence[str], *, guarded: bool) -> None:
     reachable = [url for url in network if not is_loopback(url)]
     if reachable and not guarded:
         _log.warning(
-            "%s: takes writes from everybody who reaches it; policy=busway.Policy.read_only(), or a policy of your own, "
-            "changes that",
+            "%s: takes writes from everybody who reaches it; "
+            "policy=busway.Policy.read_only(), or a policy of your own, changes that",
             ", ".join(reachable),
         )

@@ -1,10 +1,14 @@
 """What can be set about a server and its listeners, beside the sockets' own parameters."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Final
 
 from ..errors import ConfigError
 from .policy.networks import Networks
 from .pools import PoolLimits
+
+NOBODY: Final = Networks()
+"""No device is marked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +44,7 @@ class ListenerParameters:
     """
 
     backlog: int = 128
-    priority: Networks = field(default_factory=lambda: Networks.parse(()))
+    priority: Networks = NOBODY
     max_priority_connections: int = 8
     max_priority_per_remote: int | None = None
     max_connections: int = 56
