@@ -7,33 +7,47 @@ Knows servers, routes and lines; knows no file.
    nothing more is read, meanwhile.
 3. A change of configuration keeps every front and every line that is the same as before, with its connections; routes
    change for all from one request to the next.
+4. One policy, one audit log and one count of a rule's rates hold for all fronts.
 """
 
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from ..client.settings import LinkSettings, link_settings
-from ..codes import TCP_DEVICE_UNIT
+from ..codes import DEFAULT_TCP_PORT, TCP_DEVICE_UNIT
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..errors import ConfigError
 from ..pdu.functions import STANDARD, FunctionTable
+from ..server.authorisation import Authorise, everybody
+from ..server.counters import ServerCounters
 from ..server.listener import Listener
 from ..server.local import LocalHandler
+from ..server.naming import is_loopback
 from ..server.parameters import ListenerParameters
+from ..server.policy.handler import PolicyHandler
+from ..server.policy.rules import Action as PolicyAction
+from ..server.policy.rules import Policy
+from ..server.rates import Rates
 from ..server.server import Server, ServerStatus
+from ..server.status import ConnectionStatus, ListenerStatus
 from ..session.handler import Handler
+from ..session.reconnect import ConnectionState
 from .functions import RememberingTable
 from .handler import FrontCounters, FrontHandler
-from .lines import Line, LineStatus
+from .lines import MAX_CONNECTIONS, Line, LineStatus
 from .own_unit import STATES, own_device
 from .routes import RoutingTable
 
+if TYPE_CHECKING:
+    from ..server.policy.audit import AuditLog
+
 DRAIN_SECONDS = 5.0
+_CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +85,12 @@ class LineSettings:
     share_reads: bool = True
     broadcast: bool | None = None
 
+    def __post_init__(self) -> None:
+        if not 1 <= self.connections <= MAX_CONNECTIONS:
+            raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {self.connections}", key="connections")
+        if self.connections > 1 and self.link.endpoint.carrier == "serial":
+            raise ConfigError("a serial port is opened once", key="connections")
+
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
         """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`."""
@@ -89,7 +109,7 @@ class FrontStatus:
 
 @dataclass(frozen=True, slots=True)
 class GatewayStatus:
-    """A gateway as a status shows it.
+    """A gateway as a status shows it. What its servers tell is told for all of them together, too.
 
     Attributes:
         running: whether it answers.
@@ -106,11 +126,51 @@ class GatewayStatus:
     lines: tuple[LineStatus, ...]
     open_requests: int
 
+    @property
+    def connections(self) -> tuple[ConnectionStatus, ...]:
+        """The connections of all fronts."""
+        return tuple(one for front in self.fronts for one in front.server.connections)
+
+    @property
+    def listeners(self) -> tuple[ListenerStatus, ...]:
+        """The listeners of all fronts."""
+        return tuple(one for front in self.fronts for one in front.server.listeners)
+
+    @property
+    def counters(self) -> ServerCounters:
+        """What happened at all fronts together."""
+        total = ServerCounters()
+        for front in self.fronts:
+            counted = front.server.counters
+            pairs = ((total, counted), (total.priority, counted.priority), (total.other, counted.other))
+            for mine, theirs in pairs:
+                for one in fields(mine):
+                    value = getattr(mine, one.name)
+                    if isinstance(value, int):
+                        setattr(mine, one.name, value + getattr(theirs, one.name))
+        return total
+
+    @property
+    def supported_connections(self) -> int:
+        """How many connections there may be at all fronts."""
+        return sum(front.server.supported_connections for front in self.fronts)
+
+    @property
+    def remote_connections(self) -> int:
+        """How many there are."""
+        return sum(front.server.remote_connections for front in self.fronts)
+
+    @property
+    def local_connections(self) -> int:
+        """Connections of the lines that stand."""
+        return sum(link.state in _CONNECTED for line in self.lines for link in line.links)
+
 
 @dataclass(slots=True)
 class _RunningFront:
     front: Front
     handler: FrontHandler
+    guard: PolicyHandler | None
     server: Server
 
 
@@ -160,12 +220,30 @@ class Gateway:
 
     Args:
         plan: what it is told.
+        authorise: asked with a client's host before anything of it is read, at every front.
+        policy: who may ask what, at every front; None lets everybody who may connect read and write.
+        audit: where denied requests and writes are recorded.
         wrap: puts a handler around that of each front (metrics, for example); None for none.
+
+    Attributes:
+        plan: the one that it follows.
     """
 
-    def __init__(self, plan: GatewayPlan, *, wrap: Callable[[Handler], Handler] | None = None) -> None:
+    def __init__(
+        self,
+        plan: GatewayPlan,
+        *,
+        authorise: Authorise = everybody,
+        policy: Policy | None = None,
+        audit: "AuditLog | None" = None,
+        wrap: Callable[[Handler], Handler] | None = None,
+    ) -> None:
         self.plan = plan
-        self._wrap = wrap
+        self._authorise = authorise
+        self._policy = policy
+        self._audit = audit
+        self._rates: dict[str, Rates] = {}
+        self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
         self._fronts: dict[str, _RunningFront] = {}
         self._lines: dict[str, Line] = {}
         self._started = 0.0
@@ -173,7 +251,7 @@ class Gateway:
         self._own: Handler | None = None
         if plan.own_unit is not None:
             self._own = LocalHandler({plan.own_unit: own_device(self._numbers)})
-        self._running = {front.name: self._made(front) for front in plan.fronts}
+        self._running = {front.name: self._made(front, plan, {}, policy) for front in plan.fronts}
 
     # Its life.
 
@@ -228,57 +306,58 @@ class Gateway:
         await self.stop()
         return left
 
-    async def change(self, plan: GatewayPlan) -> list[str]:
+    async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
         """Follow another plan; what changed, in words.
 
         Fronts and lines that are the same in both keep their connections. Where a new front can not be opened, the
-        error is raised and everything is as before.
+        error is raised and everything is as before, but for the connections of the fronts that were to change.
+
+        Args:
+            plan: the new plan.
+            policy: what holds at new fronts until `replace_policy`; None: what holds at the others.
 
         Raises:
             LinkDown, ConfigError: a new front or line can not be had.
         """
-        said: list[str] = []
-        old_fronts = {one.name: one for one in self.plan.fronts}
-        old_lines = {one.name: one for one in self.plan.lines}
         if (plan.own_unit, plan.functions, plan.server) != (self.plan.own_unit, self.plan.functions, self.plan.server):
             raise ConfigError(
                 "own unit, functions and the options of servers change with a restart only", key="gateway"
             )
-        fresh = {one.name: one for one in plan.fronts if old_fronts.get(one.name) != one}
-        started: dict[str, _RunningFront] = {}
+        old_lines = {one.name: one for one in self.plan.lines}
+        old_fronts = {one.name: one for one in self.plan.fronts}
         new_lines = {one.name: _opened(one) for one in plan.lines if old_lines.get(one.name) != one}
-        going = [each for name, each in self._fronts.items() if name not in {one.name for one in plan.fronts}]
-        going += [self._fronts[name] for name in fresh if name in self._fronts]
+        lines = {one.name: new_lines.get(one.name) or self._lines[one.name] for one in plan.lines}
+        fresh = {one.name: one for one in plan.fronts if old_fronts.get(one.name) != one}
+        kept = {one.name for one in plan.fronts if one.name not in fresh}
+        started: dict[str, _RunningFront] = {}
+        going = [each for name, each in self._fronts.items() if name not in kept]
         try:
-            for name in [name for name in fresh if name in self._fronts]:
-                await self._fronts[name].server.stop()  # it may hold the very port that the new one wants
+            for each in going:
+                await each.server.stop()  # it may hold the very port that a new one wants
             for name, front in fresh.items():
-                started[name] = self._made(front)
+                started[name] = self._made(front, plan, lines, policy or self._policy)
                 await started[name].server.start()
         except BaseException:
             for each in started.values():
                 await each.server.stop()
-            for name in fresh:
-                if name in self._fronts:
-                    await self._fronts[name].server.start()
+            for each in going:
+                await each.server.start()
             for line in new_lines.values():
                 await line.close()
             raise
-        kept = {name: line for name, line in self._lines.items() if name in {one.name for one in plan.lines}}
-        lines = {one.name: new_lines.get(one.name) or kept[one.name] for one in plan.lines}
         closing = [line for name, line in self._lines.items() if lines.get(name) is not line]
-        fronts = {one.name: started.get(one.name) or self._fronts[one.name] for one in plan.fronts}
-        said += [f"front {name} {'changed' if name in old_fronts else 'added'}" for name in fresh]
-        said += [f"line {name} {'changed' if name in old_lines else 'added'}" for name in new_lines]
-        said += [f"line {line.name} closed" for line in closing if line.name not in lines]
-        said += [f"front {each.front.name} closed" for each in going if each.front.name not in fronts]
+        said = [
+            *(f"front {name} {'changed' if name in old_fronts else 'added'}" for name in fresh),
+            *(f"front {name} closed" for name in old_fronts if name not in fresh and name not in kept),
+            *(f"line {name} {'changed' if name in old_lines else 'added'}" for name in new_lines),
+            *(f"line {line.name} closed" for line in closing if line.name not in lines),
+        ]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
+        fronts = {one.name: started.get(one.name) or self._fronts[one.name] for one in plan.fronts}
         self.plan, self._lines, self._fronts = plan, lines, fronts
         self._running = dict(fronts)
         self._follow(fronts.values())
-        for each in going:
-            await each.server.stop()
         for line in closing:
             await line.close()
         return said
@@ -291,6 +370,50 @@ class Gateway:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.stop()
+
+    # What stands around it.
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around that of each front, of those that a change brings too. Only while stopped.
+
+        Raises:
+            ConfigError: it is running, and conversations hold the handlers already.
+        """
+        if self.is_running:
+            raise ConfigError("a running gateway keeps its handlers", key="handler")
+        self._wraps.append(wrap)
+        for each in self._running.values():
+            each.server.wrap_handler(wrap)
+
+    def replace_policy(self, policy: Policy) -> None:
+        """Let another policy hold at every front, from the next request on.
+
+        Raises:
+            ConfigError: the gateway was made without one.
+        """
+        if not self._is_guarded:
+            raise ConfigError("the gateway was made without a policy", key="policy")
+        self._policy = policy
+        for each in self._running.values():
+            if each.guard is not None:
+                each.guard.replace_policy(policy)
+
+    def reload_security(self) -> None:
+        """As `Server.reload_security`, for every front."""
+        for each in self._running.values():
+            each.server.reload_security()
+
+    def is_marked(self, listener: str, host: str) -> bool:
+        """Whether a host has priority connections at the listener of a URL, as it is bound."""
+        return any(each.server.is_marked(listener, host) for each in self._running.values())
+
+    def reset_counters(self) -> None:
+        """Set the counters of fronts and lines to zero; connections and listeners stay as they are."""
+        for each in self._running.values():
+            each.server.reset_counters()
+            _to_zero(each.handler.counters)
+        for line in self._lines.values():
+            _to_zero(line.counters)
 
     # Its state.
 
@@ -332,25 +455,54 @@ class Gateway:
 
     # Inside.
 
-    def _made(self, front: Front) -> _RunningFront:
+    @property
+    def _is_guarded(self) -> bool:
+        return self._policy is not None or self._audit is not None
+
+    def _made(self, front: Front, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None) -> _RunningFront:
         handler = FrontHandler(
             front.name,
             self._functions,
             own=self._own,
-            own_unit=TCP_DEVICE_UNIT if self.plan.own_unit is None else self.plan.own_unit,
+            own_unit=TCP_DEVICE_UNIT if plan.own_unit is None else plan.own_unit,
             deadline=front.deadline,
             silent_broadcasts=front.silent_broadcasts,
         )
-        handler.follow(self.plan.table.of_front(front.name), self._lines)
-        outer = handler if self._wrap is None else self._wrap(handler)
+        handler.follow(plan.table.of_front(front.name), lines)
+        outer: Handler = handler
+        guard = None
+        if self._is_guarded:
+            everything = Policy(default=PolicyAction.ALLOW)
+            outer = guard = PolicyHandler(handler, policy or everything, self._audit, rates=self._rates)
         # A client that closes has gone, and must not keep a serial line busy with what it asked.
-        limits = front.listener.limits or self.plan.server.get("listener") or ListenerParameters()
+        limits = front.listener.limits or plan.server.get("listener") or ListenerParameters()
         listener = replace(front.listener, limits=replace(limits, answer_half_closed=False))
-        return _RunningFront(front, handler, Server((listener,), outer, **self.plan.server))
+        options = {**plan.server, "standard_port": _standard_port(front, plan)}
+        server = Server((listener,), outer, authorise=self._authorise, **options)
+        for wrap in self._wraps:
+            server.wrap_handler(wrap)
+        return _RunningFront(front, handler, guard, server)
 
-    def _follow(self, fronts: "Sequence[_RunningFront] | Any") -> None:
+    def _follow(self, fronts: Iterable[_RunningFront]) -> None:
         for each in fronts:
             each.handler.follow(self.plan.table.of_front(each.front.name), self._lines)
+
+
+def _standard_port(front: Front, plan: GatewayPlan) -> bool | None:
+    """Whether a front listens on 502 too: for a server with several listeners it is one of them that does."""
+    choice: bool | None = plan.server.get("standard_port")
+    places = {one.name: parse_endpoint(one.listener.endpoint) for one in plan.fronts}
+    plain = {name: place for name, place in places.items() if place.scheme == "tcp"}
+    if choice is False or any(place.port == DEFAULT_TCP_PORT for place in plain.values()):
+        return False
+    reachable = [name for name, place in plain.items() if place.port and not is_loopback(place.url)]
+    return choice if front.name in (reachable or list(plain))[:1] else False
+
+
+def _to_zero(counters: object) -> None:
+    """Set the numbers of a dataclass to zero."""
+    for one in fields(counters):  # type: ignore[arg-type]  # a dataclass of any kind
+        setattr(counters, one.name, 0)
 
 
 def _opened(settings: LineSettings) -> Line:
@@ -371,6 +523,7 @@ def _line_numbers(line: LineStatus) -> list[int]:
         max((STATES.index(one.state) for one in line.links), default=0),
         sum(one.in_flight for one in line.links),
         sum(one.queued for one in line.links),
+        sum(len(one.suspended) for one in line.links),
         counters.forwarded,
         counters.answered,
         counters.exceptions,

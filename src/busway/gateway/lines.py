@@ -25,9 +25,11 @@ from ..errors import ConfigError, InvalidRequest, ModbusError
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
+from ..session.breaker import BreakerState
 from ..session.demand import Demand
 from ..session.handler import LATER, Outcome, RequestContext
 from ..session.ledger import ClientCounters
+from ..session.serial_client import SerialClientSession
 from .answers import code_for
 from .memory import Key, Memory, Place
 from .routes import Route
@@ -65,6 +67,21 @@ class LineCounters:
 
 
 @dataclass(frozen=True, slots=True)
+class SuspendedUnit:
+    """A unit that is not asked, because it did not answer.
+
+    Attributes:
+        unit: the unit, as it is behind.
+        state: ``open`` or ``probing``.
+        next_probe: seconds until a request may ask it again; 0: the next one does.
+    """
+
+    unit: int
+    state: str
+    next_probe: float
+
+
+@dataclass(frozen=True, slots=True)
 class LinkStatus:
     """One connection of a line.
 
@@ -73,12 +90,14 @@ class LinkStatus:
         in_flight: requests whose reply is awaited.
         queued: requests that wait for their turn.
         counters: what happened on it.
+        suspended: units that are not asked now; there are some on serial lines only.
     """
 
     state: str
     in_flight: int
     queued: int
     counters: ClientCounters
+    suspended: tuple[SuspendedUnit, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +213,11 @@ class Line:
             endpoint=self.settings.endpoint.url,
             links=tuple(
                 LinkStatus(
-                    link.reconnect.state.value, link.session.in_flight, link.session.queued, link.session.counters
+                    link.reconnect.state.value,
+                    link.session.in_flight,
+                    link.session.queued,
+                    link.session.counters,
+                    _suspended(link),
                 )
                 for link in self._links
             ),
@@ -370,6 +393,19 @@ class Line:
             self._memory.write_ended(exchange.unit)
         elif exchange.key is not None:
             self._memory.read_ended(exchange.unit, exchange.key, exchange)
+
+
+def _suspended(link: Link) -> tuple[SuspendedUnit, ...]:
+    """The units that a serial line does not ask now."""
+    session = link.session
+    if not isinstance(session, SerialClientSession):
+        return ()
+    now = link.now()
+    return tuple(
+        SuspendedUnit(unit, state.value, session.breakers.suspended_for(unit, now) or 0.0)
+        for unit, state in session.breakers.states().items()
+        if state is not BreakerState.CLOSED
+    )
 
 
 def _place(request: ReadRegisters | ReadBits, route: Route) -> Place:

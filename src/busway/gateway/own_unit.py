@@ -44,6 +44,7 @@ LINE_REGISTERS: Final = (
     Entry(0, 1, "state", "0 down, 1 backing off, 2 connecting, 3 suspect, 4 up: of its best connection"),
     Entry(1, 1, "in_flight", "requests whose reply is awaited"),
     Entry(2, 1, "queued", "requests that wait for their turn"),
+    Entry(3, 1, "suspended", "units that are not asked now, because they do not answer"),
     Entry(4, 2, "forwarded", "requests handed to the line"),
     Entry(6, 2, "answered", "requests answered by a device"),
     Entry(8, 2, "exceptions", "requests that a device refused"),

@@ -10,7 +10,8 @@ Knows a source of a status and a collector over it; knows no server.
 
 import asyncio
 import concurrent.futures
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from http import HTTPStatus
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
@@ -106,13 +107,13 @@ class MetricsEndpoint:
         self._loop = asyncio.get_running_loop()
         bound = bind_tcp(host, port)
         try:
-            handler = _wrap(source, classify or _classify(source))
+            handlers = _wrap(source, classify or _classify(source))
         except BaseException:
             bound.close()
             raise
-        self.tally = handler.tally
+        self.tally = handlers[0].tally
         self._registry = registry_of(
-            ServerCollector(self._ask, handler.tally, refusals_of(handler.inner)),
+            ServerCollector(self._ask, self.tally, refusals_of(handlers)),
             *(() if links is None else (ClientCollector(links),)),
         )
         self.url = f"http://{bound_name(bound)}/metrics"
@@ -177,21 +178,36 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
     return HttpResponse(encode(registry), content_type)
 
 
-def refusals_of(handler: Handler) -> Callable[[], Mapping[str, int]] | None:
-    """What gives the refusals by rule, if a handler counts them."""
-    return (lambda: handler.refusals) if isinstance(handler, CountsRefusals) else None
+def refusals_of(handlers: Sequence[MeteredHandler]) -> Callable[[], Mapping[str, int]] | None:
+    """What gives the refusals by rule, if the handlers inside count them.
+
+    Args:
+        handlers: of all fronts; more may come while it runs.
+    """
+    if not isinstance(handlers[0].inner, CountsRefusals):
+        return None
+
+    def together() -> Mapping[str, int]:
+        total: Counter[str] = Counter()
+        for each in list(handlers):
+            if isinstance(each.inner, CountsRefusals):
+                total.update(dict(each.inner.refusals))
+        return total
+
+    return together
 
 
 def _classify(source: MetricsSource) -> Classify:
     return ClassifyByMark(source.is_marked) if isinstance(source, MarksDevices) else classify_by_listener
 
 
-def _wrap(source: MetricsSource, classify: Classify) -> MeteredHandler:
+def _wrap(source: MetricsSource, classify: Classify) -> list[MeteredHandler]:
+    """The handlers that count, all on one tally: a gateway has one for each front, and gets more with its changes."""
     made: list[MeteredHandler] = []
 
     def wrap(inner: Handler) -> Handler:
-        made.append(metered(inner, classify=classify))
-        return made[0]
+        made.append(metered(inner, made[0].tally if made else None, classify=classify))
+        return made[-1]
 
     source.wrap_handler(wrap)
-    return made[0]
+    return made

@@ -90,6 +90,7 @@ class PolicyHandler:
         inner: what answers permitted requests.
         policy: who may ask what.
         audit: where denied requests and writes leave their lines; None: nowhere.
+        rates: what was asked lately under rules that have a rate, where several handlers count together.
         clock: seconds, monotonic, for rates.
         now: seconds since 1970, for the lines.
 
@@ -106,6 +107,7 @@ class PolicyHandler:
         policy: Policy,
         audit: AuditLog | None = None,
         *,
+        rates: dict[str, Rates] | None = None,
         clock: Callable[[], float] = time.monotonic,
         now: Callable[[], float] = time.time,
     ) -> None:
@@ -124,7 +126,7 @@ class PolicyHandler:
         self._seen_generation = inner.generation
         self._askers: dict[tuple[str, str | None, str], _Known] = {}
         self._rights: dict[tuple[str, ...], _Rights] = {}
-        self._rates: dict[str, Rates] = {}
+        self._rates: dict[str, Rates] = {} if rates is None else rates
         self._repeats = Repeats()
 
     @property
