@@ -66,7 +66,7 @@ async def test_a_connection_of_each_side_has_the_parameters_that_were_asked_for(
         await link.connect()
         dialled = link._link._transport.get_extra_info("socket")  # type: ignore[union-attr]
         await until(lambda: server.status().connections)
-        (accepted,) = server._managements[0]._connections
+        (accepted,) = server._streams[0].management._connections
         served = accepted._transport.get_extra_info("socket")
         for connection in (dialled, served):
             assert options_of(connection) == expected

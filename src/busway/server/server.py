@@ -8,21 +8,17 @@ Knows listeners and their life; knows no request.
 
 import asyncio
 import contextlib
-import logging
 import time
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
-from ..codes import LAST_SERIAL_UNIT
 from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown, ModbusError
-from ..session.handler import Handler, UnitHolder
+from ..session.handler import Handler
 from ..session.parameters import ServerParameters
-from ..session.server import TransactionSlots
 from ..transport.tcp import SocketParameters, network_reason
-from .authorisation import Authorise, both, everybody
-from .connection import ServerConnection
+from .authorisation import Authorise, everybody
 from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .exposure import Guard, warn_of_exposure
@@ -30,9 +26,8 @@ from .limits import raise_open_file_limit
 from .line import SerialListener
 from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
+from .opening import Opening, serial_units
 from .parameters import ListenerParameters
-from .pools import Pools
-from .reception import Reception
 from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
@@ -42,8 +37,6 @@ if TYPE_CHECKING:
     from ..transport.tls import TlsParameters
     from .policy.audit import AuditLog
     from .policy.rules import Policy
-
-_log = logging.getLogger("busway.server")
 
 _STOP_SECONDS: Final = 0.5
 
@@ -95,7 +88,7 @@ class Server:
         self._settings = with_standard_port(wanted, standard_port)
         for settings in self._settings:
             if settings.endpoint.framing != "mbap":
-                settings.line_framing(_serial_units(handler, settings.endpoint), handler.functions)
+                settings.line_framing(serial_units(handler, settings.endpoint), handler.functions)
         self.authorise = authorise
         self._handler = handler
         self._parameters = parameters or ServerParameters()
@@ -171,12 +164,18 @@ class Server:
         if self.is_running:
             return
         raise_open_file_limit()
-        loop = asyncio.get_running_loop()
-        slots = TransactionSlots(self._parameters.max_transactions)
-        shared: Pools[ServerConnection] = Pools(self._limits.pools)
+        opening = Opening(
+            asyncio.get_running_loop(),
+            self._handler,
+            self._parameters,
+            self._limits,
+            self._sockets,
+            self.counters,
+            self.authorise,
+        )
         try:
             for settings in self._settings:
-                await self._open(loop, settings, slots, shared)
+                await self._open(opening, settings)
         except ModbusError as error:
             await self.stop()
             raise error.at(endpoint=settings.endpoint.url) from error.__cause__
@@ -190,58 +189,21 @@ class Server:
         self._started = time.monotonic()
         warn_of_exposure(self._bound, guarded=self._guard is not None)
 
-    async def _open(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        settings: ListenerSettings,
-        slots: TransactionSlots,
-        shared: Pools[ServerConnection],
-    ) -> None:
-        endpoint = settings.endpoint
-        if endpoint.carrier == "serial":
-            await self._open_line(loop, settings)
-            return
-        reception = Reception(
-            loop,
-            self._handler,
-            settings,
-            session_parameters=self._parameters,
-            counters=self.counters,
-            slots=slots,
-            units=() if endpoint.framing == "mbap" else _serial_units(self._handler, endpoint),
-            authorise=both(self.authorise, settings.access),
-        )
-        if endpoint.carrier == "udp":
-            datagrams = UdpListener(reception, self._sockets)
-            await datagrams.open()
+    async def _open(self, opening: Opening, settings: ListenerSettings) -> None:
+        carrier = settings.endpoint.carrier
+        if carrier == "serial":
+            line = await opening.line(settings)
+            self._lines.append(line)
+            self._bound.append(line.name)
+        elif carrier == "udp":
+            datagrams = await opening.datagrams(settings)
             self._datagrams.append(datagrams)
             self._bound += datagrams.names
-            return
-        limits = settings.limits
-        pools = shared if limits.shared_places and limits is self._limits else Pools(limits.pools)
-        streams = TcpListener(ConnectionManagement(reception, pools, self._sockets), settings, self._sockets)
-        try:
-            await streams.open()
-        except OSError as error:
-            if not settings.is_optional:
-                raise
-            _log.warning("%s: not listened on beside the other port: %s", endpoint.url, network_reason(error))
-            return
-        self._streams.append(streams)
-        self._bound += streams.names
-
-    async def _open_line(self, loop: asyncio.AbstractEventLoop, settings: ListenerSettings) -> None:
-        line = SerialListener(
-            loop,
-            settings,
-            self._handler,
-            _serial_units(self._handler, settings.endpoint),
-            counters=self.counters,
-            changes_allowed=self._parameters.diagnostics_changes is not False,
-        )
-        await line.open()
-        self._lines.append(line)
-        self._bound.append(line.name)
+        else:
+            streams = await opening.streams(settings)
+            if streams is not None:
+                self._streams.append(streams)
+                self._bound += streams.names
 
     async def take_no_more(self) -> None:
         """Take no new connection and read no further request; answers still go out. Before a `stop` that may wait."""
@@ -349,15 +311,6 @@ class Server:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.stop()
-
-
-def _serial_units(handler: Handler, endpoint: Endpoint) -> Container[int]:
-    """The units that a handler answers for on a line. Raises `ConfigError` where it does not say, or has none."""
-    if not isinstance(handler, UnitHolder):
-        raise ConfigError(f"{endpoint.url}: on a line this handler must say its units (serial_units)", key="handler")
-    if not any(unit in handler.serial_units for unit in range(1, LAST_SERIAL_UNIT + 1)):
-        raise ConfigError(f"{endpoint.url}: at least one unit 1…{LAST_SERIAL_UNIT} is needed on a line", key="units")
-    return handler.serial_units
 
 
 __all__ = ["Server", "ServerStatus"]

@@ -1,0 +1,120 @@
+"""How the listeners of a server are opened, each of its kind, from what the server has for all of them.
+
+Knows the kinds of listeners and what they are made of; keeps none.
+"""
+
+import asyncio
+import logging
+from collections.abc import Container
+from dataclasses import dataclass, field
+
+from ..codes import LAST_SERIAL_UNIT
+from ..config.endpoints import Endpoint
+from ..errors import ConfigError
+from ..session.handler import Handler, UnitHolder
+from ..session.parameters import ServerParameters
+from ..session.server import TransactionSlots
+from ..transport.tcp import SocketParameters, network_reason
+from .authorisation import Authorise, both
+from .connection import ServerConnection
+from .connections import ConnectionManagement
+from .counters import ServerCounters
+from .line import SerialListener
+from .listener_settings import ListenerSettings
+from .parameters import ListenerParameters
+from .pools import Pools
+from .reception import Reception
+from .tcp import TcpListener
+from .udp import UdpListener
+
+_log = logging.getLogger("busway.server")
+
+
+@dataclass(slots=True)
+class Opening:
+    """What all listeners of one start have in common.
+
+    Attributes:
+        loop: the event loop they live on.
+        handler: what answers.
+        parameters: of conversations.
+        limits: of connections, where a listener has none of its own.
+        sockets: parameters of sockets.
+        counters: what happens is counted here.
+        authorise: who may connect.
+        slots: of transactions, where the server has them as a whole.
+        places: that listeners share, where they do.
+    """
+
+    loop: asyncio.AbstractEventLoop
+    handler: Handler
+    parameters: ServerParameters
+    limits: ListenerParameters
+    sockets: SocketParameters
+    counters: ServerCounters
+    authorise: Authorise
+    slots: TransactionSlots = field(init=False)
+    places: Pools[ServerConnection] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.slots = TransactionSlots(self.parameters.max_transactions)
+        self.places = Pools(self.limits.pools)
+
+    async def streams(self, settings: ListenerSettings) -> TcpListener | None:
+        """A listener over TCP or TLS; None where it is optional and can not be had. Raises `OSError`, `ConfigError`."""
+        limits = settings.limits
+        shares = limits.shared_places and limits is self.limits
+        management = ConnectionManagement(
+            self._reception(settings), self.places if shares else Pools(limits.pools), self.sockets
+        )
+        listener = TcpListener(management, settings, self.sockets)
+        try:
+            await listener.open()
+        except OSError as error:
+            if not settings.is_optional:
+                raise
+            reason = network_reason(error)
+            _log.warning("%s: not listened on beside the other port: %s", settings.endpoint.url, reason)
+            return None
+        return listener
+
+    async def datagrams(self, settings: ListenerSettings) -> UdpListener:
+        """A listener over UDP. Raises `OSError`, `ConfigError`."""
+        listener = UdpListener(self._reception(settings), self.sockets)
+        await listener.open()
+        return listener
+
+    async def line(self, settings: ListenerSettings) -> SerialListener:
+        """The servers on a serial port; one that is not there is waited for. Raises `LinkDown`, `ConfigError`."""
+        line = SerialListener(
+            self.loop,
+            settings,
+            self.handler,
+            serial_units(self.handler, settings.endpoint),
+            counters=self.counters,
+            changes_allowed=self.parameters.diagnostics_changes is not False,
+        )
+        await line.open()
+        return line
+
+    def _reception(self, settings: ListenerSettings) -> Reception:
+        endpoint = settings.endpoint
+        return Reception(
+            self.loop,
+            self.handler,
+            settings,
+            session_parameters=self.parameters,
+            counters=self.counters,
+            slots=self.slots,
+            units=() if endpoint.framing == "mbap" else serial_units(self.handler, endpoint),
+            authorise=both(self.authorise, settings.access),
+        )
+
+
+def serial_units(handler: Handler, endpoint: Endpoint) -> Container[int]:
+    """The units that a handler answers for on a line. Raises `ConfigError` where it does not say, or has none."""
+    if not isinstance(handler, UnitHolder):
+        raise ConfigError(f"{endpoint.url}: on a line this handler must say its units (serial_units)", key="handler")
+    if not any(unit in handler.serial_units for unit in range(1, LAST_SERIAL_UNIT + 1)):
+        raise ConfigError(f"{endpoint.url}: at least one unit 1…{LAST_SERIAL_UNIT} is needed on a line", key="units")
+    return handler.serial_units
