@@ -1,6 +1,6 @@
 """One line of the audit log: what is said of a request, as JSON.
 
-Knows requests and their outcome; writes nothing. Lines are put together by hand: 4 µs each, where ``json`` takes 15.
+Knows requests and their outcome; writes nothing. Lines are put together by hand: 5 µs each, where ``json`` takes 15.
 
 ===============  =====================================================================================
 key              value
@@ -27,9 +27,8 @@ what is not understood.
 import time
 from collections.abc import Callable, Sequence
 from json.encoder import encode_basestring_ascii as quoted
-from typing import Final
+from typing import Any, Final
 
-from ...codes import Table
 from ...config.access.question import masked
 from ...pdu.bits import unpack_bits
 from ...pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
@@ -122,36 +121,41 @@ def outcome_of(reply: Message | Deferral) -> tuple[str, int | None]:
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
     """What it is, what it replaces and what it writes, as JSON."""
-    if isinstance(request, OpaqueRequest | MalformedRequest):
-        data = request.encode()[1:]
-        return f'"function":{request.function},"address":null,"count":null,"data":"{data.hex()}"', _NULL, _NULL
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
-    spans = request.spans()
-    span = next((span for span in spans if span.writes), spans[0] if spans else None)
-    what = f'"function":{request.code:d}'
-    if request.sub_code is not None:
-        what += f',"sub_function":{request.sub_code:d}'
-    what += ',"address":null,"count":null' if span is None else f',"address":{span.address},"count":{span.count}'
-    before = replaced[0] if replaced else None
-    old = _NULL
-    if before is not None and span is not None:
-        old = _items(before, span.count, span.table)
-    if isinstance(request, MaskWriteRegister):
-        masks = request.and_mask, request.or_mask
-        new = _NULL if before is None else f"[{masked(int.from_bytes(before, 'big'), *masks)}]"
-        return f'{what},"masks":[{masks[0]}, {masks[1]}]', old, new
-    if isinstance(request, WriteSingleRegister):
-        return what, old, f"[{request.value}]"
-    if isinstance(request, WriteSingleCoil):
-        return what, old, "[1]" if request.value else "[0]"
-    if isinstance(request, WriteMultipleRegisters | ReadWriteMultipleRegisters):
-        return what, old, str(unpack_registers(request.data))
-    if isinstance(request, WriteMultipleCoils):
-        return what, old, _items(request.data, request.count, Table.COILS)
-    if span is None:
-        what += f',"data":"{_body(request).hex()}"'
-    return what, old, _NULL
+    facts = _FACTS.get(type(request), _other_facts)
+    return facts(request, replaced[0] if replaced else None)
+
+
+def _register_facts(request: WriteSingleRegister, before: bytes | None) -> tuple[str, str, str]:
+    return f'"function":6,"address":{request.address},"count":1', _registers(before), f"[{request.value}]"
+
+
+def _registers_facts(request: WriteMultipleRegisters, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":16,"address":{request.address},"count":{request.count}'
+    return what, _registers(before), _registers(request.data)
+
+
+def _both_ways_facts(request: ReadWriteMultipleRegisters, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":23,"address":{request.write_address},"count":{request.write_count}'
+    return what, _registers(before), _registers(request.data)
+
+
+def _mask_facts(request: MaskWriteRegister, before: bytes | None) -> tuple[str, str, str]:
+    masks = request.and_mask, request.or_mask
+    new = _NULL if before is None else f"[{masked(int.from_bytes(before, 'big'), *masks)}]"
+    what = f'"function":22,"address":{request.address},"count":1,"masks":[{masks[0]}, {masks[1]}]'
+    return what, _registers(before), new
+
+
+def _coil_facts(request: WriteSingleCoil, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":5,"address":{request.address},"count":1'
+    return what, _bits(before, 1), "[1]" if request.value else "[0]"
+
+
+def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":15,"address":{request.address},"count":{request.count}'
+    return what, _bits(before, request.count), _bits(request.data, request.count)
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
@@ -162,18 +166,45 @@ def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | 
     what = f'"function":{request.code:d},"address":null,"count":{count},"records":{records}'
     if isinstance(request, ReadFileRecord):
         return what, _NULL, _NULL
-    new = unpack_registers(b"".join(group.data for group in request.groups))
     known = [data for data in replaced or () if data is not None]
-    old = str(unpack_registers(b"".join(known))) if known and len(known) == len(groups) else _NULL
-    return what, old, str(new)
+    old = _registers(b"".join(known)) if known and len(known) == len(groups) else _NULL
+    return what, old, _registers(b"".join(group.data for group in request.groups))
 
 
-def _items(data: bytes, count: int, table: Table) -> str:
-    if table.holds_bits:
-        return str([int(bit) for bit in unpack_bits(data, count)])
-    return str(unpack_registers(data))
+def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | None) -> tuple[str, str, str]:
+    data = request.encode()[1:]
+    return f'"function":{request.function},"address":null,"count":null,"data":"{data.hex()}"', _NULL, _NULL
 
 
-def _body(request: Request) -> bytes:
-    """What follows function and sub-function."""
-    return request.encode()[1 + request.sub_width :]
+def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
+    """Reads, what touches no table, and the user's own functions: what their declarations say."""
+    spans = request.spans()
+    span = next((span for span in spans if span.writes), spans[0] if spans else None)
+    what = f'"function":{request.code:d}'
+    if request.sub_code is not None:
+        what += f',"sub_function":{request.sub_code:d}'
+    if span is None:
+        body = request.encode()[1 + request.sub_width :]
+        return f'{what},"address":null,"count":null,"data":"{body.hex()}"', _NULL, _NULL
+    old = _bits(before, span.count) if span.table.holds_bits else _registers(before)
+    return f'{what},"address":{span.address},"count":{span.count}', old, _NULL
+
+
+_FACTS: Final[dict[type, Callable[[Any, Any], tuple[str, str, str]]]] = {  # Any: each takes what its key says
+    WriteSingleCoil: _coil_facts,
+    WriteSingleRegister: _register_facts,
+    WriteMultipleCoils: _coils_facts,
+    WriteMultipleRegisters: _registers_facts,
+    MaskWriteRegister: _mask_facts,
+    ReadWriteMultipleRegisters: _both_ways_facts,
+    OpaqueRequest: _unread_facts,
+    MalformedRequest: _unread_facts,
+}
+
+
+def _registers(data: bytes | None) -> str:
+    return _NULL if data is None else str(unpack_registers(data))
+
+
+def _bits(data: bytes | None, count: int) -> str:
+    return _NULL if data is None else str([int(bit) for bit in unpack_bits(data, count)])
