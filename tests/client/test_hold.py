@@ -163,6 +163,22 @@ def test_threads_that_ask_together_each_get_their_data() -> None:
         assert not link.is_connected
 
 
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "udp", "rtu+udp"])
+def test_it_holds_whatever_the_framing_and_a_broadcast_leaves_before_its_connection_ends(
+    skin: Skin, scheme: str
+) -> None:
+    device = busway.Device(holding_registers=10)
+    with (
+        busway.serve_in_thread(f"{scheme}://127.0.0.1:0", units={1: device}) as server,
+        skin.link(server.endpoints[0], hold="request", timeout=AMPLE) as link,
+    ):
+        for value in (7, 8):
+            link.unit(1 if scheme == "udp" else 0).write_single_register(0, value)
+            assert link.state == "down"
+            assert link.unit(1).read_holding_registers(0, count=1) == [value]
+        assert (link.state, link.counters.connections, link.counters.lost_connections) == ("down", 4, 0)
+
+
 # --- for some seconds ----------------------------------------------------------------------------
 
 

@@ -34,7 +34,7 @@ def test_one_more_connection_than_the_limit_is_refused_and_there_is_room_when_on
 async def test_an_event_loop_has_such_a_limit_too() -> None:
     with faulty_server(known_device()) as server:
         first = busway.open(server.endpoint, shared=False, max_connections=1)
-        await first.connect()
+        await first.unit(1).read_holding_registers(0, count=1)
         with pytest.raises(busway.Overloaded, match="max_connections is 1"):
             await busway.open(server.endpoint, shared=False, max_connections=1).connect()
         await first.close()

@@ -86,7 +86,9 @@ def test_connections_of_both_kinds_are_counted_while_they_stand(skin: Skin) -> N
         assert LOCAL.count() == before
         first.connect()
         assert LOCAL.count() == before + 1
+        server.wait_until(lambda: server.accepted == 1)
         second.connect()
+        server.wait_until(lambda: server.accepted == 2)
         if skin.name == "asyncio":
             assert LOCAL.count() == before + 2
         second.call(second.real.close)
@@ -166,7 +168,7 @@ async def test_connections_in_use_and_those_of_explicit_management_are_left_alon
     async with FaultyServer(known_device(), "wedged") as busy, FaultyServer(known_device()) as other:
         explicit = [busway.open(other.endpoint, shared=False) for _ in range(2)]
         for link in explicit:
-            await link.connect()
+            await link.unit(1).read_holding_registers(0, count=1)
         async with busway.open(busy.endpoint, timeout=AMPLE) as waiting, busway.open(other.endpoint) as late:
             read = asyncio.create_task(waiting.unit(1).read_holding_registers(0, count=1))
             await busy.until(lambda: busy.requests)

@@ -147,15 +147,15 @@ def test_blocking_links_wait_no_longer_for_a_place_than_the_one_before_them_take
 async def test_a_client_has_one_limit_until_its_last_link_is_closed() -> None:
     with faulty_server(known_device()) as one, faulty_server(known_device()) as two:
         first = busway.open(one.endpoint, scope="client", max_transactions=2)
-        await first.connect()
+        await first.unit(1).read_holding_registers(0, count=1)
         with pytest.raises(busway.ConfigError, match="others are open with 2") as caught:
             await busway.open(two.endpoint, scope="client", max_transactions=3).connect()
         assert caught.value.key == "max_transactions"
         async with busway.open(two.endpoint, max_transactions=3) as free:  # its limit is its own
-            await free.connect()
+            await free.unit(1).read_holding_registers(0, count=1)
         await first.close()
         async with busway.open(two.endpoint, scope="client", max_transactions=3) as second:
-            await second.connect()
+            await second.unit(1).read_holding_registers(0, count=1)
 
 
 @pytest.mark.parametrize("scope", ["server", "process", ""])
