@@ -142,6 +142,11 @@ def test_many_requests_in_flight_over_large_records_are_all_answered(
             assert unit.read_holding_registers(0, count=3) == [REGISTER, 1, 2]
 
 
+@pytest.mark.clause("M1")
+def test_the_usual_port_is_802() -> None:
+    assert busway.parse_endpoint("tls://plc-7").port == 802
+
+
 # --- who does not -----------------------------------------------------------------------------------------------------
 
 Maker = Callable[[Store], CertificateFiles | None]
@@ -400,6 +405,20 @@ async def test_beyond_the_limit_the_oldest_handshake_makes_room(
         for _, writer in silent:
             writer.close()
             await writer.wait_closed()
+
+
+async def test_clients_that_all_come_back_at_once_are_all_let_in(
+    server_files: CertificateFiles, operator: CertificateFiles
+) -> None:
+    async with busway.serve(f"tls://127.0.0.1:0?{server_files.query()}", units=device()) as server:
+        url = f"{server.endpoints[0]}?{operator.query()}"
+
+        async def come() -> list[int]:
+            async with busway.open(url, shared=False, max_connections=60) as link:
+                return await link.unit(1).read_holding_registers(0, count=1)
+
+        assert await asyncio.gather(*(come() for _ in range(60))) == [[REGISTER]] * 60
+        assert security_of(server).established == 60
 
 
 async def test_a_server_stops_at_once_while_handshakes_are_under_way(server_files: CertificateFiles) -> None:
