@@ -10,7 +10,7 @@ the file names (certificates, the audit log) is opened by the component that it 
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..config.access.addresses import AddressList
@@ -167,6 +167,21 @@ def parse_configuration(
     """
     file, source = read_system_file(text, name)
     judge = Judge(source)
+    made = put_together(file, name, judge, examine=examine, changes=changes)
+    return replace(made, warnings=judge.end())
+
+
+def put_together(
+    file: SystemFile, name: str, judge: Judge, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> Configuration:
+    """What a file declares, as far as the judge lets it: of use only after `Judge.end`.
+
+    Args:
+        file: its sections.
+        name: its name; paths in it are relative to its folder.
+        judge: collects what is wrong, and what is odd.
+        examine, changes: as of `load_configuration`.
+    """
     makers = _Makers(file, name, judge, changes or {})
     limits = makers.limits()
     listeners = [makers.listener(place, parse_endpoint(url)) for place, url in file.places()]
@@ -174,7 +189,6 @@ def parse_configuration(
     judge_roles(file, judge)
     if examine:
         examine_files(file, name, listeners, judge)
-    warnings = judge.end()
     return Configuration(
         name,
         file,
@@ -185,7 +199,7 @@ def parse_configuration(
         None if file.audit is None else within(name, file.audit.path),
         _control(file, name),
         links,
-        warnings,
+        (),
         changes or {},
     )
 

@@ -30,7 +30,7 @@ def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], ju
     """Open what the file names, and tell the judge what can not be used."""
     wrong = len(judge.problems)
     for place, path in _named_files(file):
-        _readable(place, within(name, path), judge)
+        readable(place, within(name, path), judge)
     if file.audit is not None:
         folder = Path(within(name, file.audit.path)).parent
         if not folder.is_dir() or not os.access(folder, os.W_OK):
@@ -64,7 +64,8 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
                 yield (*place, key), path
 
 
-def _readable(place: Place, path: str, judge: Judge) -> None:
+def readable(place: Place, path: str, judge: Judge) -> None:
+    """Open a file, or a folder of authorities, and tell the judge where it can not be read."""
     if Path(path).is_dir() and place[-1] == "authority":
         return
     try:

@@ -9,12 +9,12 @@ Knows which options go before which; what they mean is known by the client.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from ..client.settings import LinkSettings, link_settings, options_of
 from ..config.endpoints import parse_endpoint
 from ..config.files.lines import Path
-from ..config.files.system import LinkSection, SystemFile
+from ..config.files.system import SystemFile
 from ..transport.tls import OF_SERVERS
 from .judging import Judge, nearest
 
@@ -36,6 +36,21 @@ class NamedLink:
     settings: LinkSettings
 
 
+class Declared(Protocol):
+    """A section that declares a link."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def url(self) -> str:
+        """Where it leads."""
+
+    def options(self) -> dict[str, Any]:  # of several types
+        """Its options, by name."""
+
+
 def named_links(
     file: SystemFile, root: Callable[[Mapping[str, Any]], dict[str, Any]], judge: Judge
 ) -> dict[str, NamedLink]:
@@ -46,24 +61,38 @@ def named_links(
         root: makes paths among options independent of the file's folder.
         judge: collects what is wrong.
     """
-    general = file.client.options()
-    security = {name: value for name, value in file.security.options().items() if name not in OF_SERVERS}
+    general, security = for_all_links(file)
     links: dict[str, NamedLink] = {}
     for index, section in enumerate(file.client.link):
-        made = _named_link(section, general, security, root, ("client", "link", index), judge)
+        made = named_link(section, general, security, root, ("client", "link", index), judge)
         if made is not None:
             links[made.name] = made
     return links
 
 
-def _named_link(
-    section: LinkSection,
+def for_all_links(file: SystemFile) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The options of ``[client]``, and those of ``[security]`` that concern links."""
+    security = {name: value for name, value in file.security.options().items() if name not in OF_SERVERS}
+    return file.client.options(), security
+
+
+def named_link(
+    section: Declared,
     general: Mapping[str, Any],
     security: Mapping[str, Any],
     root: Callable[[Mapping[str, Any]], dict[str, Any]],
     at: Path,
     judge: Judge,
 ) -> NamedLink | None:
+    """A link as its section declares it; None, and a word to the judge, where it can not be.
+
+    Args:
+        section: its own options.
+        general, security: those for all links, and certificates for all.
+        root: makes paths among options independent of the file's folder.
+        at: where the section stands.
+        judge: collects what is wrong.
+    """
     endpoint = parse_endpoint(section.url)
     offered = options_of(endpoint)
     own = section.options()

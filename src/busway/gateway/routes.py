@@ -113,9 +113,12 @@ class Route:
 
     def covers(self, other: "Route") -> bool:
         """Whether it takes everything that ``other`` would take, so that ``other`` behind it is never reached."""
+        return other.units <= self.units and self.covers_beside_units(other)
+
+    def covers_beside_units(self, other: "Route") -> bool:
+        """Whether it takes everything that ``other`` would take of the units that both have."""
         return (
             (not self.fronts or (bool(other.fronts) and other.fronts <= self.fronts))
-            and other.units <= self.units
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
             and (
                 self.addresses is None
@@ -212,10 +215,14 @@ class RoutingTable:
 
     def faults(self) -> Iterator[tuple[int, str]]:
         """What can not be: position of the route, and a sentence."""
-        for position, route in enumerate(self.routes):
-            earlier = next((one for one in self.routes[:position] if one.covers(route)), None)
-            if earlier is not None:
-                yield position, f"never reached: {earlier.title!r} before it takes all its requests"
+        for position in range(len(self.routes)):
+            takers, left = taken_before(self.routes, position)
+            if not left:
+                named = " and ".join(repr(one.title) for one in takers)
+                yield (
+                    position,
+                    f"never reached: {named} before it {'takes' if len(takers) == 1 else 'take'} all its requests",
+                )
 
     def of_front(self, front: str) -> FrontRoutes:
         """The routes of one front."""
@@ -224,6 +231,20 @@ class RoutingTable:
             found = FrontRoutes([one for one in self.routes if not one.fronts or front in one.fronts])
             self._of_front[front] = found
         return found
+
+
+def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
+    """The earlier routes that take all requests to some units of a route, and the units that are left to it."""
+    route = routes[position]
+    whole = next((one for one in routes[:position] if one.covers(route)), None)
+    if whole is not None:
+        return [whole], frozenset()
+    left, takers = route.units, []
+    for earlier in routes[:position]:
+        if left & earlier.units and earlier.covers_beside_units(route):
+            left -= earlier.units
+            takers.append(earlier)
+    return takers, left
 
 
 def function_of(request: Request) -> int:

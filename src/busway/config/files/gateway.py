@@ -28,7 +28,7 @@ Rules:
 """
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -39,9 +39,15 @@ from ..access.notation import parse_functions, parse_items, parse_table, parse_u
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
-from .options import CountOrNone, OptionSection, with_options_of
+from .options import CountOrNone, with_options_of
 from .schema import Faults, Section, Source, read_source
-from .system import LINK_KINDS, SystemFile
+from .system import LINK_KINDS, LinkKeys, SystemFile
+
+NOT_OF_LINES: Final = {
+    "deadline": "client_deadline of a listener says when its clients have given up",
+    "max_connections": "connections says how many there are",
+}
+"""Options of links that a line has not, and what there is instead."""
 
 Numbers = int | str | list[int | str]
 
@@ -63,6 +69,8 @@ def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
 class FrontSection(ListenerSection):
     """``[[listener]]``: where clients reach the gateway."""
 
+    on_lines: ClassVar[frozenset[str]] = frozenset({"url", "name", "client_deadline"})
+
     name: str = ""
     client_deadline: float | None = Field(default=None, ge=0.001, le=3600)
     silent_broadcasts: bool = False
@@ -74,7 +82,7 @@ class FrontSection(ListenerSection):
 
 
 @with_options_of(*LINK_KINDS, without=OF_SERVERS)
-class LineSection(OptionSection):
+class LineSection(LinkKeys):
     """``[[line]]``: a serial line or a server, under a name, with the options of links."""
 
     judged: ClassVar = False  # together with its scheme, where the line is put together
@@ -186,8 +194,15 @@ class GatewayFile(SystemFile):
             yield ("line",), "is missing"
         if not self.places():
             yield ("listener",), "is missing"
+        for name in ("unit_policy", "unlisted"):
+            if name in self.server.model_fields_set:
+                yield ("server", name), "has no effect: a gateway has no units of its own"
         if not self.route and len(self.line) > 1:
             yield ("route",), f"is missing: there are {len(self.line)} lines"
+        for index, line in enumerate(self.line):
+            for name, instead in NOT_OF_LINES.items():
+                if name in line.model_fields_set:
+                    yield ("line", index, name), f"has no effect on a line of a gateway: {instead}"
         yield from _twice("line", [each.name for each in self.line])
         yield from _twice("listener", [each.title for each in self.listener])
         names = [each.name for each in self.line]

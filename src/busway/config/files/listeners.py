@@ -61,6 +61,8 @@ class ListenerSection(ListenerKeys, OptionSection):
     """
 
     judged: ClassVar = False  # together with those of [security], where the listener is put together
+    on_lines: ClassVar[frozenset[str]] = frozenset({"url"})
+    """Keys that have an effect on a serial line too."""
 
     url: Url
     allow: list[str] = Field(default_factory=list)
@@ -72,7 +74,7 @@ class ListenerSection(ListenerKeys, OptionSection):
         carrier = parse_endpoint(self.url).carrier
         faults: list[tuple[Path, str]] = []
         for name in type(self).model_fields:
-            if name in self.model_fields_set and name != "url":
+            if name in self.model_fields_set and name not in self.on_lines:
                 if carrier == "serial":
                     faults.append(((name,), "has no effect on a serial line"))
                 elif carrier != "tls" and name in option_names(TlsParameters):
