@@ -142,6 +142,22 @@ def test_many_requests_in_flight_over_large_records_are_all_answered(
             assert unit.read_holding_registers(0, count=3) == [REGISTER, 1, 2]
 
 
+@pytest.mark.clause("T27")
+def test_a_client_that_is_held_back_by_its_rate_gets_every_reply(
+    server_files: CertificateFiles, operator: CertificateFiles
+) -> None:
+    """What has been decrypted waits inside while nothing is read; it is answered later, and in order."""
+    requests = [number.to_bytes(2, "big") + READ[2:] for number in range(400)]
+    url = f"tls://127.0.0.1:0?{server_files.query()}"
+    with (
+        busway.serve_in_thread(url, units=device(), request_rate=300.0) as server,
+        foreign_client(port_of(server), foreign_context(operator, operator)) as client,
+    ):
+        client.sendall(b"".join(requests))  # one record
+        replies = [receive_adu(client) for _ in requests]
+    assert replies == [request[:2] + REPLY[2:] for request in requests]
+
+
 @pytest.mark.clause("M1")
 def test_the_usual_port_is_802() -> None:
     assert busway.parse_endpoint("tls://plc-7").port == 802

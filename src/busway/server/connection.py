@@ -82,8 +82,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._management = management
         self._accepted = accepted
         self._buffer = receive_buffer(management.loop)
-        # The TLS of asyncio slices what it is given and fills the slice: of a bytearray, that would be a copy.
-        self._window: bytearray | memoryview = memoryview(self._buffer) if accepted else self._buffer
+        self._window: bytearray | memoryview = self._buffer
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
         self._tasks: set[asyncio.Task[None]] | None = None
         self._trace: Trace | None = None
@@ -118,7 +117,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def get_buffer(self, sizehint: int) -> bytearray | memoryview:
-        """Where the event loop receives into."""
+        """Where the event loop, or TLS, receives into."""
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
