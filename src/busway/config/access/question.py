@@ -11,8 +11,9 @@ Knows messages; knows no rule.
    would make of it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 from ...codes import FunctionCode, Table
 from ...pdu.file_records import ReadFileRecord, WriteFileRecord
@@ -37,6 +38,7 @@ END: Final = 1 << 32
 
 _SUB_WIDTH: Final[dict[int, int]] = {FunctionCode.DIAGNOSTICS: 2, FunctionCode.ENCAPSULATED_INTERFACE: 1}
 _PUBLIC: Final = frozenset(int(code) for code in FunctionCode)
+_OF_FILES: Final = (ReadFileRecord, WriteFileRecord)
 
 
 @dataclass(slots=True)
@@ -109,15 +111,23 @@ class Question:
             asker: the three, where they are there already.
         """
         asker = asker or Asker(host_of_peer(peer), role, listener)
-        function = request.function if isinstance(request, OpaqueRequest | MalformedRequest) else request.code
         if isinstance(request, MalformedRequest):
-            sub_function = _sub_function(function, request.data[1:])
-            return cls(asker, unit, function, sub_function, _pieces_of_malformed(request, sub_function))
+            sub_function = _sub_function(request.function, request.data[1:])
+            return cls(asker, unit, request.function, sub_function, _pieces_of_malformed(request, sub_function))
         if isinstance(request, OpaqueRequest):
-            pieces = (Piece(None, 0, 1, True),)
-            return cls(asker, unit, function, _sub_function(function, request.data), pieces)
+            sub_function = _sub_function(request.function, request.data)
+            return cls(asker, unit, request.function, sub_function, _UNKNOWN_WRITE)
         masks = (request.and_mask, request.or_mask) if isinstance(request, MaskWriteRegister) else None
-        return cls(asker, unit, function, request.sub_code, _pieces(request), written_registers(request), masks)
+        written = _WRITTEN.get(type(request))
+        return cls(
+            asker,
+            unit,
+            request.code,
+            request.sub_code,
+            _pieces(request),
+            None if written is None else written(request),
+            masks,
+        )
 
     @property
     def writes(self) -> bool:
@@ -144,33 +154,27 @@ def counts_as_write(kind: type[Request]) -> bool:
     return kind.code not in _PUBLIC and kind.reads is None
 
 
-def written_registers(request: Request) -> tuple[int, ...] | None:
-    """The holding registers that a request writes, as numbers; None where it writes none, or nobody knows."""
-    if isinstance(request, WriteSingleRegister):
-        return (request.value,)
-    if isinstance(request, WriteMultipleRegisters | ReadWriteMultipleRegisters):
-        return tuple(unpack_registers(request.data))
-    return None
-
-
 def _pieces(request: Request) -> tuple[Piece, ...]:
-    found = [
-        Piece(span.table, span.address, span.address + max(1, span.count), span.writes) for span in request.spans()
-    ]
-    if isinstance(request, ReadFileRecord | WriteFileRecord):
-        writes = isinstance(request, WriteFileRecord)
-        found += [Piece(FILES, group.file, group.file + 1, writes) for group in request.groups]
-    writes = counts_as_write(type(request))
-    if not found or (writes and not any(piece.writes for piece in found)):
-        found.append(Piece(None, 0, 1, writes))
+    found = []
+    is_written = False
+    for span in request.spans():
+        found.append(Piece(span.table, span.address, span.address + (span.count or 1), span.writes))
+        is_written = is_written or span.writes
+    if isinstance(request, _OF_FILES):
+        is_written = isinstance(request, WriteFileRecord)
+        found += [Piece(FILES, group.file, group.file + 1, is_written) for group in request.groups]
+    if not found or not is_written:
+        writes = counts_as_write(type(request))
+        if writes or not found:
+            found.append(Piece(None, 0, 1, writes))
     return tuple(found)
 
 
 def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) -> tuple[Piece, ...]:
     kind = request.kind
     if kind.sub_code is not None and sub_function is None:
-        return (Piece(None, 0, 1, True),)
-    if issubclass(kind, ReadFileRecord | WriteFileRecord):
+        return _UNKNOWN_WRITE
+    if issubclass(kind, _OF_FILES):
         return (Piece(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [
         Piece(touch.table, 0, END, writes)
@@ -184,3 +188,16 @@ def _sub_function(function: int, data: bytes) -> int | None:
     """The sub-function in what follows the function code; None where the function has none, or it is cut off."""
     width = _SUB_WIDTH.get(function)
     return int.from_bytes(data[:width], "big") if width is not None and len(data) >= width else None
+
+
+def _registers(request: Any) -> tuple[int, ...]:  # any request with registers as ``data``
+    return tuple(unpack_registers(request.data))
+
+
+_WRITTEN: Final[dict[type, Callable[[Any], tuple[int, ...]]]] = {
+    WriteSingleRegister: lambda request: (request.value,),
+    WriteMultipleRegisters: _registers,
+    ReadWriteMultipleRegisters: _registers,
+}
+"""The holding registers that a request writes, as numbers, of the functions of which that is known."""
+_UNKNOWN_WRITE: Final = (Piece(None, 0, 1, True),)

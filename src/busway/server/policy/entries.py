@@ -1,6 +1,7 @@
 """One line of the audit log: what is said of a request, as JSON.
 
-Knows requests and their outcome; writes nothing. Lines are put together by hand: 5 µs each, where ``json`` takes 15.
+Knows requests and their outcome; writes nothing. Lines are put together by hand, from parts that are known before: a
+plant may write thousands of times a second (measured: 5 µs a line, the file included).
 
 ===============  =====================================================================================
 key              value
