@@ -362,13 +362,34 @@ def test_without_a_log_that_can_be_written_a_write_is_refused_if_that_is_wanted(
 
 
 @pytest.mark.clause("M6")
-async def test_through_a_server_an_unauthorised_write_is_answered_01_and_a_read_is_answered(device):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.read_only())
-    server = busway.Server(["tcp://127.0.0.1:0"], handler)
-    async with server, busway.open(server.endpoints[0]) as link:
+async def test_through_a_server_an_unauthorised_write_is_answered_01_and_a_replaced_policy_holds_at_once(device, log):
+    async with (
+        busway.serve("tcp://127.0.0.1:0", units={1: device}, policy=Policy.read_only(), audit=log) as server,
+        busway.open(server.endpoints[0]) as link,
+    ):
         unit = link.unit(1)
         assert await unit.read_holding_registers(0, count=2) == [0, 1]
         with pytest.raises(busway.ExceptionReply) as caught:
             await unit.write_single_register(0, 5)
         assert caught.value.code == 1
-    assert device.holding_registers[0] == 0
+        assert device.holding_registers[0] == 0
+        server.replace_policy(Policy.allow_all())
+        await unit.write_single_register(0, 5)
+    denied, done = lines(log)
+    assert (denied["outcome"], denied["old"], denied["new"]) == ("denied", None, [5])
+    assert (done["outcome"], done["old"], done["new"], done["listener"]) == ("done", [0], [5], denied["listener"])
+
+
+def test_rates_of_a_replaced_policy_are_those_of_the_new_one(device):
+    shared = {}
+    handler = PolicyHandler(
+        LocalHandler({1: device}), Policy.of(Rule.of(name="a", rate=1)), rates=shared, clock=lambda: 0.0
+    )
+    read = ReadHoldingRegisters(0, 1)
+    answers = [handler.handle(context(3), read) for _ in range(2)]
+    assert [isinstance(one, ExceptionResponse) for one in answers] == [False, True]
+    kept = dict(shared)
+    handler.replace_policy(Policy.of(Rule.of(name="a", rate=3)))
+    shared.update(kept)  # as another thread might have left it behind
+    answers = [handler.handle(context(3), read) for _ in range(4)]
+    assert [isinstance(one, ExceptionResponse) for one in answers] == [False, False, False, True]

@@ -14,6 +14,7 @@ Knows requests, contexts and the policy; knows no connection and no device.
 """
 
 import logging
+import threading
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Container, Mapping
@@ -75,6 +76,23 @@ class _Known:
         self.who = who
 
 
+class _InForce:
+    """A policy and what was derived from it: replaced as a whole, so that nothing of an old one is left behind.
+
+    Args:
+        policy: the policy.
+        inside: generation of the handler inside that plans were made with.
+    """
+
+    __slots__ = ("askers", "inside", "policy", "rights")
+
+    def __init__(self, policy: Policy, inside: int) -> None:
+        self.policy = policy
+        self.inside = inside
+        self.askers: dict[tuple[str, str | None, str], _Known] = {}
+        self.rights: dict[tuple[str, ...], _Rights] = {}
+
+
 class _Denied(Refusal):
     """A refusal by the policy, out of the step in which the handler inside shows what it would replace."""
 
@@ -114,7 +132,8 @@ class PolicyHandler:
         self.inner = inner
         self.audit = audit
         self.refusals: Counter[str] = Counter()
-        self._policy = policy
+        self._in_force = _InForce(policy, inner.generation)
+        self._lock = threading.Lock()
         self._clock = clock
         self._time = Clock(now)
         self._replaced_policies = 0
@@ -123,9 +142,6 @@ class PolicyHandler:
         # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
-        self._seen_generation = inner.generation
-        self._askers: dict[tuple[str, str | None, str], _Known] = {}
-        self._rights: dict[tuple[str, ...], _Rights] = {}
         self._rates: dict[str, Rates] = {} if rates is None else rates
         self._repeats = Repeats()
 
@@ -142,14 +158,14 @@ class PolicyHandler:
     @property
     def policy(self) -> Policy:
         """The policy in force."""
-        return self._policy
+        return self._in_force.policy
 
     def replace_policy(self, policy: Policy) -> None:
-        """Put another policy into force from the next request on; connections stay. In the event loop's thread."""
-        self._policy = policy
-        self._forget()
-        self._rates.clear()
-        self._replaced_policies += 1
+        """Put another policy into force from the next request on; connections stay. From any thread."""
+        with self._lock:
+            self._in_force = _InForce(policy, self.inner.generation)
+            self._rates.clear()
+            self._replaced_policies += 1
 
     # ---- the short road
 
@@ -226,7 +242,7 @@ class PolicyHandler:
         for rule in decision.rates:
             assert rule.rate is not None  # that is why it is among them
             rates = self._rates.get(rule.name)
-            if rates is None:
+            if rates is None or rates.rate != rule.rate:
                 rates = self._rates[rule.name] = Rates(rule.rate)
             if not rates.allows(asker.host, self._clock()):
                 return _busy(rule)
@@ -319,31 +335,36 @@ class PolicyHandler:
     # ---- who asks
 
     def _known(self, context: RequestContext) -> _Known:
-        if self._seen_generation != self.inner.generation:
-            self._seen_generation = self.inner.generation
-            self._forget()
+        in_force = self._in_force
+        if in_force.inside != self.inner.generation:
+            in_force = self._renewed()
         key = context.peer, context.role, context.listener
-        known = self._askers.get(key)
+        known = in_force.askers.get(key)
         if known is None:
-            if len(self._askers) >= _MOST_ASKERS:
-                self._askers.clear()
+            if len(in_force.askers) >= _MOST_ASKERS:
+                in_force.askers.clear()
             asker = Asker(host_of_peer(context.peer), context.role, context.listener)
-            known = self._askers[key] = _Known(asker, self._rights_of(asker), who_text(*key))
+            known = in_force.askers[key] = _Known(asker, _rights_of(asker, in_force), who_text(*key))
         return known
 
-    def _rights_of(self, asker: Asker) -> _Rights:
-        policy = self._policy.for_asker(asker)
-        key = tuple(rule.name for rule in policy.rules)
-        rights = self._rights.get(key)
-        if rights is None:
-            if len(self._rights) >= _MOST_RIGHTS:
-                del self._rights[next(iter(self._rights))]
-            rights = self._rights[key] = _Rights(policy)
-        return rights
+    def _renewed(self) -> _InForce:
+        """The policy in force, without plans that the handler inside no longer stands for."""
+        with self._lock:
+            old = self._in_force
+            if old.inside != self.inner.generation:
+                self._in_force = _InForce(old.policy, self.inner.generation)
+            return self._in_force
 
-    def _forget(self) -> None:
-        self._askers.clear()
-        self._rights.clear()
+
+def _rights_of(asker: Asker, in_force: _InForce) -> _Rights:
+    policy = in_force.policy.for_asker(asker)
+    key = tuple(rule.name for rule in policy.rules)
+    rights = in_force.rights.get(key)
+    if rights is None:
+        if len(in_force.rights) >= _MOST_RIGHTS:
+            del in_force.rights[next(iter(in_force.rights))]
+        rights = in_force.rights[key] = _Rights(policy)
+    return rights
 
 
 def _busy(rule: Rule) -> Decision:
