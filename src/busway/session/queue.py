@@ -23,18 +23,19 @@ Eligible = Callable[[Demand], bool]
 class _Caller:
     """The demands of one caller, in the order they came."""
 
-    __slots__ = ("demands", "key", "served", "writes")
+    __slots__ = ("demands", "key", "served", "units", "writes")
 
     def __init__(self, key: object) -> None:
         self.key = key
         self.demands: deque[Demand] = deque()
         self.writes = 0
+        self.units: dict[int, int] = {}  # demands by unit, where units are served in turn
         self.served: dict[int, None] | None = None  # units in the order in which they were served, if that matters
 
     def pick(self, eligible: Eligible | None) -> Demand | None:
-        if self.served is not None and not self.writes:
-            return self._unit_in_turn(self.served, eligible)
         first = self.demands[0]
+        if len(self.units) > 1 and self.served is not None and not self.writes:
+            return self._unit_in_turn(self.served, eligible)
         if (not self.writes or first.is_write) and (eligible is None or eligible(first)):
             return first
         chosen: Demand | None = None
@@ -55,10 +56,9 @@ class _Caller:
         """The oldest demand of the unit that was served longest ago."""
         oldest: dict[int, Demand] = {}
         for demand in self.demands:
-            if demand.unit not in oldest and (eligible is None or eligible(demand)):
-                oldest[demand.unit] = demand
-        never = next((demand for unit, demand in oldest.items() if unit not in served), None)
-        return never or next((oldest[unit] for unit in served if unit in oldest), None)
+            oldest.setdefault(demand.unit, demand)
+        order = [unit for unit in oldest if unit not in served] + [unit for unit in served if unit in oldest]
+        return next((oldest[unit] for unit in order if eligible is None or eligible(oldest[unit])), None)
 
 
 class RequestQueue:
@@ -100,13 +100,16 @@ class RequestQueue:
                 self._ring.insert(-1, caller)
             else:
                 self._ring.append(caller)
-        if demand in caller.demands:
-            return
-        if first:
-            caller.demands.appendleft(demand)
-        else:
+        if not first:
             caller.demands.append(demand)
-        caller.writes += demand.is_write
+        elif demand in caller.demands:  # its other requests still wait
+            return
+        else:
+            caller.demands.appendleft(demand)
+        if demand.is_write:
+            caller.writes += 1
+        if caller.served is not None:
+            caller.units[demand.unit] = caller.units.get(demand.unit, 0) + 1
         self.size += 1
 
     def pick(self, eligible: Eligible | None = None) -> Demand | None:
@@ -118,9 +121,10 @@ class RequestQueue:
             demand = caller.pick(eligible)
             if demand is not None:
                 self._last = caller
-                if caller.served is not None:
-                    caller.served.pop(demand.unit, None)
-                    caller.served[demand.unit] = None
+                served = caller.served
+                if served is not None and len(caller.units) > 1:
+                    served.pop(demand.unit, None)
+                    served[demand.unit] = None
                 return demand
         return None
 
@@ -136,14 +140,28 @@ class RequestQueue:
     def remove(self, demand: Demand) -> bool:
         """Take a demand out, sent to the end or given up; whether it was in."""
         caller = self._callers.get(demand.caller)
-        if caller is None or demand not in caller.demands:
+        if caller is None:
             return False
-        caller.demands.remove(demand)
-        caller.writes -= demand.is_write
+        demands = caller.demands
+        if demands[0] is demand:  # as a rule
+            demands.popleft()
+        elif demand in demands:
+            demands.remove(demand)
+        else:
+            return False
+        if demand.is_write:
+            caller.writes -= 1
+        if caller.served is not None:
+            left = caller.units.pop(demand.unit) - 1
+            if left:
+                caller.units[demand.unit] = left
         self.size -= 1
-        if not caller.demands:
+        if not demands:
             del self._callers[demand.caller]
-            self._ring.remove(caller)
+            if self._ring[-1] is caller:  # who was just served
+                self._ring.pop()
+            else:
+                self._ring.remove(caller)
         return True
 
     def __iter__(self) -> Iterator[Demand]:
