@@ -7,6 +7,7 @@ from busway.errors import ConfigError
 
 
 @pytest.mark.clause("T15")
+@pytest.mark.clause("T35")
 @pytest.mark.parametrize(
     ("access", "host", "allowed", "why"),
     [
