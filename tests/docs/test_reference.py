@@ -73,9 +73,7 @@ def takes(make: Callable[[str], object], url: str) -> bool:
     try:
         make(url)
     except busway.ConfigError as error:
-        if error.key in ("authority", "certificate"):
-            return True  # it asks for the files that it needs
-        return False
+        return error.key in ("authority", "certificate")  # it asks for the files that it needs
     return True
 
 
