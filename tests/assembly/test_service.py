@@ -67,15 +67,15 @@ async def test_the_control_socket_answers_where_it_is_wanted_and_reads_files_aga
         return configured("tcp://127.0.0.1:0", f'[policy]\ndefault = "{text[0]}"\n')
 
     async with Service(read, wishes) as service:
-        assert service.reload() == ["nothing has changed"]
+        assert await service.reload() == ["nothing has changed"]
         text[0] = "allow"
-        assert service.reload() == ["the policy was replaced"]
-        assert service.reload() == ["nothing has changed"]
+        assert await service.reload() == ["the policy was replaced"]
+        assert await service.reload() == ["nothing has changed"]
         async with busway.open(service.server.endpoints[0], shared=False) as link:
             await link.unit(1).write_single_register(0, 1)
         text[0] = "nobody"
         with pytest.raises(busway.ConfigError):
-            service.reload()
+            await service.reload()
         async with busway.open(service.server.endpoints[0], shared=False) as link:
             await link.unit(1).write_single_register(0, 2)
 
@@ -86,7 +86,7 @@ async def test_a_policy_that_is_no_longer_written_leaves_network_listeners_read_
     async with Service(lambda: configured("tcp://0.0.0.0:0", rest[0]), wishes) as service:
         assert service.read_only == ()
         rest[0] = ""
-        assert service.reload() == ["the policy was replaced"]
+        assert await service.reload() == ["the policy was replaced"]
         assert service.read_only == tuple(service.server.endpoints)
         url = service.server.endpoints[0].replace("0.0.0.0", "127.0.0.1")
         async with busway.open(url, shared=False) as link:

@@ -9,12 +9,12 @@ the file names (certificates, the audit log) is opened by the component that it 
 """
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..config.access.addresses import AddressList
-from ..config.access.rules import AccessRules
+from ..config.access.rules import AccessRules, Policy
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.files.lines import Path as Place
 from ..config.files.system import SystemFile, read_system_file
@@ -55,6 +55,7 @@ class Configuration:
         links: the links by name.
         warnings: what is odd but can be, each with file, line and key.
         changes: options of listeners that go before those of the file.
+        at_once: sections that hold at once when the file is read again while it runs.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Configuration:
     links: Mapping[str, NamedLink]
     warnings: tuple[ConfigError, ...]
     changes: Mapping[str, Any]
+    at_once: frozenset[str] = frozenset({"policy"})
 
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
@@ -89,6 +91,10 @@ class Configuration:
         return serve(
             *(tuple(listen) or self.listeners), **{"units": build_units(self.file), **self.served(), **options}
         )
+
+    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Let a running server follow this configuration: but for policy and lists, it needs a new start."""
+        return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
         """The options of `busway.serve` that the file sets."""

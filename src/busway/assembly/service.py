@@ -8,32 +8,94 @@ while it runs, without a connection being lost.
    anew. What else differs is named: it holds from the next start.
 """
 
+import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from ..config.access.addresses import AddressList
 from ..config.access.rules import AccessRules, Policy
+from ..config.files.system import SystemFile
 from ..server.listener import Listener
+from ..session.handler import Handler
 from .access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
 from .certificates import tls_of, try_certificates
-from .configuration import Configuration
 
 if TYPE_CHECKING:
     from ..server.policy.audit import AuditLog
-    from ..server.server import Server
 
 _log = logging.getLogger("busway.service")
 
-_REPLACEABLE = frozenset({"policy"})
-"""Sections that hold at once when they are read again."""
 _REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
 
 
-def declared_rules(configuration: Configuration) -> AccessRules | None:
+class Running(Protocol):
+    """What runs: a server, or a gateway."""
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs of the listeners as they are bound."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it answers."""
+
+    def status(self) -> Any:  # a dataclass, of its own kind
+        """How it stands now."""
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around what answers, before the start."""
+
+    def replace_policy(self, policy: Policy) -> None:
+        """Let another policy hold from the next request on."""
+
+    async def __aenter__(self) -> object:
+        """Start."""
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> bool | None:
+        """Stop."""
+
+
+class Declared(Protocol):
+    """What a file declares: a `Configuration`, or that of a gateway."""
+
+    @property
+    def file(self) -> SystemFile:
+        """Its sections."""
+
+    @property
+    def listeners(self) -> tuple[Listener, ...]:
+        """Where it listens."""
+
+    @property
+    def access(self) -> AccessRules | None:
+        """The rules that it has."""
+
+    @property
+    def audit(self) -> str | None:
+        """Path of the audit log."""
+
+    @property
+    def control(self) -> str | None:
+        """Where it is controlled; None for the usual place."""
+
+    @property
+    def at_once(self) -> frozenset[str]:
+        """Sections that hold at once when the file is read again."""
+
+    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Running:  # of several types
+        """What it declares, not started yet."""
+
+    async def let_follow(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Let what runs follow it, as far as it can without a new start; what changed. Raises `ModbusError`."""
+
+
+def declared_rules(configuration: Declared) -> AccessRules | None:
     """The rules that stand in the configuration itself."""
     return configuration.access
 
@@ -56,7 +118,7 @@ class Wishes:
     """
 
     listen: Sequence[str] = ()
-    rules: Callable[[Configuration], AccessRules | None] = declared_rules
+    rules: Callable[[Declared], AccessRules | None] = declared_rules
     addresses: AddressList | None = None
     allow_writes: bool = False
     audit: str | None = None
@@ -84,9 +146,9 @@ class Service:
         ConfigError, LinkDown: something can not be, or can not be had; then nothing runs.
     """
 
-    server: "Server"
+    server: Running
 
-    def __init__(self, read: Callable[[], Configuration], wishes: Wishes | None = None) -> None:
+    def __init__(self, read: Callable[[], Declared], wishes: Wishes | None = None) -> None:
         self._read = read
         self._wishes = wishes or Wishes()
         self.configuration = read()
@@ -97,10 +159,11 @@ class Service:
         self._entrances: dict[str, Entrance] = {}
         self._audit: AuditLog | None = None
         self._is_guarded = False
+        self._reloading = asyncio.Lock()
         self._stack = AsyncExitStack()
 
     async def __aenter__(self) -> Self:
-        async with AsyncExitStack() as stack:
+        async with self._reloading, AsyncExitStack() as stack:  # what is asked meanwhile waits
             await self._start(stack)
             self._stack = stack.pop_all()
         return self
@@ -121,7 +184,7 @@ class Service:
             self._rules is not None or wishes.can_reload or any(reaches_network(str(one.endpoint)) for one in listeners)
         )
         if self._is_guarded:
-            options["policy"] = self._policy(NETWORK_SCHEMES)
+            options["policy"] = self._policy(self._rules, NETWORK_SCHEMES)
         self._audit = self._opened_audit()
         if self._audit is not None:
             stack.callback(self._audit.close)
@@ -138,7 +201,7 @@ class Service:
             self.metrics = endpoint.url
         await stack.enter_async_context(server)
         if self._is_guarded:
-            server.replace_policy(self._policy([url for url in server.endpoints if reaches_network(url)]))
+            self._replace_policy()
         at = wishes.control or (configuration.control if configuration.file.control.enabled else OFF)
         await stack.enter_async_context(
             open_control(
@@ -150,34 +213,44 @@ class Service:
             )
         )
 
-    def reload(self) -> list[str]:
+    async def reload(self) -> list[str]:
         """Read again what can change while it runs: what was done, a sentence each.
 
         Raises:
-            ConfigError: something is wrong with what was read; nothing has changed.
+            ConfigError, LinkDown: something is wrong with what was read, or can not be had; nothing has changed.
         """
-        new = self._read()
-        rules = self._wishes.rules(new)
-        for listener in new.listeners:
-            try_certificates(listener)
-        done = []
-        if self._audit is not None:
-            self._audit.reopen()
-            done.append("the audit log was opened anew")
-        if rules != self._rules:
-            if self._is_guarded:
+        async with self._reloading:
+            new = self._read()
+            rules = self._wishes.rules(new)
+            for listener in new.listeners:
+                try_certificates(listener)
+            cautious = self._policy(rules, NETWORK_SCHEMES) if self._is_guarded else None
+            followed = await new.let_follow(self.server, self._listeners(new), policy=cautious)
+            done = []
+            if self._audit is not None:
+                self._audit.reopen()
+                done.append("the audit log was opened anew")
+            done += followed
+            if rules != self._rules:
+                done.append("the policy was replaced")
+            if self._is_guarded and (followed or rules != self._rules):
                 self._rules = rules
-                self.server.replace_policy(self._policy([url for url in self.server.endpoints if reaches_network(url)]))
+                self._replace_policy()
             self._entrance.lists = self._lists(rules)
-            done.append("the policy was replaced")
-        if self._replace_lists(new):
-            done.append("the address lists of listeners were replaced")
-        if any(tls_of(listener) is not None for listener in new.listeners):
-            done.append("certificates hold from the next connection on")
-        later = _differences(self.configuration, new)
-        if later:
-            done.append(f"only the next start will see {', '.join(later)}")
-        return done or ["nothing has changed"]
+            if self._replace_lists(new):
+                done.append("the address lists of listeners were replaced")
+            if any(tls_of(listener) is not None for listener in new.listeners):
+                done.append("certificates hold from the next connection on")
+            later = _differences(self.configuration, new)
+            if later:
+                done.append(f"only the next start will see {', '.join(later)}")
+            return done or ["nothing has changed"]
+
+    def _replace_policy(self) -> None:
+        """Let the policy hold, now that it is known which listeners the network reaches."""
+        exposed = [url for url in self.server.endpoints if reaches_network(url)]
+        self.read_only = () if self._rules is not None or self._wishes.allow_writes else tuple(exposed)
+        self.server.replace_policy(self._policy(self._rules, exposed))
 
     def _opened_audit(self) -> "AuditLog | None":
         path = self._wishes.audit or self.configuration.audit
@@ -190,31 +263,30 @@ class Service:
             return AuditLog(path)
         return AuditLog(path, interval=section.interval, on_failure=section.on_failure)
 
-    def _policy(self, exposed: Sequence[str]) -> Policy:
+    def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
         """The policy that was written, or else the one that makes exposed listeners read-only."""
-        if self._rules is not None:
-            self.read_only = ()
-            return self._rules.policy
-        self.read_only = () if self._wishes.allow_writes else tuple(exposed)
-        return read_only_for(self.read_only)
+        if rules is not None:
+            return rules.policy
+        return read_only_for(() if self._wishes.allow_writes else exposed)
 
     def _lists(self, rules: AccessRules | None) -> tuple[AddressList, ...]:
         own = () if self._wishes.addresses is None else (self._wishes.addresses,)
         return own if rules is None else (*own, rules.addresses)
 
-    def _listeners(self, configuration: Configuration) -> list[Listener]:
+    def _listeners(self, configuration: Declared) -> list[Listener]:
         """The listeners, each asking lists that can be replaced."""
         if self._wishes.listen:
             return [Listener(url) for url in self._wishes.listen]
         found = []
         for one in configuration.listeners:
             if isinstance(one.access, AddressList):
-                entrance = self._entrances[str(one.endpoint)] = Entrance((one.access,))
+                # The same one for ever: what was started with it is not another for having other lists.
+                entrance = self._entrances.setdefault(str(one.endpoint), Entrance((one.access,)))
                 one = replace(one, access=entrance)
             found.append(one)
         return found
 
-    def _replace_lists(self, new: Configuration) -> bool:
+    def _replace_lists(self, new: Declared) -> bool:
         changed = False
         for one in new.listeners:
             entrance = self._entrances.get(str(one.endpoint))
@@ -224,7 +296,7 @@ class Service:
         return changed
 
 
-def _differences(old: Configuration, new: Configuration) -> list[str]:
+def _differences(old: Declared, new: Declared) -> list[str]:
     """The sections in which two configurations differ, without what holds at once."""
     found = []
     for name in type(old.file).model_fields:
@@ -233,6 +305,6 @@ def _differences(old: Configuration, new: Configuration) -> list[str]:
             before, after = (
                 [one.model_dump(exclude=set(_REPLACEABLE_OF_LISTENERS)) for one in each] for each in (before, after)
             )
-        if name not in _REPLACEABLE and before != after:
+        if name not in new.at_once and before != after:
             found.append(name)
     return found

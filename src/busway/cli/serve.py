@@ -11,17 +11,32 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import ModbusError
 from .arguments import CAPTURE, VERBOSE, show_traffic
 from .exits import ExitCode
-from .files import capturing, read_text
+from .files import capturing
 from .output import say
-from .signals import on_hangup, stop_event
+from .running import (
+    ALLOW,
+    ALLOW_WRITES,
+    AUDIT,
+    CONTROL,
+    DENY,
+    METRICS,
+    NO_STANDARD_PORT,
+    POLICY,
+    PRIORITY,
+    access_rules,
+    address_list,
+    announce,
+    is_file,
+    listener_changes,
+    read_again_on_hangup,
+)
+from .signals import stop_event
 
 if TYPE_CHECKING:
     from ..assembly.configuration import Configuration
     from ..assembly.service import Service
-    from ..config.access.rules import AccessRules
 
 EXAMPLES = """\b
 Examples:
@@ -44,8 +59,6 @@ input_registers = {ITEMS}
 coils = {ITEMS}
 discrete_inputs = {ITEMS}
 """
-READ_ONLY = "read-only"
-"""The policy that needs no file."""
 
 
 def serve(
@@ -53,57 +66,34 @@ def serve(
     listen: list[str] | None = typer.Option(
         None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
     ),
-    no_standard_port: bool = typer.Option(
-        False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
-    ),
-    policy: str | None = typer.Option(
-        None, "--policy", metavar="FILE", help="Who may ask what: a policy file, or the word read-only."
-    ),
-    allow_writes: bool = typer.Option(
-        False, "--allow-writes", help="Take writes from the network though there is no policy."
-    ),
-    allow: list[str] | None = typer.Option(
-        None, "--allow", metavar="NET", help="Only these may connect: 10.0.0.0/8; several times if need be."
-    ),
-    deny: list[str] | None = typer.Option(None, "--deny", metavar="NET", help="These may not connect."),
-    priority: list[str] | None = typer.Option(
-        None, "--priority", metavar="NET", help="Never close a connection of these to make room."
-    ),
-    audit: str | None = typer.Option(None, "--audit", metavar="FILE", help="Append denied requests and writes here."),
-    metrics: str | None = typer.Option(
-        None, "--metrics", metavar="HOST:PORT", help="Offer metrics to Prometheus here: 127.0.0.1:9502."
-    ),
-    control: str | None = typer.Option(
-        None,
-        "--control",
-        metavar="PATH",
-        help="The socket that `busway status` asks, instead of the usual one; or off.",
-    ),
+    no_standard_port: bool = NO_STANDARD_PORT,
+    policy: str | None = POLICY,
+    allow_writes: bool = ALLOW_WRITES,
+    allow: list[str] | None = ALLOW,
+    deny: list[str] | None = DENY,
+    priority: list[str] | None = PRIORITY,
+    audit: str | None = AUDIT,
+    metrics: str | None = METRICS,
+    control: str | None = CONTROL,
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
     """Be a device."""
     from ..assembly.service import Service, Wishes
-    from ..config.access.addresses import AddressList
-    from ..config.access.networks import Networks
     from ..server.loops import run
 
-    addresses = None
-    if allow or deny:
-        addresses = AddressList(Networks(allow or (), key="--allow"), Networks(deny or (), key="--deny"))
-    changes = {"priority": Networks(priority, key="--priority")} if priority else {}
     wishes = Wishes(
         listen=listen or (),
-        rules=_rules(policy),
-        addresses=addresses,
+        rules=access_rules(policy),
+        addresses=address_list(allow, deny),
         allow_writes=allow_writes,
         audit=audit,
         metrics=metrics,
         control=control,
         standard_port=False if no_standard_port else None,
-        can_reload=file is not None or policy not in (None, READ_ONLY),
+        can_reload=file is not None or is_file(policy),
     )
-    service = Service(_reader(file, changes), wishes)
+    service = Service(_reader(file, listener_changes(priority)), wishes)
     show_traffic(verbose)
     with capturing(capture):
         run(_serve(service, file))
@@ -119,44 +109,10 @@ def _reader(file: str | None, changes: dict[str, Any]) -> "Callable[[], Configur
     return lambda: load_configuration(file, changes=changes)
 
 
-def _rules(policy: str | None) -> "Callable[[Configuration], AccessRules | None]":
-    """What gives the access rules: those of the option, or else those of the configuration."""
-    from ..assembly.service import declared_rules
-
-    if policy is None:
-        return declared_rules
-
-    def read(configuration: "Configuration") -> "AccessRules":
-        from ..config.access.addresses import AddressList
-        from ..config.access.rules import AccessRules, Policy
-        from ..config.files.policy import parse_policy_file
-
-        if policy == READ_ONLY:
-            return AccessRules(Policy.read_only(), AddressList())
-        return parse_policy_file(read_text(policy), policy)
-
-    return read
-
-
 async def _serve(service: "Service", file: str | None) -> None:
-    with stop_event() as stop, on_hangup(lambda: _reload(service)):
-        async with service:
+    with stop_event() as stop:
+        async with read_again_on_hangup(service), service:
             if file is None:
                 say(f"unit 1 has {ITEMS} coils, discrete inputs, input registers and holding registers")
-            if service.read_only:
-                say(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
-            if service.metrics:
-                say(f"metrics on {service.metrics}")
-            for endpoint in service.server.endpoints:
-                print(endpoint, flush=True)
+            announce(service)
             await stop.wait()
-
-
-def _reload(service: "Service") -> None:
-    """Read the files again, and say what came of it."""
-    try:
-        done = service.reload()
-    except ModbusError as error:
-        say(f"read again, nothing was changed:\n{error}")
-    else:
-        say(f"read again: {'; '.join(done)}")

@@ -1,0 +1,394 @@
+"""The routes of a gateway file, and what of them can not work, said before anything runs.
+
+Knows what the sections say and what lines and fronts can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2; T32).
+
+1. A route without units is for all units that its line can have behind.
+2. What can never work is refused: a route that is never reached, a unit that a line or a front can not have, a client
+   that gives up before the line can have answered, a line that leads back to a front.
+3. What works, but hardly as it was meant, is a warning: units that an earlier route takes, a line without a route.
+"""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from ..client.conversation import timing_of
+from ..codes import LAST_SERIAL_UNIT
+from ..config.endpoints import Endpoint
+from ..config.files.gateway import GatewayFile, RouteSection
+from ..config.files.lines import Path as Place
+from ..errors import ConfigError
+from ..gateway.gateway import LineSettings
+from ..gateway.routes import ALL_UNITS, Action, AddressRange, Route, taken_before, units_text
+from ..pdu.functions import STANDARD
+from ..server.naming import is_loopback
+from .judging import Judge
+
+SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
+_EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
+_REQUEST_CHARACTERS = {"rtu": (8, 256), "ascii": (17, 513)}
+"""Characters of a request to read, and of the longest to write (Serial Line V1.02 §2.5)."""
+_MOST_REGISTERS = 125
+_MOST_BITS = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedFront:
+    """A front, and where its URL stands in the file."""
+
+    name: str
+    endpoint: Endpoint
+    place: Place
+    deadline: float | None
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether its clients are masters, who know units 1…247 only."""
+        return self.endpoint.framing != "mbap"
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedRoute:
+    """A route, and where it stands; ``section`` is None for the one of a file without routes."""
+
+    route: Route
+    place: Place
+    section: RouteSection | None
+
+    def key(self, *names: str) -> Place:
+        """Where the first of these keys stands that is set, or else the route itself."""
+        written = set() if self.section is None else self.section.model_fields_set
+        return next(((*self.place, name) for name in names if name in written), self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class WorstCase:
+    """How long a line may take for a request that has its turn.
+
+    Attributes:
+        seconds: until the last attempt has failed.
+        sum: how they come about.
+    """
+
+    seconds: float
+    sum: str
+
+
+# The routes.
+
+
+def placed_routes(file: GatewayFile, lines: Mapping[str, LineSettings], judge: Judge) -> list[PlacedRoute]:
+    """The routes of a file, without those that the judge refuses."""
+    if not file.route:
+        return [
+            PlacedRoute(Route(line=name, units=_units_behind(line)), ("line", 0), None) for name, line in lines.items()
+        ]
+    found = []
+    for index, section in enumerate(file.route):
+        at: Place = ("route", index)
+        if section.line is not None and section.line not in lines:
+            continue  # the judge has been told of the line
+        made = judge.make(partial(_route, section, lines), partial(_key_of, section, at))
+        if made is not None:
+            found.append(PlacedRoute(made, at, section))
+    return found
+
+
+def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
+    return (*at, key) if key is not None and key in section.model_fields_set else at
+
+
+def _route(section: RouteSection, lines: Mapping[str, LineSettings]) -> Route:
+    line = None if section.line is None else lines[section.line]
+    asked = section.asked_units()
+    addresses = section.asked_addresses()
+    action = Action.FORWARD if line is not None else Action.DROP if section.drop else Action.REFUSE
+    return Route(
+        line=section.line or "",
+        fronts=frozenset(section.listeners or ()),
+        units=_default_units(section, line) if asked is None else asked,
+        functions=section.asked_functions(),
+        addresses=None if addresses is None else AddressRange(*addresses),
+        unit=section.unit,
+        unit_offset=section.unit_offset,
+        shift=section.shift,
+        max_registers=section.max_registers,
+        max_bits=section.max_bits,
+        split_writes=section.split_writes,
+        action=action,
+        code=1 if section.refuse is None else section.refuse,
+        cache=section.cache,
+        timeout=section.timeout,
+        name=section.name,
+    )
+
+
+def _default_units(section: RouteSection, line: LineSettings | None) -> frozenset[int]:
+    """The units of a route that names none: those that its line can have."""
+    if line is None:
+        return ALL_UNITS
+    behind = _units_behind(line)
+    if section.unit is not None:
+        return behind
+    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
+    if not units:
+        raise ConfigError(f"leaves no unit that {section.line!r} has", key="unit_offset")
+    return units
+
+
+def _units_behind(line: LineSettings) -> frozenset[int]:
+    return ALL_UNITS if line.link.endpoint.framing == "mbap" else SERIAL_UNITS
+
+
+# What can not work.
+
+
+def judge_routes(
+    file: GatewayFile,
+    routes: Sequence[PlacedRoute],
+    fronts: Sequence[PlacedFront],
+    lines: Mapping[str, LineSettings],
+    judge: Judge,
+) -> None:
+    """Tell the judge what of routes, fronts and lines does not go together."""
+    for at, sentence in (
+        *_unreached(routes),
+        *_impossible_units(routes, fronts, lines),
+        *_impossible_addresses(routes),
+        *_impatient_clients(routes, fronts, lines),
+        *_fronts_without_units(file, routes, fronts),
+        *_loops(file, fronts, lines),
+    ):
+        judge.refuse(at, sentence)
+    for at, sentence in (
+        *_overlaps(routes),
+        *_idle_lines(file, routes, lines),
+        *_hidden_own_unit(file, routes),
+        *_idle_fronts(routes, fronts),
+        *_same_servers(file, lines),
+    ):
+        judge.warn(at, sentence)
+
+
+Faults = Iterator[tuple[Place, str]]
+
+
+def _unreached(routes: Sequence[PlacedRoute]) -> Faults:
+    plain = [one.route for one in routes]
+    for position, placed in enumerate(routes):
+        takers, left = taken_before(plain, position)
+        if not left:
+            named = " and ".join(_titled(routes, one) for one in takers)
+            yield (
+                placed.place,
+                f"is never reached: {named} before it {'takes' if len(takers) == 1 else 'take'} all its requests",
+            )
+
+
+def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
+    plain = [one.route for one in routes]
+    for position, placed in enumerate(routes):
+        if placed.section is None or placed.section.units is None:
+            continue
+        takers, left = taken_before(plain, position)
+        if left and takers:
+            taken = units_text(placed.route.units - left)
+            named = " and ".join(_titled(routes, one) for one in takers)
+            yield placed.key("units"), f"{named} before it {'takes' if len(takers) == 1 else 'take'} units {taken}"
+
+
+def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
+    position = next(index for index, one in enumerate(routes) if one.route is route)
+    place = routes[position].place
+    return f"{place[0]}[{place[1]}]" + (f" ({route.name})" if route.name else "")
+
+
+def _impossible_units(
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+) -> Faults:
+    for placed in routes:
+        route, section = placed.route, placed.section
+        if route.line and _units_behind(lines[route.line]) is SERIAL_UNITS:
+            wrong = sorted(unit for unit in route.units if route.unit_behind(unit) not in SERIAL_UNITS)
+            if wrong:
+                yield placed.key("unit", "unit_offset", "units"), _no_unit_behind(route, wrong[0])
+        if section is None or section.units is None:
+            continue
+        at = [one for one in fronts if not route.fronts or one.name in route.fronts]
+        serial = [one for one in at if one.is_serial]
+        wrong = sorted(route.units - SERIAL_UNITS)
+        if wrong and serial and (route.fronts or len(serial) == len(at)):
+            yield (
+                placed.key("units"),
+                f"nobody can ask {serial[0].name} for unit {wrong[0]}: a serial line has units 1…{LAST_SERIAL_UNIT}",
+            )
+
+
+def _no_unit_behind(route: Route, unit: int) -> str:
+    behind = route.unit_behind(unit)
+    if behind == 0:
+        return (
+            f"unit {unit} would be 0 on {route.line!r}, where nobody answers; a broadcast goes to all lines by itself"
+        )
+    return f"unit {unit} would be {behind} on {route.line!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
+
+
+def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
+    for placed in routes:
+        route = placed.route
+        if route.addresses is None:
+            continue
+        first, last = route.addresses.first + route.shift, route.addresses.end - 1 + route.shift
+        if route.shift and not (first >= 0 and last <= 0xFFFF):
+            yield placed.key("shift"), f"{route.addresses} would become {first}…{last}, which do not exist"
+        if route.functions and not any(_touches(code, route.addresses) for code in route.functions):
+            yield placed.key("functions"), f"none of them reads or writes {route.addresses.table.label}s"
+
+
+def _touches(code: int, addresses: AddressRange) -> bool:
+    kinds = [one for one in STANDARD if one.code == code]
+    touched = {touch.table for kind in kinds for touch in (kind.reads, kind.writes) if touch is not None}
+    return not kinds or addresses.table in touched
+
+
+def _impatient_clients(
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+) -> Faults:
+    for front in fronts:
+        if front.deadline is None:
+            continue
+        cases = [
+            (worst_case(lines[one.route.line], one.route), one.route.line)
+            for one in routes
+            if one.route.line and (not one.route.fronts or front.name in one.route.fronts)
+        ]
+        if not cases:
+            continue
+        case, line = max(cases, key=lambda each: each[0].seconds)
+        if front.deadline < case.seconds:
+            yield (
+                (*front.place[:2], "client_deadline"),
+                f"{front.deadline:g} s is less than line {line!r} may take: {case.seconds:.3g} s = {case.sum}",
+            )
+
+
+def worst_case(line: LineSettings, route: Route) -> WorstCase:
+    """How long a request of a route may take on its line, once it has its turn."""
+    parameters = line.link.parameters
+    timeout = route.timeout or parameters.timeout
+    reading = writing = parameters.request_gap
+    if line.link.line is not None:
+        timing = timing_of(line.link.line.port)
+        serial = line.link.line.conversation
+        pause = max(parameters.request_gap, serial.unit_switch_gap, serial.quiet_window, timing.t3_5)
+        short, long = _REQUEST_CHARACTERS[line.link.endpoint.framing]
+        reading, writing = pause + timing.duration(short), pause + timing.duration(long)
+    pieces = max(_pieces(_MOST_REGISTERS, route.max_registers), _pieces(_MOST_BITS, route.max_bits))
+    read = _attempts(parameters.retries, timeout, reading, pieces)
+    write = _attempts(parameters.write_retries, timeout, writing, pieces if route.split_writes else 1)
+    return max(read, write, key=lambda each: each.seconds)
+
+
+def _pieces(most: int, limit: int | None) -> int:
+    return 1 if limit is None else -(-most // limit)
+
+
+def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> WorstCase:
+    text = f"(1 + {retries} retries) × ({timeout:g} s timeout"
+    text += f" + {beside:.3g} s for frames and silence)" if beside else ")"
+    text += f" × {pieces} pieces" if pieces > 1 else ""
+    return WorstCase((1 + retries) * (timeout + beside) * pieces, text)
+
+
+def _fronts_without_units(file: GatewayFile, routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront]) -> Faults:
+    own = file.gateway.own_unit
+    for front in fronts:
+        units = {unit for one in _of_front(routes, front) for unit in one.route.units}
+        units |= set() if own is None else {own}
+        if front.is_serial and not units & SERIAL_UNITS:
+            yield (
+                front.place,
+                f"no route has a unit that can be asked here: a serial line has units 1…{LAST_SERIAL_UNIT}",
+            )
+
+
+def _idle_fronts(routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront]) -> Faults:
+    for front in fronts:
+        if not front.is_serial and not any(one.route.line for one in _of_front(routes, front)):
+            yield front.place, "no route leads from here to a line"
+
+
+def _of_front(routes: Sequence[PlacedRoute], front: PlacedFront) -> list[PlacedRoute]:
+    return [one for one in routes if not one.route.fronts or front.name in one.route.fronts]
+
+
+def _loops(file: GatewayFile, fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]) -> Faults:
+    """Lines that lead to the gateway itself, and ports that are wanted twice."""
+    owners: dict[str, str] = {}
+    for front in fronts:
+        if front.endpoint.carrier == "serial":
+            owners[os.path.realpath(front.endpoint.path)] = f"listener {front.name}"
+    for index, section in enumerate(file.line):
+        line = lines.get(section.name)
+        if line is None:
+            continue
+        endpoint = line.link.endpoint
+        place: Place = ("line", index, "url")
+        if endpoint.carrier == "serial":
+            port = os.path.realpath(endpoint.path)
+            if port in owners:
+                yield place, f"{endpoint.path} is taken by {owners[port]}"
+            owners.setdefault(port, f"line {section.name!r}")
+            continue
+        own = next((front for front in fronts if _is_same(front.endpoint, endpoint)), None)
+        if own is not None:
+            yield place, f"leads back to the gateway itself, to listener {own.name}"
+
+
+def _is_same(front: Endpoint, line: Endpoint) -> bool:
+    if front.carrier == "serial" or front.port != line.port or not front.port:
+        return False
+    if (front.carrier == "udp") != (line.carrier == "udp"):
+        return False
+    local = line.host == "localhost" or is_loopback(line.url)
+    return front.host == line.host or (local and (front.host in _EVERYWHERE or front.host == "localhost"))
+
+
+def _idle_lines(file: GatewayFile, routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:
+    used = {one.route.line for one in routes}
+    for index, section in enumerate(file.line):
+        if section.name in lines and section.name not in used:
+            yield ("line", index, "name"), f"no route leads to {section.name!r}"
+
+
+def _same_servers(file: GatewayFile, lines: Mapping[str, LineSettings]) -> Faults:
+    seen: dict[tuple[str, str, int | None], str] = {}
+    for index, section in enumerate(file.line):
+        line = lines.get(section.name)
+        if line is None or line.link.endpoint.carrier == "serial":
+            continue
+        endpoint = line.link.endpoint
+        server = ("udp" if endpoint.carrier == "udp" else "tcp", endpoint.host, endpoint.port)
+        if server in seen:
+            yield (
+                ("line", index, "url"),
+                f"{endpoint.url} is the server of line {seen[server]!r} too: each has connections of its own",
+            )
+        seen.setdefault(server, section.name)
+
+
+def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults:
+    own = file.gateway.own_unit
+    if own is None:
+        return
+    is_written = "own_unit" in file.gateway.model_fields_set
+    for placed in routes:
+        route, section = placed.route, placed.section
+        is_named = section is not None and section.units is not None
+        if own in route.units and not route.functions and route.addresses is None and (is_written or is_named):
+            yield placed.key("units"), f"takes unit {own}, by which the gateway itself could be asked"
+            return
+
+
+__all__ = ["PlacedFront", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "worst_case"]

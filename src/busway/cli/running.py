@@ -1,0 +1,133 @@
+"""What the commands share that run until they are stopped, `serve` and `gateway`: options, and what is said meanwhile.
+
+Knows options and the service that is built of them; knows neither servers nor gateways.
+
+1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
+2. SIGHUP reads the files again; what can not be stays as it was, and that is said.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import ModbusError
+from .files import read_text
+from .output import say
+from .signals import on_hangup
+
+if TYPE_CHECKING:
+    from ..assembly.service import Declared, Service
+    from ..config.access.addresses import AddressList
+    from ..config.access.rules import AccessRules
+
+NO_STANDARD_PORT = typer.Option(
+    False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
+)
+POLICY = typer.Option(None, "--policy", metavar="FILE", help="Who may ask what: a policy file, or the word read-only.")
+ALLOW_WRITES = typer.Option(False, "--allow-writes", help="Take writes from the network though there is no policy.")
+ALLOW = typer.Option(
+    None, "--allow", metavar="NET", help="Only these may connect: 10.0.0.0/8; several times if need be."
+)
+DENY = typer.Option(None, "--deny", metavar="NET", help="These may not connect.")
+PRIORITY = typer.Option(None, "--priority", metavar="NET", help="Never close a connection of these to make room.")
+AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied requests and writes here.")
+METRICS = typer.Option(None, "--metrics", metavar="HOST:PORT", help="Offer metrics to Prometheus here: 127.0.0.1:9502.")
+CONTROL = typer.Option(
+    None,
+    "--control",
+    metavar="PATH",
+    help="The socket that `busway status` asks, instead of the usual one; or off.",
+)
+
+READ_ONLY = "read-only"
+"""The policy that needs no file."""
+
+
+def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
+    """Who may connect, by ``--allow`` and ``--deny``; None without them. Raises `ConfigError` that names the option."""
+    from ..config.access.addresses import AddressList
+    from ..config.access.networks import Networks
+
+    if not allow and not deny:
+        return None
+    return AddressList(Networks(allow or (), key="--allow"), Networks(deny or (), key="--deny"))
+
+
+def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
+    """Options of listeners that go before those of a file. Raises `ConfigError` that names the option."""
+    from ..config.access.networks import Networks
+
+    return {"priority": Networks(priority, key="--priority")} if priority else {}
+
+
+def access_rules(policy: str | None) -> "Callable[[Declared], AccessRules | None]":
+    """What gives the access rules: those of ``--policy``, or else those of the configuration."""
+    from ..assembly.service import declared_rules
+
+    if policy is None:
+        return declared_rules
+
+    def read(configuration: "Declared") -> "AccessRules":
+        from ..config.access.addresses import AddressList
+        from ..config.access.rules import AccessRules, Policy
+        from ..config.files.policy import parse_policy_file
+
+        if policy == READ_ONLY:
+            return AccessRules(Policy.read_only(), AddressList())
+        return parse_policy_file(read_text(policy), policy)
+
+    return read
+
+
+def is_file(policy: str | None) -> bool:
+    """Whether ``--policy`` names something that can be read again."""
+    return policy not in (None, READ_ONLY)
+
+
+def announce(service: "Service") -> None:
+    """Say what runs now."""
+    if service.read_only:
+        say(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
+    if service.metrics:
+        say(f"metrics on {service.metrics}")
+    for endpoint in service.server.endpoints:
+        print(endpoint, flush=True)
+
+
+@asynccontextmanager
+async def read_again_on_hangup(
+    service: "Service", told: Callable[[bool], None] = lambda is_over: None
+) -> AsyncIterator[None]:
+    """Read the files again at each SIGHUP, and say what came of it.
+
+    Args:
+        service: what runs.
+        told: called with False before, and with True after.
+    """
+    loop = asyncio.get_running_loop()
+    tasks: set[asyncio.Task[None]] = set()
+
+    async def read_again() -> None:
+        told(False)
+        try:
+            done = await service.reload()
+        except ModbusError as error:
+            say(f"read again, nothing was changed:\n{error}")
+        else:
+            say(f"read again: {'; '.join(done)}")
+        told(True)
+
+    def hung_up() -> None:
+        task = loop.create_task(read_again())
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+    with on_hangup(hung_up):
+        try:
+            yield
+        finally:
+            for task in tasks:
+                task.cancel()
