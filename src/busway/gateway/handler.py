@@ -114,7 +114,12 @@ class FrontHandler:
             return self._broadcast(context, request)
         found = self._routes.find(unit, request)
         if isinstance(found, Route):
-            return self._take(context, request, found)
+            if found.action is not Action.FORWARD:
+                return self._not_forwarded(context, found)
+            line = self._lines.get(found.line)
+            if line is not None:  # or it was taken out of the configuration a moment ago
+                return line.forward(context, request, found, deadline=self.deadline)
+            found = None
         if found is None and self._own is not None and unit in (self._own_unit, BROADCAST_UNIT):
             self.counters.own += 1
             return self._own.handle(context, request)
@@ -125,17 +130,12 @@ class FrontHandler:
         code = _NO_PATH if found is None else ExceptionCode.ILLEGAL_DATA_ADDRESS
         return ExceptionResponse(context.function, code)
 
-    def _take(self, context: RequestContext, request: Request, route: Route) -> Outcome:
+    def _not_forwarded(self, context: RequestContext, route: Route) -> Outcome:
         if route.action is Action.REFUSE:
             self.counters.refused += 1
             return ExceptionResponse(context.function, route.code)
-        if route.action is Action.DROP:
-            self.counters.dropped += 1
-            return SILENCE
-        line = self._lines.get(route.line)
-        if line is None:  # it was taken out of the configuration a moment ago
-            return self._no_route(context, None)
-        return line.forward(context, request, route, deadline=self.deadline)
+        self.counters.dropped += 1
+        return SILENCE
 
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
         """A write to unit 0 that came over a network."""

@@ -84,28 +84,28 @@ class RequestQueue:
         """Put a demand behind the others of its caller. Raises `Overloaded` where the queue is full."""
         if self.size >= self.limit:
             raise Overloaded(f"{self.limit} calls wait on this link already; nothing was sent")
-        self._insert(demand, first=False)
+        caller = self._callers.get(demand.caller) or self._new_caller(demand.caller)
+        caller.demands.append(demand)
+        self._count(caller, demand)
 
     def add_again(self, demand: Demand) -> None:
         """Put a demand with a request to repeat before the others of its caller; the limit does not count here."""
-        self._insert(demand, first=True)
-
-    def _insert(self, demand: Demand, *, first: bool) -> None:
-        caller = self._callers.get(demand.caller)
-        if caller is None:
-            caller = self._callers[demand.caller] = _Caller(demand.caller)
-            if self.units_in_turn:
-                caller.served = {}
-            if self._ring and self._ring[-1] is self._last:
-                self._ring.insert(-1, caller)
-            else:
-                self._ring.append(caller)
-        if not first:
-            caller.demands.append(demand)
-        elif demand in caller.demands:  # its other requests still wait
-            return
-        else:
+        caller = self._callers.get(demand.caller) or self._new_caller(demand.caller)
+        if demand not in caller.demands:  # else its other requests still wait
             caller.demands.appendleft(demand)
+            self._count(caller, demand)
+
+    def _new_caller(self, key: object) -> _Caller:
+        caller = self._callers[key] = _Caller(key)
+        if self.units_in_turn:
+            caller.served = {}
+        if self._ring and self._ring[-1] is self._last:
+            self._ring.insert(-1, caller)
+        else:
+            self._ring.append(caller)
+        return caller
+
+    def _count(self, caller: _Caller, demand: Demand) -> None:
         if demand.is_write:
             caller.writes += 1
         if caller.served is not None:
