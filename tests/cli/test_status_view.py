@@ -101,14 +101,36 @@ def test_the_expiry_of_a_certificate_is_told(days: float, words: str) -> None:
     assert section.rows[1][2] == "5 handshakes agreed, 2 refused: expired"
 
 
+def line_told(**links: object) -> dict[str, object]:
+    link = {"state": "up", "in_flight": 1, "queued": 2, "suspended": [], **links}
+    counters = {"forwarded": 7, "answered": 4, "shared": 0}
+    return {"name": "hall", "endpoint": "rtu:///dev/ttyUSB0", "links": [link], "counters": counters}
+
+
 def test_the_fronts_of_a_gateway_are_shown_as_servers_and_its_lines_as_a_table() -> None:
-    front = {"name": "office", "server": {"supported_connections": 5, "connections": [{"peer": "10.0.0.9:1"}]}}
-    sections = sections_of(told(fronts=[front], lines=[{"name": "line 1", "queued": 2}]))
+    server = {"supported_connections": 5, "connections": [{"peer": "10.0.0.9:1"}]}
+    front = {"name": "office", "server": server, "counters": {"no_route": 3, "own": 0}}
+    sections = sections_of(told(fronts=[front], lines=[line_told()]))
     titles = [section.title for section in sections]
     assert "front office" in titles
     assert "1 remote connections of 5 supported" in titles
-    assert sections[-1].rows == [["line 1", "2"]]
+    assert next(section.rows for section in sections if section.title == "of them") == [["no route", "3"]]
+    assert sections[-1].columns == ["line", "behind", "state", "in flight", "queued", "forwarded", "answered"]
+    assert sections[-1].rows == [["hall", "rtu:///dev/ttyUSB0", "up", "1", "2", "7", "4"]]
     assert list_of_programs([told(fronts=[front])]).rows[0][4] == "1"
+
+
+def test_units_of_a_line_that_are_not_asked_are_named_with_the_time_of_the_next_attempt() -> None:
+    suspended = [
+        {"unit": 9, "state": "open", "next_probe": 2.25},
+        {"unit": 12, "state": "open", "next_probe": 0.0},
+    ]
+    sections = sections_of(told(lines=[line_told(state="suspect", suspended=suspended)]))
+    assert sections[-1].title == "not asked now"
+    assert sections[-1].rows == [
+        ["hall", "unit 9", "does not answer", "asked again in 2.2 s"],
+        ["hall", "unit 12", "does not answer", "asked again with the next request"],
+    ]
 
 
 def test_several_programs_are_a_line_each() -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ..client.settings import link_settings
 from ..config.access.rules import AccessRules, Policy
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.files.gateway import FrontSection, GatewayFile, LineSection, read_gateway_file
@@ -24,6 +25,7 @@ from ..errors import ConfigError
 from ..gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
 from ..gateway.routes import RoutingTable
 from ..server.listener import Listener
+from ..server.listener_settings import listener_settings
 from ..server.parameters import ListenerParameters
 from ..server.strict import STANDARD_PORT, with_server_profile
 from ..session.parameters import ServerParameters
@@ -184,8 +186,9 @@ def simple_gateway(
     Raises:
         ConfigError: a URL or an option in it that can not be.
     """
-    for url in (*fronts, line):
-        parse_endpoint(url)
+    for url in fronts:
+        listener_settings(Listener(url), limits=ListenerParameters())
+    link_settings(line, {})
     source = Source(COMMAND, {"listen": list(fronts), "line": [{"name": "line", "url": line}]}, {})
     try:
         return _put_together(source.checked(GatewayFile), source, changes=changes)

@@ -27,6 +27,7 @@ from .judging import Judge
 
 SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
+_SAME = {"localhost": "127.0.0.1"}
 _REQUEST_CHARACTERS = {"rtu": (8, 256), "ascii": (17, 513)}
 """Characters of a request to read, and of the longest to write (Serial Line V1.02 §2.5)."""
 _MOST_REGISTERS = 125
@@ -189,8 +190,10 @@ def _unreached(routes: Sequence[PlacedRoute]) -> Faults:
 def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
     plain = [one.route for one in routes]
     for position, placed in enumerate(routes):
-        if placed.section is None or placed.section.units is None:
-            continue
+        route = placed.route
+        is_rest = placed.section is None or placed.section.units is None
+        if is_rest and (route.action is Action.FORWARD or not (route.functions or route.addresses)):
+            continue  # it is for what the others have left
         takers, left = taken_before(plain, position)
         if left and takers:
             taken = units_text(placed.route.units - left)
@@ -351,8 +354,12 @@ def _is_same(front: Endpoint, line: Endpoint) -> bool:
         return False
     if (front.carrier == "udp") != (line.carrier == "udp"):
         return False
-    local = line.host == "localhost" or is_loopback(line.url)
-    return front.host == line.host or (local and (front.host in _EVERYWHERE or front.host == "localhost"))
+    front_host, line_host = (_SAME.get(host, host) for host in (front.host, line.host))
+    return front_host == line_host or (front_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(line_host)}"))
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
 
 
 def _idle_lines(file: GatewayFile, routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:

@@ -30,6 +30,33 @@ def stop_event() -> Iterator[asyncio.Event]:
 
 
 @contextlib.contextmanager
+def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
+    """Two events, inside a coroutine: the first Ctrl-C or SIGTERM sets the one, the next the other.
+
+    A third interrupts as usual.
+    """
+    loop = asyncio.get_running_loop()
+    first, second = asyncio.Event(), asyncio.Event()
+    left = [first, second]
+    before: dict[int, Any] = {}  # what signal.signal gave
+
+    def stop(number: int, frame: object) -> None:
+        loop.call_soon_threadsafe(left.pop(0).set)
+        if not left:
+            for installed, handler in before.items():
+                signal.signal(installed, handler)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(ValueError):  # only the main thread has signals
+            before[number] = signal.signal(number, stop)
+    try:
+        yield first, second
+    finally:
+        for installed, handler in before.items():
+            signal.signal(installed, handler)
+
+
+@contextlib.contextmanager
 def on_hangup(call: Callable[[], None]) -> Iterator[None]:
     """Call something in the event loop at each SIGHUP, inside a coroutine; nothing where the system has no SIGHUP."""
     number = getattr(signal, "SIGHUP", None)

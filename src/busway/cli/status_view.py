@@ -19,8 +19,26 @@ _CONNECTION_COLUMNS: Final = (
     *("peer", "listener", "pool", "state", "role", "subject"),
     *("age", "idle", "received", "sent", "requests", "waiting"),
 )
-_ALWAYS: Final = frozenset({*_LISTENER_COLUMNS, "peer", "listener", "age", "idle", "received", "sent", "requests"})
+_LINE_COLUMNS: Final = ("name", "behind", "state", "in_flight", "queued", "forwarded", "answered")
+_ALWAYS: Final = frozenset(
+    {
+        "name",
+        "behind",
+        "state",
+        "forwarded",
+        "answered",
+        *_LISTENER_COLUMNS,
+        "peer",
+        "listener",
+        "age",
+        "idle",
+        "received",
+        "sent",
+        "requests",
+    }
+)
 _HEADINGS: Final = {
+    "name": "line",
     "endpoint": "listener",
     "peer": "connection",
     "is_open": "open",
@@ -35,6 +53,7 @@ _STYLES: Final[Mapping[str, Mapping[str, str]]] = {
     "device": {"on": "green", "flashing": "yellow", "off": "red"},
     "open": {"no": "red"},
     "pool": {"priority": "bold"},
+    "state": {"up": "green", "suspect": "yellow", "backing off": "red"},
 }
 """Colours by heading and word."""
 
@@ -69,8 +88,10 @@ def sections_of(told: JsonObject) -> list[Section]:
         server = front.get("server") or {}
         sections.append(Section(f"front {front.get('name', '')}".rstrip()))
         sections += server_sections(server)
-    if state.get("lines"):
-        sections.append(_table(state["lines"], (), ""))
+        counted = list(_counted(front.get("counters") or {}))
+        if counted:
+            sections.append(Section("of them", (), counted))
+    sections += line_sections(state.get("lines") or ())
     return sections
 
 
@@ -93,6 +114,34 @@ def server_sections(state: JsonObject) -> list[Section]:
     refusals = [[rule, str(count)] for rule, count in (state.get("refusals") or {}).items() if count]
     if refusals:
         sections.append(Section("refused by rule", (), refusals))
+    return sections
+
+
+def line_sections(lines: Sequence[JsonObject]) -> list[Section]:
+    """The lines of a gateway: how they are, what became of requests, and which units are not asked."""
+    if not lines:
+        return []
+    rows, suspended = [], []
+    for line in lines:
+        links = line.get("links") or ()
+        states = [link["state"] for link in links]
+        rows.append(
+            {
+                "name": line["name"],
+                "behind": line["endpoint"],
+                "state": ", ".join(dict.fromkeys(states)) or "closed",
+                "in_flight": sum(link["in_flight"] for link in links),
+                "queued": sum(link["queued"] for link in links),
+                **(line.get("counters") or {}),
+            }
+        )
+        for link in links:
+            for unit in link.get("suspended") or ():
+                when = f"in {duration(unit['next_probe'])}" if unit["next_probe"] else "with the next request"
+                suspended.append([line["name"], f"unit {unit['unit']}", "does not answer", f"asked again {when}"])
+    sections = [_table(rows, _LINE_COLUMNS, "")]
+    if suspended:
+        sections.append(Section("not asked now", (), suspended))
     return sections
 
 

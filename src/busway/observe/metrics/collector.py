@@ -107,6 +107,8 @@ class ServerCollector(Collector):
             yield from connection_families(getattr(status, "connections", ()))
             yield from listener_families(getattr(status, "listeners", ()))
             yield from security_families(getattr(status, "listeners", ()))
+            yield from front_families(getattr(status, "fronts", ()))
+            yield from line_families(getattr(status, "lines", ()))
         if self._tally is not None:
             yield from request_families(self._tally)
         if self._refusals is not None:
@@ -247,6 +249,46 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
             handshakes.add_metric((one.endpoint, reason), count)
         reloads.add_metric((one.endpoint,), security.reloads)
     yield from (expiry, handshakes, reloads)
+
+
+def front_families(fronts: Iterable[Any]) -> Iterator[Family]:
+    """The fronts of a gateway: what became of requests that no line has seen."""
+    yield from _counters_of("front", fronts, "Requests at the front")
+
+
+def line_families(lines: Iterable[Any]) -> Iterator[Family]:
+    """The lines behind a gateway: what became of requests, and how the line stands."""
+    lines = list(lines)
+    if not lines:
+        return
+    yield from _counters_of("line", lines, "Requests of the line")
+    queued = GaugeMetricFamily("busway_line_queued", "Requests that wait for their turn.", labels=("line",))
+    flying = GaugeMetricFamily("busway_line_in_flight", "Requests whose reply is awaited.", labels=("line",))
+    silent = GaugeMetricFamily("busway_line_suspended_units", "Units that are not asked now.", labels=("line",))
+    states = GaugeMetricFamily(
+        "busway_line_connections", "Connections of the line, by their state.", labels=("line", "state")
+    )
+    for one in lines:
+        queued.add_metric((one.name,), sum(link.queued for link in one.links))
+        flying.add_metric((one.name,), sum(link.in_flight for link in one.links))
+        silent.add_metric((one.name,), sum(len(link.suspended) for link in one.links))
+        for state, count in Counter(link.state for link in one.links).items():
+            states.add_metric((one.name, state), count)
+    yield from (queued, flying, silent, states)
+
+
+def _counters_of(label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
+    """The numbers of the counters of parts that have a name."""
+    families: dict[str, Family] = {}
+    for one in parts:
+        for name, count in _numbers(one.counters):
+            family = families.get(name)
+            if family is None:
+                family = families[name] = CounterMetricFamily(
+                    f"busway_{label}_{name}", f"{meaning}: {name.replace('_', ' ')}.", labels=(label,)
+                )
+            family.add_metric((one.name,), count)
+    yield from families.values()
 
 
 def request_families(tally: RequestTally) -> Iterator[Family]:

@@ -1,0 +1,227 @@
+"""``busway gateway``: stand between clients and lines, until Ctrl-C or SIGTERM.
+
+1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
+2. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
+3. SIGHUP reads the files again; what is the same as before keeps its connections, and what can not be changes nothing.
+4. The first SIGTERM or Ctrl-C lets what was asked be answered, for ``[gateway] drain`` seconds; the second ends it at
+   once.
+5. ``check`` and ``--systemd-unit`` open nothing that is served.
+"""
+
+import asyncio
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import ConfigError
+from .arguments import CAPTURE, VERBOSE, show_traffic
+from .exits import ExitCode
+from .files import capturing
+from .output import print_aligned, say
+from .running import (
+    ALLOW,
+    ALLOW_WRITES,
+    AUDIT,
+    CONTROL,
+    DENY,
+    METRICS,
+    NO_STANDARD_PORT,
+    POLICY,
+    PRIORITY,
+    READ_ONLY,
+    access_rules,
+    address_list,
+    announce,
+    is_file,
+    listener_changes,
+    read_again_on_hangup,
+)
+from .signals import stop_events
+
+if TYPE_CHECKING:
+    from ..assembly.gateway import GatewayConfiguration
+    from ..assembly.service import Service
+    from ..gateway.gateway import Gateway
+    from .readiness import Manager
+
+EXAMPLES = """\b
+Examples:
+  busway gateway tcp://:5020 "rtu:///dev/ttyUSB0?baud=19200"
+  busway gateway tcp://:5020 udp://:5020 tcp://10.0.0.5
+  busway gateway plant.toml --audit audit.jsonl
+  busway gateway check plant.toml
+  busway gateway --systemd-unit plant.toml > /etc/systemd/system/busway-gateway.service
+
+URLs: where it listens, several if need be; the last one is the line, or server, behind.
+A listener that the network reaches is read-only without a policy; --allow-writes lifts that.
+"""
+
+CHECK = "check"
+_PATHS = frozenset({"--policy", "--audit", "--capture", "--control"})
+"""Options whose values are paths, which a service starts elsewhere."""
+
+
+def gateway(
+    what: list[str] = typer.Argument(
+        ..., metavar="LISTENER... LINE | FILE | check FILE", help="URLs, the line last; or a gateway file, in TOML."
+    ),
+    no_standard_port: bool = NO_STANDARD_PORT,
+    policy: str | None = POLICY,
+    allow_writes: bool = ALLOW_WRITES,
+    allow: list[str] | None = ALLOW,
+    deny: list[str] | None = DENY,
+    priority: list[str] | None = PRIORITY,
+    audit: str | None = AUDIT,
+    metrics: str | None = METRICS,
+    control: str | None = CONTROL,
+    systemd_unit: bool = typer.Option(
+        False, "--systemd-unit", help="Print a unit file for systemd that runs this, and nothing else."
+    ),
+    capture: str | None = CAPTURE,
+    verbose: int = VERBOSE,
+) -> int:
+    """Stand between clients and lines."""
+    from ..assembly.service import Service, Wishes
+    from ..server.loops import run
+
+    if what[0] == CHECK:
+        _check(what[1:])
+        return ExitCode.DONE
+    read = _reader(what, listener_changes(priority))
+    if systemd_unit:
+        _print_unit(read(), sys.argv[1:], audit)
+        return ExitCode.DONE
+    wishes = Wishes(
+        rules=access_rules(policy),
+        addresses=address_list(allow, deny),
+        allow_writes=allow_writes,
+        audit=audit,
+        metrics=metrics,
+        control=control,
+        standard_port=False if no_standard_port else None,
+        can_reload=not _is_url(what[0]) or is_file(policy),
+        name="gateway",
+    )
+    drain = 0.0
+
+    def read_and_remember() -> "GatewayConfiguration":
+        nonlocal drain
+        configuration = read()
+        drain = configuration.file.gateway.drain
+        return configuration
+
+    service = Service(read_and_remember, wishes)
+    show_traffic(verbose)
+    with capturing(capture):
+        run(_serve(service, lambda: drain))
+    return ExitCode.DONE
+
+
+def _is_url(word: str) -> bool:
+    return "://" in word
+
+
+def _reader(words: list[str], changes: dict[str, Any]) -> "Callable[[], GatewayConfiguration]":
+    """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
+    from ..assembly.gateway import load_gateway, simple_gateway
+
+    files = [word for word in words if not _is_url(word)]
+    if not files:
+        if len(words) == 1:
+            raise ConfigError("a line is needed behind the listener, for example rtu:///dev/ttyUSB0", key="LINE")
+        return lambda: simple_gateway(words[:-1], words[-1], changes=changes)
+    if len(words) > 1:
+        raise ConfigError(f"either URLs or one file, not {' '.join(words)}", key="FILE")
+    return lambda: load_gateway(files[0], changes=changes)
+
+
+def _check(words: list[str]) -> None:
+    """Print what a file means; what is odd, or wrong, goes to stderr."""
+    from ..assembly.gateway import load_gateway
+    from ..assembly.routing_overview import ROUTING_HEADINGS, gateway_rows, routing_rows
+
+    if len(words) != 1:
+        raise ConfigError("check needs one file", key="FILE")
+    configuration = load_gateway(words[0], examine=True)
+    print_aligned(list(gateway_rows(configuration)))
+    print()
+    print_aligned([ROUTING_HEADINGS, *routing_rows(configuration)])
+    for warning in configuration.warnings:
+        print(warning, file=sys.stderr)
+
+
+def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: str | None) -> None:
+    """Print the unit file that starts what the words of this command line start."""
+    from .systemd_unit import ServiceUnit, program
+
+    is_file = configuration.name in words
+    kept: list[str] = []
+    for word in words:
+        if word != "--systemd-unit":
+            is_path = (is_file and word == configuration.name) or (bool(kept) and kept[-1] in _PATHS)
+            kept.append(str(Path(word).absolute()) if is_path and word != READ_ONLY else word)
+    log = audit or configuration.audit
+    unit = ServiceUnit(
+        command=[*program(), *kept],
+        plan=configuration.plan,
+        drain=configuration.file.gateway.drain,
+        written=[] if log is None else [str(Path(log).absolute().parent)],
+        name=Path(configuration.name).stem if is_file else "gateway",
+    )
+    sys.stdout.write(unit.text())
+
+
+async def _serve(service: "Service", drain: Callable[[], float]) -> None:
+    from .readiness import Manager, watched
+
+    manager = Manager()
+
+    def told(is_over: bool) -> None:
+        if is_over:
+            manager.ready(_standing(_running(service)))
+        else:
+            manager.reloading()
+
+    with stop_events() as (stop, at_once):
+        async with read_again_on_hangup(service, told), service:
+            announce(service)
+            async with watched(manager):
+                manager.ready(_standing(_running(service)))
+                await stop.wait()
+                await _drain(_running(service), drain(), at_once, manager)
+
+
+def _running(service: "Service") -> "Gateway":
+    from ..gateway.gateway import Gateway
+
+    assert isinstance(service.server, Gateway)
+    return service.server
+
+
+def _standing(gateway: "Gateway") -> str:
+    """What a service manager shows."""
+    return f"{', '.join(gateway.endpoints)} to {', '.join(line.name for line in gateway.plan.lines)}"
+
+
+async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
+    """Let what was asked be answered, unless somebody is in a hurry."""
+    waiting = gateway.open_requests
+    manager.stopping(f"{waiting} requests to answer")
+    if not waiting:
+        return
+    say(f"{waiting} requests are answered before it ends, within {seconds:g} s; another signal ends it at once")
+    draining = asyncio.ensure_future(gateway.drain(seconds))
+    hurried = asyncio.ensure_future(at_once.wait())
+    await asyncio.wait({draining, hurried}, return_when=asyncio.FIRST_COMPLETED)
+    hurried.cancel()
+    if draining.done():
+        left = draining.result()
+    else:
+        left = gateway.open_requests
+        draining.cancel()
+    await asyncio.gather(draining, hurried, return_exceptions=True)
+    if left:
+        say(f"{left} requests were left unanswered")

@@ -1,0 +1,104 @@
+"""What a service manager is told: ready, reading again, stopping, still alive (sd_notify(3)).
+
+Knows the datagrams of systemd's protocol and the two variables that ask for them; knows nothing of what runs.
+
+1. Without ``NOTIFY_SOCKET`` nothing is sent, and nothing costs anything.
+2. A manager that does not listen is no reason to stop: what can not be sent is dropped.
+3. ``WATCHDOG=1`` is sent twice in the time that ``WATCHDOG_USEC`` gives, out of the event loop: one that is stuck sends
+   nothing, and is restarted.
+"""
+
+import asyncio
+import contextlib
+import os
+import socket
+import time
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from typing import Final
+
+_MICROSECONDS: Final = 1_000_000
+
+
+class Manager:
+    """The service manager that started this program, if one did.
+
+    Args:
+        environment: instead of that of the process.
+
+    Attributes:
+        watchdog: seconds within which it wants to hear from us; None where it does not.
+    """
+
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        variables = os.environ if environment is None else environment
+        self._address = _address(variables.get("NOTIFY_SOCKET", ""))
+        self.watchdog = _watchdog(variables) if self._address else None
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is one."""
+        return bool(self._address)
+
+    def ready(self, status: str) -> None:
+        """It runs; also after it has read its files again."""
+        self._send("READY=1", f"STATUS={status}")
+
+    def reloading(self) -> None:
+        """It reads its files again; `ready` says that it is over."""
+        self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def stopping(self, status: str) -> None:
+        """It is about to end."""
+        self._send("STOPPING=1", f"STATUS={status}")
+
+    def alive(self) -> None:
+        """Its event loop turns."""
+        self._send("WATCHDOG=1")
+
+    def _send(self, *assignments: str) -> None:
+        if not self._address:
+            return
+        text = "\n".join(each.replace("\n", " ") for each in assignments)
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.setblocking(False)
+            sender.sendto(text.encode(), self._address)
+
+
+@asynccontextmanager
+async def watched(manager: Manager) -> AsyncIterator[None]:
+    """Tell the manager meanwhile that the event loop turns, if it wants to know."""
+    if manager.watchdog is None:
+        yield
+        return
+    task = asyncio.get_running_loop().create_task(_keep_telling(manager, manager.watchdog / 2))
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def _keep_telling(manager: Manager, seconds: float) -> None:
+    while True:
+        manager.alive()
+        await asyncio.sleep(seconds)
+
+
+def _address(name: str) -> str:
+    """The socket's address: a path, or behind ``@`` a name that no file system has; empty for anything else."""
+    if not hasattr(socket, "AF_UNIX"):
+        return ""
+    if name.startswith("@"):
+        return "\0" + name[1:]
+    return name if name.startswith("/") else ""
+
+
+def _watchdog(variables: Mapping[str, str]) -> float | None:
+    """Seconds of the watchdog, if it is this very process that is watched."""
+    microseconds, process = variables.get("WATCHDOG_USEC", ""), variables.get("WATCHDOG_PID", "")
+    if not (microseconds.isascii() and microseconds.isdecimal()) or not int(microseconds):
+        return None
+    if process and process != str(os.getpid()):
+        return None
+    return int(microseconds) / _MICROSECONDS
