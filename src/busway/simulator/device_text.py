@@ -1,0 +1,120 @@
+"""Units → the text of a device file, which reads back as the same units.
+
+Knows how TOML is written and the keys of a unit; writes no file.
+
+1. What was left out of a unit is left out of its text: a file shows what somebody decided.
+2. A point is written on one line per key, as people do; points without a name of their own on one line each.
+"""
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from pydantic import BaseModel
+
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+_RUNNING: Final = b"\xff"
+
+
+def device_text(
+    units: Iterable[BaseModel], *, listen: Sequence[str] = (), remarks: Iterable[str] = (), compact: bool = False
+) -> str:
+    """A device file.
+
+    Args:
+        units: its units (`UnitSection`).
+        listen: where it is served; empty for the default.
+        remarks: comment lines at its top.
+        compact: whether each point takes one line only.
+    """
+    lines = [f"# {line}".rstrip() for line in remarks]
+    lines += [""] if lines else []
+    if listen:
+        lines += [f"listen = {written(list(listen))}", ""]
+    for unit in units:
+        lines += _unit_lines(unit, compact)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _unit_lines(unit: BaseModel, compact: bool) -> list[str]:
+    lines = ["[[unit]]"]
+    keys = _decided(unit)
+    sections = {key: keys.pop(key) for key in ("point", "file", "fifo") if key in keys}
+    if compact and sections.get("point"):
+        points = sections.pop("point")
+        keys["point"] = points
+    for key, value in keys.items():
+        lines += _key_lines(key, value)
+    lines.append("")
+    for name, several in sections.items():
+        for each in several:
+            lines.append(f"[[unit.{name}]]")
+            lines += [f"{key} = {written(value)}" for key, value in each.items()]
+            lines.append("")
+    return lines
+
+
+def _key_lines(key: str, value: Any) -> list[str]:
+    """One line; a list of tables on a line for each."""
+    if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
+        return [f"{_key(key)} = [", *(f"    {written(each)}," for each in value), "]"]
+    return [f"{_key(key)} = {written(value)}"]
+
+
+def _decided(section: BaseModel) -> dict[str, Any]:  # Any: what TOML has
+    """The keys of a section that were given, as a file has them."""
+    return {
+        field.alias or name: _plain(name, getattr(section, name))
+        for name, field in type(section).model_fields.items()
+        if name in section.model_fields_set
+    }
+
+
+def _plain(key: str, value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return _decided(value)
+    if isinstance(value, bytes):
+        return _bytes(value, running=key == "server_id")
+    if isinstance(value, Mapping):
+        return {str(each): _plain("", one) for each, one in value.items()}
+    if isinstance(value, list | tuple):
+        plain = [_plain("", each) for each in value]
+        return plain[0] if key == "unit" and len(plain) == 1 else plain
+    return value
+
+
+def _bytes(data: bytes, *, running: bool) -> Any:
+    """Text where the bytes are one, and hexadecimal otherwise. The run indicator of a server id comes by itself."""
+    body = data.removesuffix(_RUNNING) if running else data
+    if body != data or not running:
+        try:
+            text = body.decode("utf-8")
+        except UnicodeDecodeError:
+            text = "\0"
+        if text.isprintable():
+            return text
+    return {"hex": data.hex(" ")}
+
+
+def written(value: Any) -> str:
+    """A value in TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else f"{value}"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{_key(key)} = {written(each)}" for key, each in value.items() if each is not None)
+        return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(written(each) for each in value)}]"
+    raise TypeError(f"TOML has nothing for {type(value).__name__}")
+
+
+def _key(name: object) -> str:
+    return str(name) if _BARE_KEY.fullmatch(str(name)) else written(str(name))
