@@ -24,6 +24,7 @@ OTHER_PYTHONS := 3.12 3.13
 PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1
 
 UNIT_TESTS := -m "not interop and not packaging and not soak"
+ONCE_ONLY := tests/network tests/load tests/browser tests/docs
 PYTEST_FLAGS ?=
 
 .PHONY: help
@@ -64,7 +65,14 @@ test-packaging: $(VENV)/.installed-dev ## wheel and sdist, built, installed and 
 	@$(RUN)/python -m pytest -m packaging tests/packaging $(PYTEST_FLAGS)
 
 .PHONY: test-versions
-test-versions: $(OTHER_PYTHONS:%=test-python-%) ## unit tests on the other Pythons that are present
+test-versions: ## unit tests on the other Pythons that are present, side by side
+	@mkdir -p build; pids=; status=0; \
+	for version in $(OTHER_PYTHONS); do \
+		$(MAKE) --no-print-directory test-python-$$version >build/python-$$version.log 2>&1 & pids="$$pids $$!"; \
+	done; \
+	for pid in $$pids; do wait $$pid || status=1; done; \
+	for version in $(OTHER_PYTHONS); do cat build/python-$$version.log; done; \
+	exit $$status
 
 .PHONY: $(OTHER_PYTHONS:%=test-python-%)
 $(OTHER_PYTHONS:%=test-python-%): test-python-%:
@@ -77,9 +85,10 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 		echo "== Python $* is not here: its unit tests are left out"; \
 	fi
 
+# What is about the system and not about Python (namespaces, load, browsers) has been tried once already.
 .PHONY: test-unit-quietly
 test-unit-quietly: $(VENV)/.installed-dev
-	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONCE_ONLY:%=--ignore=%) $(PYTEST_FLAGS)
 
 .PHONY: soak
 soak: $(VENV)/.installed-dev ## tests that take minutes
