@@ -33,7 +33,8 @@ def build_device(section: UnitSection) -> Device:
     )
     for point in section.point:
         if point.value is not None:
-            device.write(point.place, point.raw(point.value), point.form)
+            raw = point.raw(point.value)
+            device.write(point.place, raw if point.form is None else [raw], point.form)  # sixteen bits are one value
     return device
 
 

@@ -193,6 +193,8 @@ def _valued(point: SimulatedPointSection, form: ValueType, data: bytes) -> Simul
     """
     (raw,) = form.decode(data)
     value = point.physical(raw)
+    if value != value:  # a file knows one NaN only
+        value = float("nan")
     changes: dict[str, Any] = {"value": value}
     if isinstance(value, int | float):
         if point.minimum is not None and value < point.minimum:

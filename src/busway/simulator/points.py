@@ -41,7 +41,8 @@ class Points:
     def __setitem__(self, name: str, value: Any) -> None:
         """Set the value. Raises `InvalidRequest` if it does not fit, or if there is no such point."""
         section = self._section(name)
-        self._device.write(section.place, section.raw(value), section.form)
+        raw = section.raw(value)
+        self._device.write(section.place, raw if section.form is None else [raw], section.form)
 
     def update(self) -> AbstractContextManager[None]:
         """A group of changes that become visible together, as `Device.update`."""
