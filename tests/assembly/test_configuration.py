@@ -146,7 +146,7 @@ def test_the_effective_values_are_a_file_that_says_the_same() -> None:
     configuration = parse_configuration(SYSTEM, "x.toml")
     lines = list(effective(configuration))
     assert "write_timeout = 30.0" in lines
-    assert "backlog = 128" in lines
+    assert "backlog = 1024" in lines
     again = parse_configuration("\n".join(lines) + f"\n{UNIT}", "x.toml")
     assert list(effective(again)) == lines
     assert again.limits == configuration.limits

@@ -133,13 +133,6 @@ class Configuration:
         return link
 
 
-def _count_local() -> int:
-    """Connections of this program towards other devices."""
-    from ..client.registry import local_connections
-
-    return len(local_connections())
-
-
 def load_configuration(
     path: str | os.PathLike[str], *, examine: bool = False, changes: Mapping[str, Any] | None = None
 ) -> Configuration:

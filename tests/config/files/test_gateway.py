@@ -1,0 +1,121 @@
+"""Gateway files: what they may say, what does not go together, each with its line."""
+
+import random
+from pathlib import Path
+
+import pytest
+from accidents import after_accidents
+
+from busway.assembly.gateway import parse_gateway
+from busway.codes import Table
+from busway.config.files.gateway import read_gateway_file
+from busway.config.files.problems import FileError
+from busway.errors import ConfigError
+
+GOOD = (Path(__file__).parent / "gateway.toml").read_text(encoding="utf-8")
+MUTATIONS = 150
+
+FRONT = '[[listener]]\nurl = "tcp://127.0.0.1:5020"\n'
+LINE = '[[line]]\nname = "hall"\nurl = "tcp://10.0.0.5"\n'
+ROUTE = "[[route]]\n"
+
+
+def problems_of(text: str) -> list[str]:
+    """The sentences about a file that can not be used."""
+    with pytest.raises(FileError) as caught:
+        read_gateway_file(text, "x.toml")
+    return str(caught.value).splitlines()
+
+
+def test_fronts_lines_and_routes_are_read() -> None:
+    file, _ = read_gateway_file(GOOD, "gateway.toml")
+    assert [front.title for front in file.listener] == ["scada", "plc"]
+    assert [line.name for line in file.line] == ["hall", "inverter"]
+    assert file.line[0].options() == {"timeout": 0.5, "unit_switch_gap": 0.01}
+    assert file.route[1].asked_units() == {1, 2, 4, 5, 6, 7, 8, 9, 10}
+    assert file.route[0].asked_functions() == {5, 6, 15, 16, 21, 22, 23}
+    assert file.route[2].asked_addresses() == (Table.HOLDING_REGISTERS, 0, 100)
+    assert (file.gateway.own_unit, file.gateway.drain) == (254, 2.5)
+
+
+def test_a_listener_without_a_name_is_called_by_its_url() -> None:
+    file, _ = read_gateway_file(FRONT + LINE, "x.toml")
+    assert file.listener[0].title == "tcp://127.0.0.1:5020"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentences"),
+    [
+        ("", ["x.toml:1: line: is missing", "x.toml:1: listener: is missing"]),
+        (FRONT, ["x.toml:1: line: is missing"]),
+        (FRONT + LINE + LINE.replace("hall", "other"), ["x.toml:1: route: is missing: there are 2 lines"]),
+        (
+            FRONT + LINE + ROUTE + 'line = "yard"\n',
+            ["x.toml:7: route[0].line: there is no line 'yard', but hall"],
+        ),
+        (
+            FRONT + LINE + ROUTE + 'line = "hall"\nlisteners = ["office"]\n',
+            ["x.toml:8: route[0].listeners[0]: there is no listener 'office', but tcp://127.0.0.1:5020"],
+        ),
+        (
+            FRONT + LINE + LINE,
+            ["x.toml:1: route: is missing: there are 2 lines", "x.toml:7: line[1].name: 'hall' is there"],
+        ),
+        (
+            FRONT + LINE + ROUTE + 'line = "hall"\nrefuse = 3\n',
+            ["x.toml:6: route[0]: needs exactly one of line, refuse and drop, and has line and refuse"],
+        ),
+        (
+            FRONT + LINE + ROUTE + "drop = true\nshift = 5\n",
+            ["x.toml:8: route[0].shift: has no effect where nothing is forwarded"],
+        ),
+        (
+            FRONT + LINE + ROUTE + 'line = "hall"\nunits = "5-3"\n',
+            ["x.toml:8: route[0].units: "],
+        ),
+        (
+            FRONT + LINE + ROUTE + 'line = "hall"\ntable = "holding"\n',
+            ["x.toml:6: route[0].addresses: is missing: a table is named, and no addresses of it"],
+        ),
+        (
+            FRONT + FRONT + LINE,
+            ["x.toml:3: listener[1].name: ", "x.toml:4: listener[1].url: tcp://127.0.0.1:5020 is taken by"],
+        ),
+        (FRONT + LINE + "deadline = 3\n", ["x.toml:6: line[0].deadline: has no effect on a line of a gateway"]),
+        (
+            FRONT + LINE + "[server]\nunlisted = 'silence'\n",
+            ["x.toml:7: server.unlisted: has no effect: a gateway has"],
+        ),
+        (FRONT + LINE + "[[unit]]\nunit = 1\n", ["x.toml:6: unit: a gateway has no units of its own"]),
+        (
+            '[[listener]]\nurl = "rtu:///dev/x"\nname = "plc"\nsilent_broadcasts = true\n' + LINE,
+            ["x.toml:4: listener[0].silent_broadcasts: has no effect on a serial line"],
+        ),
+        (FRONT + LINE + "[gateway]\nown_unit = 0\n", ["x.toml:7: gateway.own_unit: must be at least 1, not 0"]),
+    ],
+)
+def test_what_can_not_be_is_said_with_its_line(text: str, sentences: list[str]) -> None:
+    found = problems_of(text)
+    assert len(found) == len(sentences)
+    for line, sentence in zip(found, sentences, strict=True):
+        assert line.startswith(sentence)
+
+
+@pytest.mark.clause("T33")
+@pytest.mark.parametrize("seed", range(MUTATIONS))
+def test_a_damaged_file_gives_sentences_and_never_a_traceback(seed: int) -> None:
+    text = after_accidents(GOOD, random.Random(seed))
+    problems: tuple[ConfigError, ...] = ()
+    try:
+        problems = parse_gateway(text, "x.toml").warnings
+    except FileError as error:
+        problems = error.problems
+    for problem in problems:
+        assert problem.file == "x.toml"
+        assert problem.line is not None
+        assert 1 <= problem.line <= text.count("\n") + 1
+        assert "\n" not in str(problem)
+
+
+def test_the_good_file_is_good() -> None:
+    assert len(parse_gateway(GOOD, "x.toml").routes) == 4
