@@ -74,7 +74,7 @@ def test_show_prints_every_value_that_holds_in_the_words_of_the_file(run: Callab
     assert (result.code, result.err) == (0, "")
     shown = tomllib.loads(result.out)
     assert shown["server"]["idle_timeout"] == 60.0
-    assert shown["server"]["backlog"] == 128
+    assert shown["server"]["backlog"] == 1024
     assert shown["client"]["link"][0]["timeout"] == 0.5
 
 

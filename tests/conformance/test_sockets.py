@@ -1,6 +1,7 @@
 """Clauses T19, T20 and T33: what is set on sockets, read back from the system on both sides."""
 
 import socket
+from pathlib import Path
 
 import pytest
 from waiting import until
@@ -8,6 +9,7 @@ from waiting import until
 import busway
 from busway.client.connector import TcpConnector
 from busway.client.settings import link_settings
+from busway.testing import CertificateStore
 from busway.transport.tcp import SocketParameters
 
 ANY_PORT = "tcp://127.0.0.1:0"
@@ -83,6 +85,23 @@ def test_a_blocking_connection_has_them_too() -> None:
         endpoint = busway.parse_endpoint(server.endpoints[0])
         with TcpConnector(endpoint, SocketParameters(**CHOSEN)).dial() as connection:  # type: ignore[arg-type]
             assert options_of(connection) == DEFAULTS | {name: CHOSEN[name] for name in CHOSEN if name in DEFAULTS}
+
+
+@pytest.mark.clause("T13", "T19")
+@pytest.mark.parametrize("scheme", ["tcp", "tls"])
+async def test_the_connection_of_a_marked_device_is_probed_and_has_no_user_timeout(scheme: str, tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    secure = {"tls": busway.TlsParameters(**store.server().options())} if scheme == "tls" else {}
+    own = store.client("operator").options() if scheme == "tls" else {}
+    async with (
+        busway.serve(f"{scheme}://127.0.0.1:0", units=busway.Device(), priority=["127.0.0.2"], **secure) as server,
+        busway.open(server.endpoints[0], local_address="127.0.0.2", shared=False, **own) as marked,
+        busway.open(server.endpoints[0], local_address="127.0.0.3", shared=False, **own) as other,
+    ):
+        for link, expected in ((marked, DEFAULTS | {"user_timeout": 0.0}), (other, DEFAULTS)):
+            await link.unit(1).diagnostics(0)
+            newest = list(server._streams[0].management._connections)[-1]
+            assert options_of(newest._transport.get_extra_info("socket")) == expected
 
 
 @pytest.mark.clause("T18", "T19")

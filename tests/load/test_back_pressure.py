@@ -2,7 +2,6 @@
 
 import selectors
 import socket
-from contextlib import suppress
 
 import pytest
 from crowd import answer, dial, question, vanish
@@ -48,11 +47,12 @@ def test_clients_that_never_read_cost_bounded_memory_and_the_others_are_served(s
     assert server.ask("status", connections=0)["connections"] == 0
 
 
-def _greedy(port: int) -> socket.socket:
+def _greedy(port: int, source: str = "127.0.0.1") -> socket.socket:
     """A connection with little room for answers at its own end."""
     link = socket.socket()
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
+    link.bind((source, 0))
     link.connect(("127.0.0.1", port))
     return link
 
@@ -68,8 +68,12 @@ def _ask_until_nothing_is_taken(links: list[socket.socket]) -> int:
         while ready := selector.select(0.5):
             for key, _ in ready:
                 # Where the end of one is not taken any more, the next makes nonsense of it: nothing of it is answered.
-                with suppress(BlockingIOError):
+                try:
                     left += key.fileobj.send(questions)  # type: ignore[union-attr]
+                except BlockingIOError:
+                    pass
+                except ConnectionError:
+                    selector.unregister(key.fileobj)  # the server has ended it
     return left
 
 
@@ -82,3 +86,29 @@ def test_client_that_takes_nothing_for_the_user_timeout_is_ended_by_the_system(s
     assert after["connections"] == 0
     assert (after["counters"]["closed"], after["counters"]["write_timeouts"]) == (1, 0)
     link.close()
+
+
+@pytest.mark.clause("T13")
+def test_marked_client_that_takes_nothing_outlives_every_timeout_that_ends_another(
+    start_server: type[Program],
+) -> None:
+    server = start_server(
+        priority=["127.0.0.2"],
+        user_timeout=1.0,
+        write_timeout=1.0,
+        frame_timeout=1.0,
+        idle_timeout=1.0,
+        send_buffer=16_384,
+    )
+    port = server.ask("status")["port"]
+    marked, other = _greedy(port, "127.0.0.2"), _greedy(port, "127.0.0.3")
+    _ask_until_nothing_is_taken([marked, other])
+    after = server.ask("status", connections=1)
+    assert after["connections"] == 1
+    assert after["counters"]["priority"]["closed"] == 0
+    # A second beside the other's end, and the marked one is still there.
+    later = _greedy(port, "127.0.0.3")
+    _ask_until_nothing_is_taken([later])
+    assert server.ask("status", connections=1)["counters"]["priority"]["closed"] == 0
+    for link in (marked, other, later):
+        link.close()

@@ -369,6 +369,16 @@ async def test_refusals_are_counted_each_and_logged_once_for_a_host(caplog: pyte
 
 
 @pytest.mark.clause("T34")
+async def test_a_server_counts_the_connections_that_its_own_program_has_opened() -> None:
+    async with served() as server:
+        before = server.status().local_connections
+        async with busway.open(server.endpoints[0]) as link:
+            await link.unit(1).read_holding_registers(0, count=1)
+            assert server.status().local_connections == before + 1
+        assert server.status().local_connections == before
+
+
+@pytest.mark.clause("T34")
 async def test_connections_and_classes_of_devices_are_shown_with_what_they_did() -> None:
     async with served(priority=[MARKED], local_connections=lambda: 3) as server:
         marked, other = await Client.of(server, MARKED), await Client.of(server)

@@ -16,6 +16,7 @@ from weakref import WeakSet
 
 from ..errors import ConfigError, LinkDown
 from ..session.ledger import ClientCounters
+from ..transport.dialled import counted_by
 
 if TYPE_CHECKING:
     import asyncio  # only its name: blocking programs do without it
@@ -139,6 +140,8 @@ class LocalConnections:
 
 LOCAL: Final = LocalConnections()
 """Those of this process."""
+
+counted_by(LOCAL.count)
 
 
 def local_connections() -> tuple[LocalConnectionStatus, ...]:

@@ -4,8 +4,8 @@ Knows connections and their limits; knows no request.
 
 1. Whether a host may connect is asked before anybody makes room for it.
 2. Who makes room is decided by `busway.server.pools`; what is overdue by `busway.server.deadlines`.
-3. No timeout, rate or newcomer closes or slows a connection of a marked device. It ends with an error, with the
-   server, or when the system finds its other end gone.
+3. No timeout, rate or newcomer closes or slows a connection of a marked device, nor does the user timeout of its
+   socket. It ends with an error, with the server, or when the system finds its other end gone.
 4. There is one timer for all connections of a listener.
 5. What happens is counted, and can be seen.
 """
@@ -13,6 +13,7 @@ Knows connections and their limits; knows no request.
 import asyncio
 import logging
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ..transport.tcp import SocketParameters, network_reason
@@ -58,6 +59,7 @@ class ConnectionManagement:
         self.reception = reception
         self.pools = pools
         self._sockets = sockets
+        self._sockets_of_marked = replace(sockets, user_timeout=None)
         self._connections: dict[ServerConnection, None] = {}  # in the order they came
         self._deadlines: Deadlines[ServerConnection] = Deadlines(reception.parameters)
         self._timer: asyncio.TimerHandle | None = None
@@ -112,11 +114,13 @@ class ConnectionManagement:
         A refusal is counted and logged; closing is the caller's.
         """
         address = transport.get_extra_info("peername")
-        if not self.reception.welcomes(host_of(address), address):
+        host = host_of(address)
+        if not self.reception.welcomes(host, address):
             return False
         socket = transport.get_extra_info("socket")
         if socket is not None:
-            self._sockets.apply(socket)
+            parameters = self._sockets_of_marked if self.reception.is_marked(host) else self._sockets
+            parameters.apply(socket)
         return True
 
     def admit(self, connection: ServerConnection) -> Session | None:

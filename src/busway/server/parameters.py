@@ -43,7 +43,7 @@ class ListenerParameters:
         interface: name of the network interface to listen on, and no other; None for all (Linux).
     """
 
-    backlog: int = 128
+    backlog: int = 1024
     priority: Networks = NOBODY
     max_priority_connections: int = 8
     max_priority_per_remote: int | None = None

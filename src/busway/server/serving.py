@@ -66,7 +66,8 @@ def serve(
         policy: who may ask what; ``Policy.read_only()`` refuses all writes. Without one a server that the network can
             reach takes writes from everybody, and says so in the log.
         audit: where denied requests and writes are recorded.
-        local_connections: asked for a status: how many connections this program has itself towards other devices.
+        local_connections: asked for a status: how many connections this program has itself towards other devices. None
+            counts those of the links of this process.
         options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name;
             ``profile="strict"`` sets what `busway.config.profiles` lists; ``standard_port`` says whether 502 is
             listened on beside other TCP ports (§4.2.1), and without it that is `Server`'s rule.

@@ -111,7 +111,7 @@ class ServerStatus:
         connections: the connections, the oldest first.
         supported_connections: how many there may be, all listeners and both pools together.
         remote_connections: how many there are.
-        local_connections: how many this program has itself towards others, where the server was told whom to ask.
+        local_connections: how many this program has itself towards others.
         counters: what happened since the server was made or reset.
         listeners: the listeners, with their lamps and diagnostic counters.
         refusals: requests that the policy has refused, by the name of the rule.
