@@ -17,6 +17,7 @@ from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown, ModbusError
 from ..session.handler import Handler
 from ..session.parameters import ServerParameters
+from ..transport.dialled import dialled_connections
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, everybody
 from .connections import ConnectionManagement
@@ -58,7 +59,8 @@ class Server:
         standard_port: whether port 502 is listened on beside each other port of ``tcp://`` (Messaging on TCP/IP V1.0b
             §3.1.3): True, and then it must be had; False; or None: where the host can be reached from the network and
             the port was chosen, and where it can not be had, that is only said.
-        local_connections: asked for a status: how many connections this program has itself towards other devices.
+        local_connections: asked for a status: how many connections this program has itself towards other devices. None
+            counts those of the links of this process.
 
     Attributes:
         authorise: as given; a change holds from the next start.
@@ -98,7 +100,7 @@ class Server:
         self._lines: list[SerialListener] = []
         self._bound: list[str] = []
         self._started = 0.0
-        self._local_connections = local_connections
+        self._local_connections = local_connections or dialled_connections
         self._guard: Guard | None = handler if isinstance(handler, Guard) else None
         self.counters = ServerCounters()
         if policy is not None or audit is not None:
@@ -269,7 +271,7 @@ class Server:
             connections=connections,
             supported_connections=sum(limits.priority + limits.other for limits in pools.values()),
             remote_connections=len(connections),
-            local_connections=self._local_connections() if self._local_connections is not None else 0,
+            local_connections=self._local_connections(),
             counters=self._counters_now(),
             listeners=(
                 *(listener.listener_status() for listener in self._with_peers()),
