@@ -5,10 +5,14 @@ from typing import Any
 import pytest
 
 import busway
+from busway.framing.ascii import encode_ascii
+from busway.framing.rtu import encode_rtu
+from busway.pdu.general import ExceptionResponse
+from busway.pdu.message import Message
 from busway.server.local import LocalHandler, UnitPolicy
 from busway.session.diagnostics import CommunicationState
-from busway.session.server import TcpServerSession, TransactionSlots
-from busway.testing import PERSONALITIES, Contact, Faults, FaultyConversation, golden_adu
+from busway.session.handler import RequestContext
+from busway.testing import PERSONALITIES, Carrier, Contact, Exchange, Faults, FaultyConversation, golden_adu
 
 READ = "03 0005 0002"
 REPLY = bytes.fromhex("03 04 0005 0006")
@@ -17,25 +21,50 @@ REPLY = bytes.fromhex("03 04 0005 0006")
 class Said:
     """A conversation with one personality, and a clock."""
 
-    def __init__(self, name: str = "", *, others: int = 0, device: busway.Device | None = None, **options: Any) -> None:
-        faults = Faults()
+    def __init__(
+        self,
+        name: str = "",
+        *,
+        others: int = 0,
+        device: busway.Device | None = None,
+        framing: str = "mbap",
+        gap: float = 0.0,
+        **options: Any,
+    ) -> None:
+        self.faults = Faults()
         if name:
-            faults.add(PERSONALITIES[name](**options))
-        device = device or busway.Device(holding_registers=list(range(1000)), coils=100)
-        session = TcpServerSession(
-            LocalHandler({1: device}, unit_policy=UnitPolicy.ANY),
-            diagnostics=CommunicationState(),
-            slots=TransactionSlots(1),
-            deliver=lambda adu: None,
-        )
-        self.device = device
-        self.talk = FaultyConversation(session, faults, Contact(0.0, others), busway.STANDARD)
+            self.faults.add(PERSONALITIES[name](**options))
+        self.device = device or busway.Device(holding_registers=list(range(1000)), coils=100)
+        self._handler = LocalHandler({1: self.device}, unit_policy=UnitPolicy.ANY)
+        self.heard: list[int] = []
+        carriers = frozenset({Carrier.TCP, Carrier.CONNECTION} if framing == "mbap" else {Carrier.SERIAL})
+        self.talk = FaultyConversation(self.faults, Contact(0.0, others, carriers=carriers), framing, gap=gap)
 
-    def at(self, now: float, *pdus: str, unit: int = 1, transaction: int = 1) -> list[bytes]:
+    def at(
+        self, now: float, *pdus: str, unit: int = 1, transaction: int = 1, is_broadcast: bool = False
+    ) -> list[bytes]:
         """Ask at ``now``, and what is written then."""
         for number, pdu in enumerate(pdus):
-            self.talk.receive(golden_adu(bytes.fromhex(pdu), transaction=transaction + number, unit=unit), now)
+            self._ask(bytes.fromhex(pdu), unit, transaction + number, now, is_broadcast)
         return self.talk.tick(now)
+
+    def _ask(self, pdu: bytes, unit: int, transaction: int, now: float, is_broadcast: bool) -> None:
+        talk = self.talk
+        self.heard.append(pdu[0])
+        request = self._handler.functions.decode_request(pdu)
+        adu = talk.frame(transaction, unit, pdu)
+        exchange = Exchange(talk.contact, transaction, unit, pdu, request, now, adu=adu, is_broadcast=is_broadcast)
+        struck = talk.strike(exchange)
+        answer = talk.asked(struck)
+        if answer is None:
+            context = RequestContext(unit=unit, function=pdu[0], diagnostics=CommunicationState())
+            try:
+                outcome = self._handler.handle(context, request)
+            except busway.Refusal as refusal:
+                outcome = ExceptionResponse(pdu[0], refusal.code)
+            assert isinstance(outcome, Message)
+            answer = outcome.encode()
+        talk.answered(exchange, struck, answer, now)
 
 
 def _adu(pdu: bytes = REPLY, transaction: int = 1, unit: int = 1) -> bytes:
@@ -45,20 +74,18 @@ def _adu(pdu: bytes = REPLY, transaction: int = 1, unit: int = 1) -> bytes:
 def test_without_a_fault_the_device_is_heard() -> None:
     said = Said()
     assert said.at(0, READ) == [_adu()]
-    assert said.at(1, "00") == [_adu(b"\x80\x01")]
-    assert said.at(2, "83 01") == []
+    assert said.at(1, "41 00") == [_adu(b"\xc1\x01")]
     assert said.talk.deadline(2) is None
-    assert [one.function for one in said.talk.exchanges] == [3, 0]
+    assert not said.talk.is_behind
 
 
-@pytest.mark.clause("T28")
-def test_broken_stream_closes_the_connection_and_another_protocol_is_discarded() -> None:
-    said = Said()
-    said.talk.receive(bytes.fromhex("0001 0001 0006 01 03 0005 0002"), 0)
-    assert said.at(0, READ) == [_adu()]
-    said.talk.receive(bytes.fromhex("0001 0000 0001"), 0)
-    assert said.talk.tick(0) == []
-    assert said.talk.closed
+def test_answer_leaves_after_the_silence_that_its_line_needs_and_counts_as_late_from_there() -> None:
+    said = Said("late", framing="rtu", gap=0.004, delay=1.0)
+    assert said.at(0, READ) == []
+    assert said.talk.is_behind
+    assert said.talk.deadline(0) == pytest.approx(1.004)
+    assert said.talk.tick(1.004) == [encode_rtu(1, REPLY)]
+    assert not said.talk.is_behind
 
 
 def test_late() -> None:
@@ -237,3 +264,57 @@ def test_one_write_function_only() -> None:
     assert Said("fc16-only").at(0, multiple) == [_adu(bytes.fromhex(multiple)[:5])]
     assert Said("fc16-only").at(0, single) == []
     assert Said("fc16-only", refuses=True).at(0, single) == [_adu(b"\x86\x01")]
+
+
+# --- lines -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("framing", "encode"), [("rtu", encode_rtu), ("ascii", encode_ascii)])
+def test_frames_of_lines_have_right_checks_whatever_they_say(framing: str, encode: Any) -> None:
+    assert Said(framing=framing).at(0, READ) == [encode(1, REPLY)]
+    assert Said("unit=255", framing=framing).at(0, READ) == [encode(255, REPLY)]
+    assert Said("short", missing=2, framing=framing).at(0, READ) == [encode(1, REPLY[:-2])]
+    assert Said("long", extra=1, framing=framing).at(0, READ) == [encode(1, REPLY + b"\x00")]
+
+
+def test_leading_zero() -> None:
+    assert Said("leading-zero", framing="rtu").at(0, READ) == [b"\x00" + encode_rtu(1, REPLY)]
+    assert Said("leading-zero", framing="rtu", zeros=3).at(0, READ) == [bytes(3) + encode_rtu(1, REPLY)]
+
+
+def test_noise() -> None:
+    frame = encode_rtu(1, REPLY)
+    (noisy,) = Said("noise", framing="rtu", size=4).at(0, READ)
+    assert (len(noisy), noisy[4:-4]) == (len(frame) + 8, frame)
+    assert Said("noise", framing="rtu", size=4).at(0, READ) == [noisy]  # chance comes from the seed alone
+    (before,) = Said("noise", framing="rtu", size=4, after=False).at(0, READ)
+    assert before[4:] == frame
+    (after,) = Said("noise", framing="rtu", size=4, before=False).at(0, READ)
+    assert after[:-4] == frame
+
+
+def test_echo() -> None:
+    assert Said("echo", framing="rtu").at(0, READ) == [encode_rtu(1, bytes.fromhex(READ)), encode_rtu(1, REPLY)]
+    assert Said("echo", framing="ascii").at(0, READ)[0] == encode_ascii(1, bytes.fromhex(READ))
+
+
+def test_broadcast_reply() -> None:
+    one, several = "06 0001 0002", "10 0001 0001 02 0002"
+    assert Said(framing="rtu").at(0, one, is_broadcast=True) == []
+    said = Said("broadcast-reply", framing="rtu")
+    assert said.at(0, one, is_broadcast=True) == [encode_rtu(1, bytes.fromhex(one))]
+    assert said.at(0, several, is_broadcast=True) == [encode_rtu(1, bytes.fromhex(several)[:5])]
+    assert said.at(0, one) == [encode_rtu(1, bytes.fromhex(one))]
+    assert said.device.holding_registers[1] == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "framing"), [("echo", "mbap"), ("leading-zero", "mbap"), ("transaction+1", "rtu"), ("idle-close", "rtu")]
+)
+def test_personality_strikes_only_where_it_can_be_met(name: str, framing: str) -> None:
+    said = Said(name, framing=framing)
+    plain = _adu() if framing == "mbap" else encode_rtu(1, REPLY)
+    assert said.at(0, READ) == [plain]
+    assert said.talk.deadline(0) is None
+    (applied,) = said.faults
+    assert applied.struck == 0

@@ -35,10 +35,14 @@ OF_THE_FIELD = (
     "odd-exception",
     "fc6-only",
     "fc16-only",
+    "leading-zero",
+    "noise",
+    "echo",
+    "broadcast-reply",
 )
 
 
-def test_every_personality_met_on_tcp_is_there_under_its_name() -> None:
+def test_every_personality_of_a_server_is_there_under_its_name() -> None:
     assert tuple(PERSONALITIES) == OF_THE_FIELD
     assert tuple(CLIENT_PERSONALITIES) == ("slow-loris",)
 
@@ -49,7 +53,7 @@ def test_personality_says_what_happens_where_it_was_seen_and_what_a_client_does(
     assert one.answer
     assert one.seen_in
     assert all("#" in place for place in one.seen_in)
-    assert Carrier.TCP in one.carriers
+    assert one.carriers
     fault = one()
     assert fault.name == one.name
     assert fault.admits or fault.asked or fault.answered or fault.closes_at
@@ -63,13 +67,13 @@ def test_options_have_defaults_and_one_that_there_is_not_is_named() -> None:
 
 
 def test_table_takes_more_personalities_and_stays_as_it_is_itself() -> None:
-    noise = Personality("noise", "junk between frames", (), "slides on", Fault, frozenset({Carrier.SERIAL}))
-    more = PERSONALITIES.with_personalities(noise)
-    assert more["noise"] is noise
+    sulky = Personality("sulky", "says nothing on Mondays", (), "waits", Fault, frozenset({Carrier.SERIAL}))
+    more = PERSONALITIES.with_personalities(sulky)
+    assert more["sulky"] is sulky
     assert len(more) == len(PERSONALITIES) + 1
-    assert "noise" not in PERSONALITIES
-    with pytest.raises(ConfigError, match="two personalities noise"):
-        more.with_personalities(noise)
+    assert "sulky" not in PERSONALITIES
+    with pytest.raises(ConfigError, match="two personalities sulky"):
+        more.with_personalities(sulky)
 
 
 def test_unknown_name_lists_those_there_are() -> None:
@@ -77,3 +81,40 @@ def test_unknown_name_lists_those_there_are() -> None:
         PERSONALITIES.named("lazy")
     assert PERSONALITIES.named("late") is PERSONALITIES["late"]
     assert PersonalityTable().get("late") is None
+
+
+@pytest.mark.parametrize("one", PERSONALITIES.values(), ids=list(PERSONALITIES))
+def test_options_say_what_they_mean_and_their_defaults_are_within_their_ranges(one: Personality) -> None:
+    for parameter in one.parameters.values():
+        assert parameter.kind in (float, int, bool)
+        assert parameter.says.meaning
+        assert (parameter.range_text == "") is (parameter.kind is bool)
+        parameter.check(parameter.default)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "sentence"),
+    [
+        ("late", {"delay": "2"}, "must be a number, not '2'"),
+        ("late", {"delay": True}, "must be a number, not True"),
+        ("late", {"delay": -0.1}, "must be 0…86400, not -0.1"),
+        ("late", {"delay": float("nan")}, "must be 0…86400, not nan"),
+        ("late", {"delay": None}, "must be a number, not None"),
+        ("max-block", {"items": 1.5}, "must be a whole number, not 1.5"),
+        ("queue-lag", {"connections": -1}, "must be at least 0, not -1"),
+        ("single-client", {"starve": 1}, "must be true or false, not 1"),
+        ("wide-register", {"size": 13}, "must be 4…12, not 13"),
+    ],
+)
+def test_option_of_a_wrong_type_or_out_of_range_is_refused(
+    name: str, options: dict[str, object], sentence: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        PERSONALITIES[name](**options)
+    assert caught.value.message == sentence
+    assert caught.value.key == next(iter(options))
+
+
+def test_options_take_whole_numbers_for_times_and_nothing_where_that_is_a_value() -> None:
+    assert PERSONALITIES["late"](delay=2).name == "late"
+    assert PERSONALITIES["busy"](seconds=None).name == "busy"

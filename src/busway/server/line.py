@@ -9,6 +9,7 @@ Knows when bytes come and go; knows nothing of what they say.
 """
 
 import asyncio
+import contextlib
 import errno
 import logging
 import time
@@ -32,6 +33,7 @@ from .diagnosis import Diagnosis
 from .failures import answer_later, report_failures
 from .listener_settings import ListenerSettings
 from .status import ListenerStatus
+from .wires import Wire, Wires, stay
 
 _log = logging.getLogger("busway.server")
 
@@ -61,6 +63,7 @@ class SerialListener:
         *,
         counters: ServerCounters,
         changes_allowed: bool,
+        wires: Wires | None = None,
     ) -> None:
         assert settings.port is not None
         self.name = settings.endpoint.url
@@ -71,10 +74,15 @@ class SerialListener:
         self._settings = settings
         self._port = settings.port
         self._counters = counters
+        self._wires = wires
+        framing = settings.line_framing(units, handler.functions, started=time.monotonic())
+        self._wire = Wire(
+            self.name, self.name, settings.endpoint.framing, "serial", framing.send_gap, self.transmit, stay
+        )
         self._session = SerialServerSession(
             handler,
             units,
-            framing=settings.line_framing(units, handler.functions, started=time.monotonic()),
+            framing=framing,
             diagnostics=self.diagnostics,
             deliver=self._late_answer,
             line=self.name,
@@ -167,6 +175,8 @@ class SerialListener:
         self._connection = connection
         self.diagnosis.is_open = True
         self._overruns = Overruns(connection.counters)
+        if self._wires is not None:
+            self._wires.came(self._wire)
         _log.info("%s: open", self.name)
 
     def _reopen(self) -> None:
@@ -189,6 +199,8 @@ class SerialListener:
         self._reopen()
 
     def _ended(self) -> None:
+        if self._wires is not None and self.diagnosis.is_open:
+            self._wires.left(self._wire)
         self.diagnosis.is_open = False
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()
@@ -301,6 +313,23 @@ class SerialListener:
         self.diagnosis.traffic = now
         if TRACE.level:
             self._traced().sent(emission.frame)
+
+    def transmit(self, data: bytes) -> None:
+        """Put bytes on the line as they are and now, whatever they are; the silence before them is the caller's."""
+        connection = self._connection
+        if connection is None:
+            return
+        try:
+            until = connection.write(data)
+        except LinkDown:
+            return  # the port tells it by itself
+        now = time.monotonic()
+        self._follow(self._session.tick(now))
+        with contextlib.suppress(ValueError):  # strict timing: who speaks into another's frame breaks its rule
+            self._session.sent(data, until)
+        self.diagnosis.traffic = now
+        if TRACE.level:
+            self._traced().sent(data)
 
     def _traced(self) -> Trace:
         if self._trace is None:

@@ -26,6 +26,7 @@ from .pools import Pools
 from .reception import Reception
 from .tcp import TcpListener
 from .udp import UdpListener
+from .wires import Wires
 
 _log = logging.getLogger("busway.server")
 
@@ -42,6 +43,7 @@ class Opening:
         sockets: parameters of sockets.
         counters: what happens is counted here.
         authorise: who may connect.
+        wires: is told of the ways by which bytes leave.
         slots: of transactions, where the server has them as a whole.
         places: that listeners share, where they do.
     """
@@ -53,6 +55,7 @@ class Opening:
     sockets: SocketParameters
     counters: ServerCounters
     authorise: Authorise
+    wires: Wires | None = None
     slots: TransactionSlots = field(init=False)
     places: Pools[ServerConnection] = field(init=False)
 
@@ -93,6 +96,7 @@ class Opening:
             serial_units(self.handler, settings.endpoint),
             counters=self.counters,
             changes_allowed=self.parameters.diagnostics_changes is not False,
+            wires=self.wires,
         )
         await line.open()
         return line
@@ -108,6 +112,7 @@ class Opening:
             slots=self.slots,
             units=() if endpoint.framing == "mbap" else serial_units(self.handler, endpoint),
             authorise=both(self.authorise, settings.access),
+            wires=self.wires,
         )
 
 

@@ -29,6 +29,7 @@ from .pools import Pool
 from .rates import Rates
 from .repeats import Repeats, so_often
 from .status import ConnectionState, ConnectionStatus, ListenerStatus
+from .wires import Wire, Wires, stay
 
 if TYPE_CHECKING:
     from .secure import SecurityStatus
@@ -74,6 +75,9 @@ class Guest(Protocol):
     def attend(self) -> None:
         """The session has come to something by itself."""
 
+    def close(self) -> None:
+        """Close it, behind what was sent."""
+
 
 class Reception:
     """What one listener knows beside its transports.
@@ -101,6 +105,7 @@ class Reception:
         slots: TransactionSlots,
         units: Container[int] = (),
         authorise: Authorise = everybody,
+        wires: Wires | None = None,
     ) -> None:
         self.loop = loop
         self.listener = settings.endpoint.url
@@ -119,6 +124,8 @@ class Reception:
         self._server_slots = slots
         self._authorise = authorise
         self._repeats = Repeats()
+        self._wires = wires
+        self._wire_of: dict[Guest, Wire] = {}
 
     @property
     def framing(self) -> str:
@@ -171,6 +178,12 @@ class Reception:
         """A newcomer has a place."""
         self.counters.accepted += 1
         self.counters.of_class(marked=guest.marked).accepted += 1
+        if self._wires is not None:
+            carrier = self.settings.endpoint.carrier
+            close = stay if carrier == "udp" else guest.close
+            wire = Wire(self.listener, guest.peer, self.framing, carrier, 0.0, guest.deliver, close)
+            self._wire_of[guest] = wire
+            self._wires.came(wire)
 
     def left(self, guest: Guest, session: Session) -> None:
         """It has ended, and its conversation with it."""
@@ -178,6 +191,9 @@ class Reception:
         counters.closed += 1
         counters.of_class(marked=guest.marked).closed += 1
         add_living(counters, guest, session)
+        wire = self._wire_of.pop(guest, None)
+        if wire is not None and self._wires is not None:
+            self._wires.left(wire)
 
     def broken(self) -> None:
         """Something came that can not be followed, or did not end."""

@@ -33,6 +33,7 @@ from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
 from .udp import UdpListener
+from .wires import Wires
 
 if TYPE_CHECKING:
     from ..transport.tls import TlsParameters
@@ -61,6 +62,7 @@ class Server:
             the port was chosen, and where it can not be had, that is only said.
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.
+        wires: is told of every way by which bytes leave, and may send by them; for simulated devices that misbehave.
 
     Attributes:
         authorise: as given; a change holds from the next start.
@@ -84,6 +86,7 @@ class Server:
         audit: "AuditLog | None" = None,
         standard_port: bool | None = None,
         local_connections: Callable[[], int] | None = None,
+        wires: Wires | None = None,
     ) -> None:
         self._limits = listener or ListenerParameters()
         wanted = [listener_settings(one, limits=self._limits, tls=tls) for one in as_listeners(endpoints)]
@@ -101,6 +104,7 @@ class Server:
         self._bound: list[str] = []
         self._started = 0.0
         self._local_connections = local_connections or dialled_connections
+        self._wires = wires
         self._guard: Guard | None = handler if isinstance(handler, Guard) else None
         self.counters = ServerCounters()
         if policy is not None or audit is not None:
@@ -174,6 +178,7 @@ class Server:
             self._sockets,
             self.counters,
             self.authorise,
+            self._wires,
         )
         try:
             for settings in self._settings:

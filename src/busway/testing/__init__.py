@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .golden import GOLDEN_EXCEPTIONS, GOLDEN_EXCHANGES, GoldenExchange, golden_adu
     from .memory import MemoryPair, MemoryTransport, Passage
     from .personalities import PERSONALITIES
-    from .personality import Carrier, Personality, PersonalityTable
+    from .personality import Carrier, Parameter, Personality, PersonalityTable, Says
     from .server import FaultyServer, faulty_server
 
 _HOME = {
@@ -39,7 +39,7 @@ _HOME = {
     "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
     "memory": ("MemoryPair", "MemoryTransport", "Passage"),
     "personalities": ("PERSONALITIES",),
-    "personality": ("Carrier", "Personality", "PersonalityTable"),
+    "personality": ("Carrier", "Parameter", "Personality", "PersonalityTable", "Says"),
     "server": ("FaultyServer", "faulty_server"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -69,9 +69,11 @@ __all__ = [
     "LoopClock",
     "MemoryPair",
     "MemoryTransport",
+    "Parameter",
     "Passage",
     "Personality",
     "PersonalityTable",
+    "Says",
     "Schedule",
     "Selection",
     "faulty_server",

@@ -4,16 +4,19 @@ Knows requests, replies and ``now``; knows no socket, no clock and no device. Th
 simulator.
 
 1. A `Fault` is up to four functions: whether a connection is admitted, what is done with a request before the device
-   sees it, what becomes of its reply, and when a connection is closed for silence.
+   sees it, what becomes of its reply, and when a connection is closed for silence. It strikes only where it can be
+   met: one of connections on connections, one of lines on lines.
 2. An `AppliedFault` is a fault that somebody has put on: chosen by unit, function, address range, probability and
    schedule, and switched while everything runs, from any thread.
 3. Whether a fault strikes a request is decided once, before any of them acts.
 4. Chance comes from the seed alone: the same requests meet the same faults.
 """
 
+import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from random import Random
 
 from ..errors import ConfigError
@@ -22,6 +25,22 @@ from ..pdu.message import Request, Span
 
 SILENCE = b""
 """The answer of a fault that keeps the device from answering."""
+SAME_MOMENT = 1e-6
+"""Seconds. Sums of times that mean the same moment differ in their last bits."""
+
+
+class Carrier(Enum):
+    """Where a fault is met."""
+
+    TCP = "tcp"
+    """Frames of Modbus on TCP/IP, whose header has a transaction identifier; over TCP, TLS or UDP."""
+    SERIAL = "serial"
+    """Frames of serial lines, RTU and ASCII; on a line, or over a network."""
+    CONNECTION = "connection"
+    """A connection that can be closed: over TCP or TLS, whatever the frames are."""
+
+
+EVERYWHERE = frozenset(Carrier)
 
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
@@ -32,12 +51,14 @@ class Contact:
         opened: when it was made.
         others: connections that stood when it came.
         last_received, last_sent: when the last request was whole, and when bytes left last; None before the first.
+        carriers: what it is.
     """
 
     opened: float
     others: int = 0
     last_received: float | None = None
     last_sent: float | None = None
+    carriers: frozenset[Carrier] = frozenset({Carrier.TCP, Carrier.CONNECTION})
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +73,8 @@ class Exchange:
         request: the same, decoded.
         now: when it was whole.
         random: where the fault takes chance from.
+        adu: the frame of the request.
+        is_broadcast: whether it went to all units of a line, so that none may answer.
     """
 
     contact: Contact
@@ -61,6 +84,8 @@ class Exchange:
     request: AnyRequest
     now: float
     random: Random = field(default_factory=Random)
+    adu: bytes = b""
+    is_broadcast: bool = False
 
     @property
     def function(self) -> int:
@@ -83,8 +108,9 @@ class Emission:
     """A frame on its way to the client.
 
     Attributes:
-        transaction, unit, pdu: what it says. Without a PDU nothing is sent.
-        length: length field of the header; None for the true one.
+        transaction, unit, pdu: what it says. Without a PDU no frame is sent.
+        before, after: bytes around the frame, which are in no frame.
+        length: length field of the header; None for the true one. Frames of serial lines have none.
         delay: seconds from the request.
         piece: bytes per write; 0 for all at once.
         pause: seconds between pieces.
@@ -95,6 +121,8 @@ class Emission:
     transaction: int
     unit: int
     pdu: bytes = b""
+    before: bytes = b""
+    after: bytes = b""
     length: int | None = None
     delay: float = 0.0
     piece: int = 0
@@ -119,6 +147,7 @@ class Fault:
         asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
         answered: the frames that leave, made from those that would.
         closes_at: when the connection is closed, in the clock of ``now``; None for never.
+        carriers: where it is met.
     """
 
     name: str = ""
@@ -126,6 +155,11 @@ class Fault:
     asked: Asked | None = None
     answered: Answered | None = None
     closes_at: ClosesAt | None = None
+    carriers: frozenset[Carrier] = EVERYWHERE
+
+    def is_met(self, contact: Contact) -> bool:
+        """Whether a connection is one where it can be met."""
+        return not self.carriers.isdisjoint(contact.carriers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,17 +244,20 @@ class AppliedFault:
     Attributes:
         fault: what it does.
         selection: which requests it is for.
-        enabled: the switch.
-        struck: requests that it has struck.
+        enabled: the switch, as it stands.
+        struck: requests that it has struck, connections that it has refused, and those that it has closed.
     """
 
-    __slots__ = ("_chosen", "_random", "_since", "enabled", "fault", "selection", "struck")
+    __slots__ = ("_changed", "_chosen", "_random", "_since", "enabled", "fault", "selection", "struck")
 
-    def __init__(self, fault: Fault, selection: Selection, random: Random) -> None:
+    def __init__(
+        self, fault: Fault, selection: Selection, random: Random, changed: Callable[[], None], *, enabled: bool
+    ) -> None:
         self.fault = fault
         self.selection = selection
-        self.enabled = True
+        self.enabled = enabled
         self.struck = 0
+        self._changed = changed
         self._chosen = 0
         self._since: float | None = None
         self._random = random
@@ -235,10 +272,12 @@ class AppliedFault:
         self._since = None
         self._chosen = 0
         self.enabled = True
+        self._changed()
 
     def off(self) -> None:
         """Switch it off. What it holds back or has delayed already stays so."""
         self.enabled = False
+        self._changed()
 
     def is_on(self, now: float) -> bool:
         """Whether the switch and the schedule let it act now."""
@@ -250,7 +289,9 @@ class AppliedFault:
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
         """The exchange as this fault is to see it, if it strikes."""
-        if not self.is_on(exchange.now) or not self.selection.means(exchange):
+        if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
+            return None
+        if not self.selection.means(exchange):
             return None
         self._chosen += 1
         if not self.selection.schedule.is_turn(self._chosen - 1):
@@ -262,35 +303,66 @@ class AppliedFault:
 
 
 class Faults:
-    """All faults of one server, in the order in which they act.
+    """All faults of one server, in the order in which they act. Changed from any thread.
 
     Args:
         seed: what chance is made from.
+
+    Attributes:
+        generation: changes whenever a fault is put on, taken off or switched.
+        is_any_on: whether one is switched on; if not, nobody needs to ask anything else.
     """
 
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
         self._made = 0
         self._applied: tuple[AppliedFault, ...] = ()
+        self._lock = threading.Lock()
+        self._watchers: tuple[Callable[[], None], ...] = ()
+        self.generation = 0
+        self.is_any_on = False
 
     def __iter__(self) -> Iterator[AppliedFault]:
         return iter(self._applied)
 
-    def add(self, fault: Fault, selection: Selection | None = None) -> AppliedFault:
-        """Put a fault on, behind the others, switched on.
+    def add(self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True) -> AppliedFault:
+        """Put a fault on, behind the others.
 
         Args:
             fault: what happens.
             selection: to which requests; None for all.
+            enabled: whether it is switched on.
         """
-        self._made += 1
-        applied = AppliedFault(fault, selection or Selection(), Random(f"{self._seed}/{self._made}/{fault.name}"))
-        self._applied = (*self._applied, applied)
+        with self._lock:
+            self._made += 1
+            random = Random(f"{self._seed}/{self._made}/{fault.name}")
+            applied = AppliedFault(fault, selection or Selection(), random, self._changed, enabled=enabled)
+            self._applied = (*self._applied, applied)
+        self._changed()
         return applied
 
     def remove(self, applied: AppliedFault) -> None:
         """Take a fault off. One that is not there is nothing to complain of."""
-        self._applied = tuple(one for one in self._applied if one is not applied)
+        with self._lock:
+            self._applied = tuple(one for one in self._applied if one is not applied)
+        self._changed()
+
+    def watch(self, changed: Callable[[], None]) -> None:
+        """Have ``changed`` called, in whatever thread, after a fault was put on, taken off or switched."""
+        with self._lock:
+            self._watchers = (*self._watchers, changed)
+
+    def unwatch(self, changed: Callable[[], None]) -> None:
+        """Call it no more."""
+        with self._lock:
+            self._watchers = tuple(one for one in self._watchers if one != changed)
+
+    def _changed(self) -> None:
+        with self._lock:
+            self.generation += 1
+            self.is_any_on = any(one.enabled for one in self._applied)
+        for changed in self._watchers:
+            changed()
 
     @contextmanager
     def during(self, fault: Fault, selection: Selection | None = None) -> Iterator[AppliedFault]:
@@ -305,7 +377,13 @@ class Faults:
 
     def admit(self, contact: Contact) -> bool:
         """Whether a new connection may stay."""
-        return all(one.fault.admits(contact) for one in self._applied if one.fault.admits and one.is_on(contact.opened))
+        for one in self._applied:
+            if one.fault.admits is None or not one.fault.is_met(contact) or not one.is_on(contact.opened):
+                continue
+            if not one.fault.admits(contact):
+                one.struck += 1
+                return False
+        return True
 
     def strike(self, exchange: Exchange) -> list[tuple[Fault, Exchange]]:
         """The faults that strike a request, each with what it is to see."""
@@ -318,9 +396,19 @@ class Faults:
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
         """When a connection is to be closed for silence."""
-        times = [
-            when
-            for one in self._applied
-            if one.fault.closes_at is not None and one.is_on(now) and (when := one.fault.closes_at(contact)) is not None
-        ]
-        return min(times, default=None)
+        return min((when for when, _ in self._closing(contact, now)), default=None)
+
+    def closes(self, contact: Contact, now: float) -> bool:
+        """Whether a connection is to be closed for silence by now; that counts as struck."""
+        due = [one for when, one in self._closing(contact, now) if when <= now + SAME_MOMENT]
+        for one in due[:1]:
+            one.struck += 1
+        return bool(due)
+
+    def _closing(self, contact: Contact, now: float) -> Iterator[tuple[float, AppliedFault]]:
+        for one in self._applied:
+            if one.fault.closes_at is None or not one.fault.is_met(contact) or not one.is_on(now):
+                continue
+            when = one.fault.closes_at(contact)
+            if when is not None:
+                yield when, one

@@ -1,6 +1,7 @@
-"""A server on TCP that misbehaves as it is told: real sockets, a real device, and faults between the two.
+"""A server on TCP that misbehaves as it is told: the real server, a real device, and faults between the two.
 
-Knows sockets, an event loop and a clock; what goes wrong is known by `FaultyConversation` and its faults.
+Knows an event loop and a clock; what goes wrong, and how it gets onto connections, is the simulator's
+(`busway.simulator.faults`).
 
 ::
 
@@ -25,11 +26,11 @@ from ..errors import ConfigError
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
 from ..server.local import LocalHandler, UnitPolicy
-from ..session.diagnostics import CommunicationState
-from ..session.server import TcpServerSession, TransactionSlots
-from .clock import Clock, LoopClock, Timer
-from .conversation import FaultyConversation
-from .faults import AppliedFault, Contact, Exchange, Fault, Faults, Schedule, Selection
+from ..server.server import Server
+from ..simulator.faults.handler import FaultyHandler
+from ..simulator.faults.wires import FaultyWires
+from .clock import Clock, LoopClock
+from .faults import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
 from .personalities import PERSONALITIES
 
 REMEMBERED_REQUESTS = 10_000
@@ -56,7 +57,6 @@ class FaultyServer:
     Attributes:
         faults: what goes wrong.
         requests: the requests that came, the latest `REMEMBERED_REQUESTS`, in order.
-        accepted: connections so far.
     """
 
     def __init__(
@@ -71,20 +71,23 @@ class FaultyServer:
     ) -> None:
         units = {1: device} if isinstance(device, Device) else device
         policy = UnitPolicy.ANY if isinstance(device, Device) else UnitPolicy.LISTED
-        self._handler = LocalHandler(units, unit_policy=policy, functions=functions)
-        self._host = host
-        self._listener: asyncio.Server | None = None
-        self._connections: set[_Connection] = set()
         self._changed = threading.Condition()
         self._changed_here = asyncio.Event()
         self._clock = clock
         self.loop: asyncio.AbstractEventLoop | None = None
         self.endpoint = ""
         self.requests: deque[Exchange] = deque(maxlen=REMEMBERED_REQUESTS)
-        self.accepted = 0
         self.faults = Faults(seed)
         for fault in _faults_of(personalities, options):
             self.faults.add(fault)
+        self._wires = FaultyWires(self.faults, clock, changed=self._change)
+        handler = LocalHandler(units, unit_policy=policy, functions=functions)
+        self._server = Server(
+            [f"tcp://[{host}]:0" if ":" in host else f"tcp://{host}:0"],
+            FaultyHandler(handler, self.faults, self._wires, heard=self._heard),
+            wires=self._wires,
+            standard_port=False,
+        )
 
     def add(
         self,
@@ -127,25 +130,26 @@ class FaultyServer:
     @property
     def connections(self) -> int:
         """Connections that stand now."""
-        return len(self._connections)
+        return len(self._wires)
+
+    @property
+    def accepted(self) -> int:
+        """Connections so far."""
+        return self._wires.accepted
 
     async def start(self) -> None:
         """Listen on a free port of ``host``."""
         self.loop = asyncio.get_running_loop()
         if self._clock is None:
             self._clock = LoopClock(self.loop)
-        self._listener = await self.loop.create_server(lambda: _Connection(self), self._host, 0)
-        host, port = self._listener.sockets[0].getsockname()[:2]
-        self.endpoint = f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
+        await self._server.start()
+        (self.endpoint,) = self._server.endpoints
 
     async def stop(self) -> None:
         """Stop listening and close all connections."""
-        listener, self._listener = self._listener, None
-        if listener is not None:
-            listener.close()
-        for connection in list(self._connections):
-            connection.abort()
-        await self.until(lambda: not self._connections)
+        self._drop()
+        await self._server.stop()
+        await self.until(lambda: not self.connections)
 
     def drop_connections(self) -> None:
         """Close all connections; safe from any thread."""
@@ -153,8 +157,8 @@ class FaultyServer:
         self.loop.call_soon_threadsafe(self._drop)
 
     def _drop(self) -> None:
-        for connection in list(self._connections):
-            connection.abort()
+        for way in self._wires:
+            way.wire.close()
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait in the server's own event loop until a condition about it holds. Raises `TimeoutError` after a while."""
@@ -178,105 +182,15 @@ class FaultyServer:
     ) -> None:
         await self.stop()
 
-    # What connections report.
+    def _heard(self, exchange: Exchange) -> None:
+        self.requests.append(exchange)
+        self._change()
 
-    def begin(self, connection: "_Connection") -> FaultyConversation:
-        """A connection was made: its conversation."""
-        contact = Contact(self.clock.now(), len(self._connections))
-        session = TcpServerSession(
-            self._handler,
-            diagnostics=CommunicationState(),
-            slots=TransactionSlots(1),
-            deliver=connection.write,
-            peer="client",
-        )
-        self.accepted += 1
-        self._connections.add(connection)
-        self.changed()
-        return FaultyConversation(session, self.faults, contact, self._handler.functions)
-
-    def end(self, connection: "_Connection") -> None:
-        """A connection has ended. It counts until its socket is closed, which comes after this call."""
-        assert self.loop is not None
-        self.loop.call_soon(self._forget, connection)
-
-    def _forget(self, connection: "_Connection") -> None:
-        self._connections.discard(connection)
-        self.changed()
-
-    def changed(self) -> None:
+    def _change(self) -> None:
         """Wake those who wait for something to happen."""
         self._changed_here.set()
         with self._changed:
             self._changed.notify_all()
-
-
-class _Connection(asyncio.Protocol):
-    """Carries bytes between a socket and a conversation, and looks at the clock for it."""
-
-    def __init__(self, server: FaultyServer) -> None:
-        self._server = server
-        self._transport: asyncio.Transport | None = None
-        self._conversation: FaultyConversation | None = None
-        self._timer: Timer | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        self._conversation = self._server.begin(self)
-        self._pump()
-
-    def data_received(self, data: bytes) -> None:
-        conversation = self._conversation
-        if conversation is None:
-            return
-        conversation.receive(data, self._server.clock.now())
-        self._server.requests.extend(conversation.exchanges)
-        conversation.exchanges.clear()
-        self._pump()
-        self._server.changed()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._conversation = None
-        self._stop_timer()
-        self._server.end(self)
-
-    def abort(self) -> None:
-        """Close at once."""
-        if self._transport is not None:
-            self._transport.abort()
-
-    def write(self, adu: bytes) -> None:
-        """Send bytes as they are."""
-        if self._transport is not None:
-            self._transport.write(adu)
-
-    def _pump(self) -> None:
-        """Write what is due, and be back when there is more."""
-        conversation, transport = self._conversation, self._transport
-        if conversation is None or transport is None:
-            return
-        now = self._server.clock.now()
-        for data in conversation.tick(now):
-            transport.write(data)
-        self._stop_timer()
-        if conversation.closed:
-            self._conversation = None
-            transport.close()
-            return
-        deadline = conversation.deadline(now)
-        if deadline is not None:
-            self._timer = self._server.clock.call_at(deadline, self._due)
-
-    def _due(self) -> None:
-        """The clock says so, in whatever thread moved it."""
-        if self._server.loop is not None:
-            self._server.loop.call_soon_threadsafe(self._pump)
-
-    def _stop_timer(self) -> None:
-        timer, self._timer = self._timer, None
-        if timer is not None:
-            timer.cancel()
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from .identifiers import (
     UNIT_1,
     UNIT_255,
 )
+from .lines import BROADCAST_REPLY, ECHO, LEADING_ZERO, NOISE
 from .refusals import BUSY, FC6_ONLY, FC16_ONLY, HOLE, MAX_BLOCK, ODD_EXCEPTION
 from .timing import LATE, MIN_GAP, MUTE_AFTER_CONNECT, QUEUE_LAG, UNIT_SWITCH, WEDGED
 
@@ -50,5 +51,9 @@ PERSONALITIES: Final = PersonalityTable(
     ODD_EXCEPTION,
     FC6_ONLY,
     FC16_ONLY,
+    LEADING_ZERO,
+    NOISE,
+    ECHO,
+    BROADCAST_REPLY,
 )
 """The personalities of servers."""

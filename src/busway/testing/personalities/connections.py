@@ -1,24 +1,24 @@
 """Personalities of devices that are particular about connections."""
 
+from typing import Annotated
 from weakref import WeakSet
 
 from ..faults import SILENCE, Contact, Emission, Exchange, Fault
-from ..personality import Carrier, Personality
+from ..personality import Carrier, Personality, Says, in_seconds
 
-_TCP = frozenset({Carrier.TCP})
+_CONNECTIONS = frozenset({Carrier.CONNECTION})
 
 
-def _close_if_silent(seconds: float = 1.0) -> Fault:
-    """Args: seconds: within which the first request must come."""
-
+def _close_if_silent(seconds: Annotated[float, in_seconds("within which the first request must come")] = 1.0) -> Fault:
     def closes_at(contact: Contact) -> float | None:
         return contact.opened + seconds if contact.last_received is None else None
 
     return Fault(closes_at=closes_at)
 
 
-def _single_client(starve: bool = False) -> Fault:
-    """Args: starve: the second connection is taken and never answered, instead of being closed."""
+def _single_client(
+    starve: Annotated[bool, Says("the second connection is taken and never answered, instead of being closed")] = False,
+) -> Fault:
     starved: WeakSet[Contact] = WeakSet()
 
     def admits(contact: Contact) -> bool:
@@ -32,9 +32,9 @@ def _single_client(starve: bool = False) -> Fault:
     return Fault(admits=admits, asked=asked)
 
 
-def _idle_close(seconds: float = 30.0) -> Fault:
-    """Args: seconds: without a request, after which the connection is closed."""
-
+def _idle_close(
+    seconds: Annotated[float, in_seconds("without a request, after which the connection is closed")] = 30.0,
+) -> Fault:
     def closes_at(contact: Contact) -> float | None:
         return (contact.opened if contact.last_received is None else contact.last_received) + seconds
 
@@ -56,7 +56,7 @@ CLOSE_IF_SILENT = Personality(
     ("huawei_solar#1436",),
     "connects at the first need and sends at once",
     _close_if_silent,
-    _TCP,
+    _CONNECTIONS,
 )
 SINGLE_CLIENT = Personality(
     "single-client",
@@ -64,7 +64,7 @@ SINGLE_CLIENT = Personality(
     ("home-assistant/core#149494",),
     "shares one link per endpoint",
     _single_client,
-    _TCP,
+    _CONNECTIONS,
 )
 IDLE_CLOSE = Personality(
     "idle-close",
@@ -72,7 +72,7 @@ IDLE_CLOSE = Personality(
     ("core#101982",),
     "opens it again in silence at the next need",
     _idle_close,
-    _TCP,
+    _CONNECTIONS,
 )
 EXECUTE_THEN_DROP = Personality(
     "execute-then-drop",
@@ -80,5 +80,5 @@ EXECUTE_THEN_DROP = Personality(
     ("grid-x/modbus#133",),
     "ends with `WriteOutcomeUnknown` and does not write twice",
     _execute_then_drop,
-    _TCP,
+    _CONNECTIONS,
 )

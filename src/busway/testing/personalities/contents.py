@@ -1,10 +1,11 @@
 """Personalities of devices whose replies say the wrong thing, or come in strange pieces."""
 
 from dataclasses import replace
+from typing import Annotated
 
 from ...codes import FunctionCode
 from ..faults import Emission, Exchange, Fault
-from ..personality import Personality
+from ..personality import Personality, Says, in_seconds
 
 _READS_REGISTERS = frozenset({FunctionCode.READ_HOLDING_REGISTERS, FunctionCode.READ_INPUT_REGISTERS})
 _ECHOES = frozenset(
@@ -23,9 +24,11 @@ def _is_refusal(pdu: bytes) -> bool:
     return bool(pdu[0] & 0x80) if pdu else True
 
 
-def _wide_register(size: int = 4) -> Fault:
-    """Args: size: bytes for each register, 4…12; as many registers are sent as a byte count can announce."""
-
+def _wide_register(
+    size: Annotated[
+        int, Says("bytes for each register; as many registers are sent as a byte count can announce", 4, 12)
+    ] = 4,
+) -> Fault:
     def widened(one: Emission) -> Emission:
         registers = [one.pdu[at : at + 2] for at in range(2, len(one.pdu), 2)]
         data = b"".join(register.rjust(size, b"\x00") for register in registers[: _LARGEST_BYTE_COUNT // size])
@@ -39,9 +42,10 @@ def _wide_register(size: int = 4) -> Fault:
     return Fault(answered=answered)
 
 
-def _short(missing: int = 1, header: bool = False) -> Fault:
-    """Args: missing: bytes that are not sent. header: its length still counts them, so the frame seems unfinished."""
-
+def _short(
+    missing: Annotated[int, Says("bytes that are not sent", 1, 252)] = 1,
+    header: Annotated[bool, Says("the header's length still counts them, so the frame seems unfinished")] = False,
+) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [
             replace(
@@ -55,9 +59,10 @@ def _short(missing: int = 1, header: bool = False) -> Fault:
     return Fault(answered=answered)
 
 
-def _long(extra: int = 1, header: bool = True) -> Fault:
-    """Args: extra: bytes too many. header: its length counts them; otherwise they stand between two frames."""
-
+def _long(
+    extra: Annotated[int, Says("bytes too many", 1, 1000)] = 1,
+    header: Annotated[bool, Says("the header's length counts them; otherwise they stand between two frames")] = True,
+) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [
             replace(one, pdu=one.pdu + bytes(extra), length=None if header else len(one.pdu) + 1) for one in emissions
@@ -78,18 +83,19 @@ def _wrong_echo() -> Fault:
     return Fault(answered=answered)
 
 
-def _dribble(piece: int = 1, pause: float = 0.001) -> Fault:
-    """Args: piece: bytes per segment. pause: seconds between segments."""
-
+def _dribble(
+    piece: Annotated[int, Says("bytes per segment", 1, 260)] = 1,
+    pause: Annotated[float, in_seconds("between segments")] = 0.001,
+) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [replace(one, piece=piece, pause=pause) for one in emissions]
 
     return Fault(answered=answered)
 
 
-def _glue(window: float = 0.02) -> Fault:
-    """Args: window: seconds; replies that are due in the same one leave in one segment at its end."""
-
+def _glue(
+    window: Annotated[float, Says("seconds; what is due in the same ones leaves in one segment", 0.001, 60)] = 0.02,
+) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         wait = window - (exchange.now - exchange.contact.opened) % window
         return [replace(one, delay=one.delay + wait, glued=True) for one in emissions]

@@ -2,16 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Annotated
 
 from ..faults import Emission, Exchange, Fault
-from ..personality import Carrier, Personality
+from ..personality import Carrier, Personality, Says
 
 _TCP = frozenset({Carrier.TCP})
 
 
-def _foreign_transaction(instead: bool = False, distance: int = 0x4000) -> Fault:
-    """Args: instead: the own reply does not come. distance: from the own identifier to the foreign one."""
-
+def _foreign_transaction(
+    instead: Annotated[bool, Says("the own reply does not come")] = False,
+    distance: Annotated[int, Says("from the own identifier to the foreign one", 1, 0xFFFF)] = 0x4000,
+) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         foreign = [replace(one, transaction=(one.transaction + distance) & 0xFFFF) for one in emissions]
         return foreign if instead else foreign + emissions

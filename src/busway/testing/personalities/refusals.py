@@ -1,11 +1,13 @@
 """Personalities of devices that refuse what others do, or answer with strange exceptions."""
 
 from collections.abc import Callable
+from typing import Annotated
 
 from ...codes import ExceptionCode, FunctionCode
 from ..faults import SILENCE, Exchange, Fault
-from ..personality import Personality
+from ..personality import Personality, Says, in_seconds
 
+_ANY_CODE = Says("exception code", 0, 255)
 _SINGLE = frozenset({FunctionCode.WRITE_SINGLE_COIL, FunctionCode.WRITE_SINGLE_REGISTER})
 _MULTIPLE = frozenset({FunctionCode.WRITE_MULTIPLE_COILS, FunctionCode.WRITE_MULTIPLE_REGISTERS})
 
@@ -14,18 +16,20 @@ def _refused(exchange: Exchange, code: int) -> bytes:
     return bytes((exchange.function | 0x80, code))
 
 
-def _max_block(items: int = 50, code: int = ExceptionCode.ILLEGAL_DATA_VALUE) -> Fault:
-    """Args: items: most of one request. code: exception of a larger one."""
-
+def _max_block(
+    items: Annotated[int, Says("most items of one request", 0, 2000)] = 50,
+    code: Annotated[int, _ANY_CODE] = ExceptionCode.ILLEGAL_DATA_VALUE,
+) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         return _refused(exchange, code) if any(one.count > items for one in exchange.spans) else None
 
     return Fault(asked=asked)
 
 
-def _hole(address: int = 0, code: int = ExceptionCode.ILLEGAL_DATA_ADDRESS) -> Fault:
-    """Args: address: of the missing item, 0-based, in every table. code: exception of a request that touches it."""
-
+def _hole(
+    address: Annotated[int, Says("the missing item, 0-based, in every table", 0, 0xFFFF)] = 0,
+    code: Annotated[int, _ANY_CODE] = ExceptionCode.ILLEGAL_DATA_ADDRESS,
+) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         touched = any(one.address <= address < one.address + one.count for one in exchange.spans)
         return _refused(exchange, code) if touched else None
@@ -33,8 +37,9 @@ def _hole(address: int = 0, code: int = ExceptionCode.ILLEGAL_DATA_ADDRESS) -> F
     return Fault(asked=asked)
 
 
-def _busy(seconds: float | None = 60.0) -> Fault:
-    """Args: seconds: from the first request on; None for ever."""
+def _busy(
+    seconds: Annotated[float | None, in_seconds("from the first request on; nothing for ever")] = 60.0,
+) -> Fault:
     since: list[float] = []
 
     def asked(exchange: Exchange) -> bytes | None:
@@ -46,9 +51,10 @@ def _busy(seconds: float | None = 60.0) -> Fault:
     return Fault(asked=asked)
 
 
-def _odd_exception(code: int = 0x63, size: int = 2) -> Fault:
-    """Args: code: exception code, 0…255. size: bytes of the PDU; 2 is what it should be."""
-
+def _odd_exception(
+    code: Annotated[int, _ANY_CODE] = 0x63,
+    size: Annotated[int, Says("bytes of the PDU; 2 is what it should be", 1, 253)] = 2,
+) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         return (_refused(exchange, code) + bytes(max(size - 2, 0)))[:size]
 
@@ -56,9 +62,9 @@ def _odd_exception(code: int = 0x63, size: int = 2) -> Fault:
 
 
 def _without(functions: frozenset[FunctionCode]) -> Callable[..., Fault]:
-    def make(refuses: bool = False) -> Fault:
-        """Args: refuses: the others are answered with exception 01, instead of not at all."""
-
+    def make(
+        refuses: Annotated[bool, Says("the others are answered with exception 01, instead of not at all")] = False,
+    ) -> Fault:
         def asked(exchange: Exchange) -> bytes | None:
             if exchange.function not in functions:
                 return None

@@ -2,24 +2,25 @@
 
 from collections import deque
 from dataclasses import replace
+from typing import Annotated
 from weakref import WeakKeyDictionary
 
 from ..faults import SILENCE, Contact, Emission, Exchange, Fault
-from ..personality import Personality
+from ..personality import Personality, Says, in_seconds
 
 
-def _late(delay: float = 1.5) -> Fault:
-    """Args: delay: seconds from request to reply."""
-
+def _late(delay: Annotated[float, in_seconds("from request to reply")] = 1.5) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [replace(one, delay=one.delay + delay) for one in emissions]
 
     return Fault(answered=answered)
 
 
-def _queue_lag(behind: int = 1, stamped: bool = False, connections: int | None = None) -> Fault:
-    """Args: behind: requests that replies lag. stamped: replies carry the identifier of the request they meet.
-    connections: how many of them lag, from the first on; None for all."""
+def _queue_lag(
+    behind: Annotated[int, Says("requests that replies lag", 0, 1000)] = 1,
+    stamped: Annotated[bool, Says("replies carry the identifier of the request they meet")] = False,
+    connections: Annotated[int | None, Says("how many connections lag, from the first on; nothing for all", 0)] = None,
+) -> Fault:
     held: WeakKeyDictionary[Contact, deque[Emission]] = WeakKeyDictionary()
     met: list[None] = []
 
@@ -37,9 +38,9 @@ def _queue_lag(behind: int = 1, stamped: bool = False, connections: int | None =
     return Fault(answered=answered)
 
 
-def _mute_after_connect(seconds: float = 2.0) -> Fault:
-    """Args: seconds: how long after the connection was made nothing is heard."""
-
+def _mute_after_connect(
+    seconds: Annotated[float, in_seconds("after the connection was made in which nothing is heard")] = 2.0,
+) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         return SILENCE if exchange.now - exchange.contact.opened < seconds else None
 
@@ -50,9 +51,7 @@ def _wedged() -> Fault:
     return Fault(asked=lambda exchange: SILENCE)
 
 
-def _min_gap(seconds: float = 0.1) -> Fault:
-    """Args: seconds: how long after a reply nothing is heard."""
-
+def _min_gap(seconds: Annotated[float, in_seconds("after a reply in which nothing is heard")] = 0.1) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         sent = exchange.contact.last_sent
         return SILENCE if sent is not None and exchange.now - sent < seconds else None
