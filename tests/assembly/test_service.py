@@ -10,6 +10,7 @@ from busway.assembly.configuration import Configuration, parse_configuration
 from busway.assembly.service import Service, Wishes
 from busway.config.access.addresses import AddressList
 from busway.config.access.rules import Action
+from busway.testing import CertificateStore
 
 UNIT = "[[unit]]\nunit = 1\nholding_registers = 10\n"
 
@@ -92,3 +93,31 @@ async def test_a_policy_that_is_no_longer_written_leaves_network_listeners_read_
         async with busway.open(url, shared=False) as link:
             with pytest.raises(busway.ExceptionReply, match="exception 01"):
                 await link.unit(1).write_single_register(0, 1)
+
+
+async def test_certificates_are_read_again_at_once_and_what_can_not_be_used_is_told(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    names = [store.server("first")]
+
+    def read() -> Configuration:
+        text = "".join(f"{key} = '{value}'\n" for key, value in names[0].options().items())
+        return configured("tls://127.0.0.1:0", f"[security]\n{text}")
+
+    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+
+        def subject() -> str:
+            (listener,) = service.server.status().listeners
+            return str(listener.security.subject)
+
+        assert subject() == "CN=first"
+        first = names[0]
+        store.authority.server(["localhost"], name="renewed").write(first.certificate, first.key)
+        assert await service.reload() == ["certificates hold from the next connection on"]
+        assert subject() == "CN=renewed"
+        names[0] = store.server("second")
+        first.certificate.unlink()
+        told = "; ".join(await service.reload())
+        assert "certificates stay as they were" in told
+        assert "first.pem" in told
+        assert "only the next start will see security" in told
+        assert subject() == "CN=renewed"

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self
 from ..config.access.addresses import AddressList
 from ..config.access.rules import AccessRules, Policy
 from ..config.files.system import SystemFile
+from ..errors import ConfigError
 from ..server.listener import Listener
 from ..session.handler import Handler
 from .access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
@@ -51,6 +52,9 @@ class Running(Protocol):
 
     def replace_policy(self, policy: Policy) -> None:
         """Let another policy hold from the next request on."""
+
+    def reload_security(self) -> None:
+        """Read certificates anew. Raises `ConfigError`; what can not be used leaves its listener as it was."""
 
     async def __aenter__(self) -> object:
         """Start."""
@@ -240,11 +244,18 @@ class Service:
             if self._replace_lists(new):
                 done.append("the address lists of listeners were replaced")
             if any(tls_of(listener) is not None for listener in new.listeners):
-                done.append("certificates hold from the next connection on")
+                done.append(self._read_certificates_again())
             later = _differences(self.configuration, new)
             if later:
                 done.append(f"only the next start will see {', '.join(later)}")
             return done or ["nothing has changed"]
+
+    def _read_certificates_again(self) -> str:
+        try:
+            self.server.reload_security()
+        except ConfigError as error:  # not of the new file, which was tried before: of what runs until the next start
+            return f"certificates stay as they were: {error}"
+        return "certificates hold from the next connection on"
 
     def _replace_policy(self) -> None:
         """Let the policy hold, now that it is known which listeners the network reaches."""
