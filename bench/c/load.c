@@ -1,21 +1,26 @@
 /*
- * The load generator: keeps every connection of a Modbus TCP server full of FC03 requests and measures the answers.
+ * The load generator: keeps every connection of a Modbus TCP server full of requests and measures the answers.
  *
  * For: the server tables. It keeps `in_flight` requests pipelined on each connection; requests that become due
- * together (because one read brought several replies) leave in one write. It knows MBAP and FC03 and trusts nobody:
- * every reply is held against the request it claims to answer.
+ * together (because one read brought several replies) leave in one write. It knows MBAP, FC03, FC06 and FC16 and trusts
+ * nobody: every reply is held against the request it claims to answer. Compiled with -DTLS it speaks TLS.
  *
  * Rules:
  * 1. A reply must carry an identifier that is outstanding on its connection, protocol 0, the length, unit, function
- *    and byte count that fit the request. Anything else ends the run with a sentence and exit code 1.
+ *    and byte count (or, of a write, echo) that fit the request. Anything else ends the run with a sentence and exit code 1.
  * 2. Replies may leave the server in any order.
  * 3. The first part of the run (a fifth of `seconds`, 0.1 s at least) warms up and is not counted in rate and latency.
  * 4. Five seconds without any reply end the run with exit code 1.
  * 5. Latency runs from the write that carried a request to the read that brought its reply (one clock reading per
  *    read and write, not per request), of every transaction, in a histogram whose steps are 1.6 % wide.
  *
- * Use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [UNIT]
- *      IN_FLIGHT 1…256, REGISTERS 1…125, UNIT 1 when left out; prints one line of JSON:
+ * 6. TLS: sockets block, and one SSL_read per wake-up takes one record; what is left stays in the kernel, which tells
+ *    again. Both sides show certificates; the name in the server's is not looked at.
+ *
+ * Use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION]
+ *      load_tls HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS FUNCTION CERTIFICATE KEY AUTHORITY
+ *      IN_FLIGHT 1…256, REGISTERS 1…125 (of a write 1…123), FUNCTION 3, 6 or 16, 3 when left out; prints one line of
+ *      JSON:
  *      transactions, seconds, rate (per second), p50/p99/p99.9 (µs) of the counted part; all_transactions since the
  *      first byte (to divide the CPU time of the server by); cpu (seconds, of this process); errors.
  */
@@ -36,9 +41,13 @@
 #include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
+#ifdef TLS
+#include <openssl/ssl.h>
+#endif
 
 enum {
-    REQUEST = 12,
+    REQUEST = 12,           /* of FC03 and FC06 */
+    LONGEST_REQUEST = 13 + 2 * 123,
     HEADER = 9,             /* MBAP 7, function 1, byte count 1 */
     SLOTS = 256,            /* the low byte of an identifier is its slot, the high byte counts the uses of the slot */
     LONGEST_FRAME = 6 + 254,
@@ -55,12 +64,20 @@ struct slot {
 
 struct connection {
     int socket;
+#ifdef TLS
+    SSL *secure;
+#endif
     int kept;
     uint8_t rest[LONGEST_FRAME];
     struct slot slots[SLOTS];
 };
 
-static int registers, unit = 1;
+static int registers, function = 3;
+static const uint8_t unit = 1;
+static size_t reply_size;
+#ifdef TLS
+static SSL_CTX *credentials;
+#endif
 static uint64_t histogram[64 * STEPS];
 static uint64_t all_transactions, counted;
 static int counting;
@@ -106,43 +123,69 @@ static double percentile(double share) {
 
 static uint8_t *put_request(uint8_t *at, struct connection *link, unsigned slot) {
     uint16_t identifier = link->slots[slot].identifier;
+    unsigned following = function == 16 ? 7u + 2u * (unsigned)registers : 6u;
     link->slots[slot].outstanding = 1;
+    memset(at, 0, 6 + following);
     at[0] = (uint8_t)(identifier >> 8);
     at[1] = (uint8_t)identifier;
-    at[2] = at[3] = at[4] = 0;
-    at[5] = 6;
-    at[6] = (uint8_t)unit;
-    at[7] = 3;
-    at[8] = at[9] = 0;
-    at[10] = 0;
-    at[11] = (uint8_t)registers;
-    return at + REQUEST;
+    at[4] = (uint8_t)(following >> 8);
+    at[5] = (uint8_t)following;
+    at[6] = unit;
+    at[7] = (uint8_t)function;
+    at[11] = (uint8_t)(function == 6 ? slot : registers); /* value, or count */
+    if (function == 16) {
+        at[12] = (uint8_t)(2 * registers);
+        at[14] = (uint8_t)slot; /* the first register changes, the others are 0 */
+    }
+    return at + 6 + following;
 }
 
-static void send_all(int socket, const uint8_t *bytes, size_t size) {
+/* Sends all; a TLS socket blocks, so that one write takes it. */
+static void send_all(struct connection *link, const uint8_t *bytes, size_t size) {
+#ifdef TLS
+    if (SSL_write(link->secure, bytes, (int)size) != (int)size) fail("a write failed");
+#else
     while (size > 0) {
-        ssize_t sent = send(socket, bytes, size, MSG_NOSIGNAL);
+        ssize_t sent = send(link->socket, bytes, size, MSG_NOSIGNAL);
         if (sent > 0) {
             bytes += sent;
             size -= (size_t)sent;
         } else if (errno == EAGAIN) {
-            struct pollfd writable = {.fd = socket, .events = POLLOUT};
+            struct pollfd writable = {.fd = link->socket, .events = POLLOUT};
             if (poll(&writable, 1, 5000) <= 0) fail("the server took no bytes for 5 s");
         } else if (errno != EINTR) {
             fail("a write failed: %s", strerror(errno));
         }
     }
+#endif
+}
+
+static ssize_t receive(struct connection *link, uint8_t *bytes, size_t size) {
+#ifdef TLS
+    int got = SSL_read(link->secure, bytes, (int)size);
+    if (got < 0) fail("a read failed: error %d of TLS", SSL_get_error(link->secure, got));
+    return got;
+#else
+    return recv(link->socket, bytes, size, 0);
+#endif
+}
+
+/* Whether the part of a reply behind its function fits the request that had this slot. */
+static int fits(const uint8_t *frame, unsigned slot) {
+    if (function == 3) return frame[8] == 2 * registers;
+    if (frame[8] | frame[9] | frame[10]) return 0; /* address 0, and the high byte of what was written or counted */
+    return frame[11] == (function == 6 ? (uint8_t)slot : registers);
 }
 
 /* Takes what arrived on one connection and sends as many new requests as replies came. */
 static void turn(struct connection *link) {
     static uint8_t incoming[LONGEST_FRAME + READ_SIZE];
-    static uint8_t outgoing[SLOTS * REQUEST];
+    static uint8_t outgoing[SLOTS * LONGEST_REQUEST];
     unsigned due[SLOTS];
     int due_count = 0;
 
     memcpy(incoming, link->rest, (size_t)link->kept);
-    ssize_t got = recv(link->socket, incoming + link->kept, READ_SIZE, 0);
+    ssize_t got = receive(link, incoming + link->kept, READ_SIZE);
     if (got == 0) fail("the server closed a connection");
     if (got < 0) {
         if (errno == EAGAIN || errno == EINTR) return;
@@ -150,7 +193,7 @@ static void turn(struct connection *link) {
     }
     uint64_t arrived = now();
     size_t size = (size_t)(link->kept + got), at = 0;
-    const size_t whole = (size_t)(HEADER + 2 * registers);
+    const size_t whole = reply_size;
     while (size - at >= HEADER) {
         const uint8_t *frame = incoming + at;
         unsigned identifier = (unsigned)(frame[0] << 8 | frame[1]);
@@ -158,13 +201,13 @@ static void turn(struct connection *link) {
         struct slot *slot = &link->slots[identifier % SLOTS];
         if (!slot->outstanding || slot->identifier != identifier)
             fail("a reply carries transaction identifier %u, which is not outstanding", identifier);
-        if (frame[7] == 0x83) fail("the server answered with exception %u", frame[8]);
+        if (frame[7] & 0x80) fail("the server answered with exception %u", frame[8]);
         if (frame[2] | frame[3]) fail("a reply has protocol identifier %u", frame[2] << 8 | frame[3]);
-        if (frame[6] != unit || frame[7] != 3)
-            fail("a reply has unit %u and function %u, %d and 3 were asked", frame[6], frame[7], unit);
-        if (length != whole - 6 || frame[8] != 2 * registers)
-            fail("a reply has length %u and byte count %u for %d registers", length, frame[8], registers);
+        if (frame[6] != unit || frame[7] != function)
+            fail("a reply has unit %u and function %u, %u and %d were asked", frame[6], frame[7], unit, function);
+        if (length != whole - 6) fail("a reply has length %u for %d registers", length, registers);
         if (size - at < whole) break;
+        if (!fits(frame, identifier % SLOTS)) fail("a reply does not fit its request");
         slot->outstanding = 0;
         slot->identifier = (uint16_t)(identifier + SLOTS);
         due[due_count++] = identifier % SLOTS;
@@ -184,7 +227,7 @@ static void turn(struct connection *link) {
         end = put_request(end, link, due[index]);
         link->slots[due[index]].sent = sent;
     }
-    send_all(link->socket, outgoing, (size_t)(end - outgoing));
+    send_all(link, outgoing, (size_t)(end - outgoing));
 }
 
 static int dial(const struct addrinfo *address) {
@@ -196,6 +239,23 @@ static int dial(const struct addrinfo *address) {
     return socket_;
 }
 
+#ifdef TLS
+static void agree_on_credentials(const char *certificate, const char *key, const char *authority) {
+    credentials = SSL_CTX_new(TLS_client_method());
+    if (!credentials || SSL_CTX_use_certificate_chain_file(credentials, certificate) != 1 ||
+        SSL_CTX_use_PrivateKey_file(credentials, key, SSL_FILETYPE_PEM) != 1 ||
+        SSL_CTX_load_verify_locations(credentials, authority, NULL) != 1)
+        fail("the certificate, the key or the authority can not be used");
+    SSL_CTX_set_verify(credentials, SSL_VERIFY_PEER, NULL);
+}
+
+static SSL *shake_hands(int socket) {
+    SSL *secure = SSL_new(credentials);
+    if (!secure || SSL_set_fd(secure, socket) != 1 || SSL_connect(secure) != 1) fail("no agreement on TLS");
+    return secure;
+}
+#endif
+
 static long number(const char *text, const char *name, long low, long high) {
     char *end;
     long value = strtol(text, &end, 10);
@@ -204,13 +264,22 @@ static long number(const char *text, const char *name, long low, long high) {
 }
 
 int main(int argc, char **argv) {
-    if (argc < 7 || argc > 8) fail("use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [UNIT]");
+#ifdef TLS
+    if (argc != 11)
+        fail("use: load_tls HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS FUNCTION CERTIFICATE KEY AUTHORITY");
+    agree_on_credentials(argv[8], argv[9], argv[10]);
+#else
+    if (argc < 7 || argc > 8) fail("use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION]");
+#endif
     int connections = (int)number(argv[3], "CONNECTIONS", 1, 60000);
     int in_flight = (int)number(argv[4], "IN_FLIGHT", 1, SLOTS);
     registers = (int)number(argv[5], "REGISTERS", 1, 125);
     double seconds = strtod(argv[6], NULL);
     if (!(seconds > 0 && seconds <= 3600)) fail("SECONDS is %s, allowed are 0…3600", argv[6]);
-    if (argc == 8) unit = (int)number(argv[7], "UNIT", 0, 255);
+    if (argc > 7) function = (int)number(argv[7], "FUNCTION", 3, 16);
+    if (function != 3 && function != 6 && function != 16) fail("FUNCTION is %d, allowed are 3, 6 and 16", function);
+    if (function == 16 && registers > 123) fail("REGISTERS is %d, a write takes 1…123", registers);
+    reply_size = function == 3 ? (size_t)(HEADER + 2 * registers) : REQUEST;
 
     struct rlimit files;
     getrlimit(RLIMIT_NOFILE, &files);
@@ -225,11 +294,14 @@ int main(int argc, char **argv) {
     int poller = epoll_create1(EPOLL_CLOEXEC);
     for (int index = 0; index < connections; index++) {
         links[index].socket = dial(address);
+#ifdef TLS
+        links[index].secure = shake_hands(links[index].socket);
+#endif
         struct epoll_event event = {.events = EPOLLIN, .data.ptr = &links[index]};
         if (epoll_ctl(poller, EPOLL_CTL_ADD, links[index].socket, &event)) fail("epoll_ctl: %s", strerror(errno));
     }
 
-    static uint8_t first[SLOTS * REQUEST];
+    static uint8_t first[SLOTS * LONGEST_REQUEST];
     for (int index = 0; index < connections; index++) {
         uint8_t *end = first;
         uint64_t sent = now();
@@ -238,7 +310,7 @@ int main(int argc, char **argv) {
             links[index].slots[slot].sent = sent;
             end = put_request(end, &links[index], slot);
         }
-        send_all(links[index].socket, first, (size_t)(end - first));
+        send_all(&links[index], first, (size_t)(end - first));
     }
 
     double warm = seconds / 5 > 0.1 ? seconds / 5 : 0.1;

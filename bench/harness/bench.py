@@ -12,6 +12,9 @@ from harness.children import ChildFailed
 
 ROOT = Path(__file__).parent.parent.parent
 Command = list[str | Path]
+LEAST_TURN, LONGEST_TURN = 0.05, 1.5
+PEERS = ("bench/build/peers", ".peers")
+"""Environments with peers, the first that is there is taken; the benchmark's own has some that the tests do not need."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,13 +23,28 @@ class Bench:
 
     quick: bool
     rounds: int  # of every contender
-    seconds: float  # counted part of one round; its warm-up comes on top
     server_core: int | None
     load_core: int | None
     programs: dict[str, Path]  # the C programs that are there
     peers_python: Path | None  # interpreter of the peers' environment
     uvloop: bool
     say: Callable[[str], None]
+    budget: float = 60.0  # seconds that the table may take
+    asked_seconds: float | None = None  # by the command line, instead of what the budget leaves
+
+    def turn(self, turns: int, *, apart: float = 0.0, overhead: float = 0.06) -> float:
+        """Counted seconds of one turn, so that `rounds` rounds of `turns` turns stay within the budget.
+
+        Args:
+            turns: of one round: contenders, in all shapes.
+            apart: seconds of the budget that go elsewhere, to start servers for example.
+            overhead: seconds that a turn takes beside its warm-up and its counted part: a program has to start.
+        """
+        if self.asked_seconds is not None:
+            return self.asked_seconds
+        left = (self.budget - apart) / (turns * self.rounds) - overhead
+        counted = left / 1.2 if left > 0.6 else left - 0.1  # the warm-up is a fifth, 0.1 s at least
+        return min(max(counted, LEAST_TURN), LONGEST_TURN)
 
     def program(self, name: str, *arguments: object) -> Command:
         """The command of a C program; ChildFailed where it could not be built."""
@@ -41,7 +59,7 @@ class Bench:
     def peer(self, module: str, *arguments: object) -> Command:
         """The command of a Python program of `bench/peers/`; ChildFailed where the peers' environment is missing."""
         if self.peers_python is None:
-            raise ChildFailed("the peers are not installed (make peers)")
+            raise ChildFailed("the peers are not installed (make bench-peers)")
         return [self.peers_python, "-m", module, *map(str, arguments)]
 
 
@@ -56,17 +74,17 @@ def prepare(quick: bool, rounds: int | None = None, seconds: float | None = None
     server_core, load_core = machine.two_cores()
     if server_core is None:
         say("fewer than two cores: nothing is pinned, and the figures say little")
-    peers = ROOT / ".peers" / "bin" / "python"
-    if not peers.exists():
-        say("no .peers environment: the Python peers are left out (make peers)")
+    peers = next((found for name in PEERS if (found := ROOT / name / "bin" / "python").exists()), None)
+    if peers is None:
+        say("no environment with the Python peers: they are left out (make bench-peers)")
     return Bench(
         quick=quick,
         rounds=rounds or (3 if quick else 5),
-        seconds=seconds or (0.2 if quick else 1.5),
+        asked_seconds=seconds,
         server_core=server_core,
         load_core=load_core,
         programs=build.programs(say),
-        peers_python=peers if peers.exists() else None,
+        peers_python=peers,
         uvloop=importlib.util.find_spec("uvloop") is not None,
         say=say,
     )

@@ -8,12 +8,31 @@ Rules:
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 SOURCES = Path(__file__).parent.parent / "c"
 TARGET = Path(__file__).parent.parent / "build"
 FLAGS = ["-O2", "-Wall", "-Wextra"]
-LIBRARIES: dict[str, str | None] = {"floor_server": None, "load": None, "paced": None, "libmodbus_server": "libmodbus"}
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A program in C: its source, the library it needs (as `pkg-config` knows it), and what the compiler is told."""
+
+    source: str
+    library: str | None = None
+    flags: tuple[str, ...] = ()
+
+
+PROGRAMS = {
+    "floor_server": Program("floor_server"),
+    "floor_tls": Program("floor_server", "openssl", ("-DTLS",)),
+    "load": Program("load"),
+    "load_tls": Program("load", "openssl", ("-DTLS",)),
+    "paced": Program("paced"),
+    "libmodbus_server": Program("libmodbus_server", "libmodbus"),
+}
 
 
 def programs(say: Callable[[str], None]) -> dict[str, Path]:
@@ -24,14 +43,14 @@ def programs(say: Callable[[str], None]) -> dict[str, Path]:
         return {}
     TARGET.mkdir(exist_ok=True)
     built = {}
-    for name, library in LIBRARIES.items():
-        target, source = TARGET / name, SOURCES / f"{name}.c"
-        flags = [] if library is None else _library_flags(library)
+    for name, program in PROGRAMS.items():
+        target, source = TARGET / name, SOURCES / f"{program.source}.c"
+        flags = [] if program.library is None else _library_flags(program.library)
         if flags is None:
-            say(f"{library} is not installed (pkg-config): {name} is left out")
+            say(f"{program.library} is not installed (pkg-config): {name} is left out")
             continue
         if not target.exists() or target.stat().st_mtime < source.stat().st_mtime:
-            command = [compiler, *FLAGS, "-o", target, source, *flags]
+            command = [compiler, *FLAGS, *program.flags, "-o", target, source, *flags]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode != 0:
                 say(f"{source.name} does not compile and is left out:\n{done.stderr.strip()}")

@@ -1,29 +1,53 @@
-"""A busway server on TCP with 65 536 holding registers for unit 1, register n holding n.
+"""A busway server on TCP or TLS with 65 536 holding registers for unit 1, register n holding n.
 
-Run from `bench/`: python -m servers.busway_server [--uvloop] [--trace-memory]
+Run from `bench/`: python -m servers.busway_server [--uvloop] [--trace-memory] [--policy] [--audit FILE]
+                   [--tls CERTIFICATE KEY AUTHORITY]
+--policy: twelve rules, of which some are about the table that is asked; --audit: writes go into a log.
 """
 
+import argparse
 import asyncio
-import sys
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 from harness import announce
 
 import busway
 
 
-async def main() -> None:
+def twelve_rules() -> busway.Policy:
+    """As many as an installation has; the one that fits is the eleventh, and a window of registers."""
+    others = [busway.Rule.of(units=unit, peers=["10.0.0.0/8"], name=f"unit {unit}") for unit in range(2, 12)]
+    mine = busway.Rule.of(units=1, peers=["127.0.0.0/8"], table="holding", addresses="0-9999", name="mine")
+    files = busway.Rule.of(action="read-only", files="1-4", name="files")
+    return busway.Policy.of(*others, mine, files)
+
+
+async def main(asked: argparse.Namespace) -> None:
     device = busway.Device(holding_registers=list(range(65536)))
-    async with busway.serve("tcp://127.0.0.1:0", units={1: device}, max_connections=20_000) as server:
+    url = "tcp://127.0.0.1:0"
+    if asked.tls:
+        url = f"tls://127.0.0.1:0?{urlencode(dict(zip(('certificate', 'key', 'authority'), asked.tls, strict=True)))}"
+    audit = busway.AuditLog(asked.audit) if asked.audit else None
+    policy = twelve_rules() if asked.policy else None
+    options = {"units": {1: device}, "policy": policy, "audit": audit, "max_connections": 20_000}
+    async with busway.serve(url, **options) as server:
         announce.port(urlsplit(server.endpoints[0]).port or 0)
         await asyncio.Event().wait()
 
 
-if "--trace-memory" in sys.argv:
+parser = argparse.ArgumentParser()
+parser.add_argument("--uvloop", action="store_true")
+parser.add_argument("--trace-memory", action="store_true")
+parser.add_argument("--policy", action="store_true")
+parser.add_argument("--audit")
+parser.add_argument("--tls", nargs=3)
+asked = parser.parse_args()
+if asked.trace_memory:
     announce.trace_memory()
-if "--uvloop" in sys.argv:
+serving = main(asked)
+if asked.uvloop:
     import uvloop
 
-    uvloop.run(main())
+    uvloop.run(serving)
 else:
-    asyncio.run(main())
+    asyncio.run(serving)
