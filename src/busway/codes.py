@@ -128,7 +128,7 @@ class ExceptionCode(IntEnum):
 
 
 EXCEPTION_MEANING: Final[dict[int, str]] = {
-    0x01: "illegal function: the device does not offer it, or is not configured",
+    0x01: "illegal function: the device does not offer it or not to you, or is not configured",
     0x02: "illegal data address: an item in the range does not exist or may not be written",
     0x03: "illegal data value: a quantity or a length in the request is not allowed",
     0x04: "server device failure while executing",

@@ -159,9 +159,31 @@ def test_the_overview_has_a_row_for_everything() -> None:
     own = rows["listener", "tcp://127.0.0.1:5021"]
     assert own.startswith("allows 127.0.0.0/8; denies 127.0.0.9; refuses all others; 4 priority places for 10.0.0.1")
     assert "a role is required" in rows["listener", "tls://127.0.0.1:0"]
-    assert rows["policy", ""] == "2 rules (setpoints, rule 2), else read-only"
+    assert rows["policy", ""] == (
+        "2 rules (setpoints, rule 2), else read-only; allows 10.0.0.0/8, 127.0.0.1; denies 10.9.0.0/16; refuses all others"
+    )
     assert rows["server", ""] == "audit audit.jsonl; metrics on 127.0.0.1:9502; control socket busway.sock"
     assert rows["link", "boiler"] == (
         "tcp://10.0.0.5?retries=0; timeout 0.5, deadline none, keepalive_idle 30, hold 60.0, max_transactions 4"
     )
     assert rows["unit", "2"] == "100 holding registers, 1 points"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "none: whoever may connect may do everything"),
+        (
+            'listen = ["tcp://10.0.0.1:5020"]\n',
+            "none: whoever may connect may do everything; the command makes what the network reaches read-only",
+        ),
+        ('policy = "read-only"\n', "read-only"),
+        (
+            '[policy]\ndefault = "deny"\nallow = ["10.0.0.0/8"]\n[[policy.rule]]\nname = "x"\n',
+            "1 rule (x), else deny; allows 10.0.0.0/8; refuses all others",
+        ),
+    ],
+)
+def test_the_overview_says_what_becomes_of_requests_and_who_may_connect(text: str, said: str) -> None:
+    rows = {(kind, name): told for kind, name, told in overview(parse_configuration(text + UNIT, "x.toml"))}
+    assert rows["policy", ""] == said

@@ -4,9 +4,10 @@ import json
 import re
 import signal
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from program import Busway
@@ -168,6 +169,12 @@ def test_metrics_are_offered_where_they_are_wanted(tmp_path: Path) -> None:
         assert write(url) == "done"
         with urllib.request.urlopen(place[0], timeout=10) as answer:
             assert b"busway_" in answer.read()
+
+
+def test_a_place_for_metrics_that_can_not_be_is_refused_by_the_name_of_the_option(run: Callable[..., Any]) -> None:
+    done = run("serve", "--metrics", "here")
+    assert done.code == 2
+    assert done.err == "busway: --metrics: an address such as 127.0.0.1:9502 is needed, not 'here'\n"
 
 
 def reloaded(program: Busway) -> str:

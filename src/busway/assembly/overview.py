@@ -12,6 +12,7 @@ from ..config.files.device import UnitSection
 from ..config.options import NONE
 from ..server.listener import Listener
 from ..server.parameters import ListenerParameters
+from .access import reaches_network
 from .certificates import tls_of
 from .configuration import Configuration
 
@@ -39,14 +40,8 @@ def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
     if carrier == "serial":
         yield "serial line"
         return
-    access = listener.access
-    if isinstance(access, AddressList):
-        if access.allow:
-            yield f"allows {', '.join(access.allow)}"
-        if access.deny:
-            yield f"denies {', '.join(access.deny)}"
-        if access.secure:
-            yield "refuses all others"
+    if isinstance(listener.access, AddressList):
+        yield from _addresses(listener.access)
     limits = listener.limits or general
     marked = f" for {', '.join(limits.priority)}" if limits.priority else ""
     yield f"{limits.max_priority_connections} priority places{marked}, {limits.max_connections} others"
@@ -57,13 +52,25 @@ def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
             yield "a role is required"
 
 
+def _addresses(addresses: AddressList) -> Iterator[str]:
+    if addresses.allow:
+        yield f"allows {', '.join(addresses.allow)}"
+    if addresses.deny:
+        yield f"denies {', '.join(addresses.deny)}"
+    if addresses.secure:
+        yield "refuses all others"
+
+
 def _policy(configuration: Configuration) -> str:
     access = configuration.access
     if access is None:
-        return "none: whoever may connect may do everything"
+        exposed = any(reaches_network(str(listener.endpoint)) for listener in configuration.listeners)
+        beyond = "; the command makes what the network reaches read-only" if exposed else ""
+        return f"none: whoever may connect may do everything{beyond}"
     rules = access.policy.rules
-    named = f"{len(rules)} rules ({', '.join(rule.name for rule in rules)}), " if rules else ""
-    return f"{named}else {access.policy.default.value}"
+    count = "1 rule" if len(rules) == 1 else f"{len(rules)} rules"
+    named = f"{count} ({', '.join(rule.name for rule in rules)}), else " if rules else ""
+    return "; ".join((f"{named}{access.policy.default.value}", *_addresses(access.addresses)))
 
 
 def _server(configuration: Configuration) -> Iterator[str]:

@@ -34,7 +34,24 @@ ALLOW = typer.Option(
 DENY = typer.Option(None, "--deny", metavar="NET", help="These may not connect.")
 PRIORITY = typer.Option(None, "--priority", metavar="NET", help="Never close a connection of these to make room.")
 AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied requests and writes here.")
-METRICS = typer.Option(None, "--metrics", metavar="HOST:PORT", help="Offer metrics to Prometheus here: 127.0.0.1:9502.")
+
+
+def _place_of_metrics(text: str | None) -> str | None:
+    """Refuse a place that can not be, by the option's name. Raises `ConfigError`."""
+    if text is not None:
+        from ..observe.http import parse_host_port
+
+        parse_host_port(text, "--metrics")
+    return text
+
+
+METRICS = typer.Option(
+    None,
+    "--metrics",
+    metavar="HOST:PORT",
+    help="Offer metrics to Prometheus here: 127.0.0.1:9502.",
+    callback=_place_of_metrics,
+)
 CONTROL = typer.Option(
     None,
     "--control",
