@@ -13,15 +13,18 @@ simulator.
 """
 
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from random import Random
+from typing import Any
 
+from ..codes import Table
 from ..errors import ConfigError
 from ..pdu.functions import AnyRequest
 from ..pdu.message import Request, Span
+from ..values.refusal import shown
 
 SILENCE = b""
 """The answer of a fault that keeps the device from answering."""
@@ -148,6 +151,7 @@ class Fault:
         answered: the frames that leave, made from those that would.
         closes_at: when the connection is closed, in the clock of ``now``; None for never.
         carriers: where it is met.
+        options: of the personality, that it was made with.
     """
 
     name: str = ""
@@ -156,6 +160,7 @@ class Fault:
     answered: Answered | None = None
     closes_at: ClosesAt | None = None
     carriers: frozenset[Carrier] = EVERYWHERE
+    options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the personality declares
 
     def is_met(self, contact: Contact) -> bool:
         """Whether a connection is one where it can be met."""
@@ -209,7 +214,8 @@ class Selection:
     Args:
         units: unit identifiers, 0…255.
         functions: function codes, 1…127.
-        addresses: items, 0-based; a request that touches one of them is meant.
+        addresses: items, 0-based, of every table; a request that touches one of them is meant.
+        items: the same by table: ranges of the first item and the one behind the last.
         probability: 0…1, the part of those requests that it strikes.
         schedule: when.
     """
@@ -219,6 +225,7 @@ class Selection:
     addresses: range | None = None
     probability: float = 1.0
     schedule: Schedule = Schedule()
+    items: Mapping[Table, Collection[tuple[int, int]]] | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.probability <= 1:
@@ -232,27 +239,42 @@ class Selection:
             return False
         if self.functions is not None and exchange.function not in self.functions:
             return False
-        wanted = self.addresses
-        return wanted is None or any(
-            span.address < wanted.stop and wanted.start < span.address + span.count for span in exchange.spans
+        wanted, items = self.addresses, self.items
+        if wanted is not None and not any(_touches(span, wanted.start, wanted.stop) for span in exchange.spans):
+            return False
+        return items is None or any(
+            _touches(span, first, end) for span in exchange.spans for first, end in items.get(span.table, ())
         )
+
+
+def _touches(span: Span, first: int, end: int) -> bool:
+    return span.address < end and first < span.address + span.count
 
 
 class AppliedFault:
     """A fault that was put on: its choice, its switch and its count.
 
     Attributes:
+        label: what it is called among the others.
         fault: what it does.
         selection: which requests it is for.
         enabled: the switch, as it stands.
         struck: requests that it has struck, connections that it has refused, and those that it has closed.
     """
 
-    __slots__ = ("_changed", "_chosen", "_random", "_since", "enabled", "fault", "selection", "struck")
+    __slots__ = ("_changed", "_chosen", "_random", "_since", "enabled", "fault", "label", "selection", "struck")
 
     def __init__(
-        self, fault: Fault, selection: Selection, random: Random, changed: Callable[[], None], *, enabled: bool
+        self,
+        label: str,
+        fault: Fault,
+        selection: Selection,
+        random: Random,
+        changed: Callable[[], None],
+        *,
+        enabled: bool,
     ) -> None:
+        self.label = label
         self.fault = fault
         self.selection = selection
         self.enabled = enabled
@@ -325,18 +347,34 @@ class Faults:
     def __iter__(self) -> Iterator[AppliedFault]:
         return iter(self._applied)
 
-    def add(self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True) -> AppliedFault:
+    def add(
+        self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True, label: str = ""
+    ) -> AppliedFault:
         """Put a fault on, behind the others.
 
         Args:
             fault: what happens.
             selection: to which requests; None for all.
             enabled: whether it is switched on.
+            label: what it is called; by default its personality's name, with a number where that is taken.
+
+        Raises:
+            ConfigError: there is one of this label.
         """
         with self._lock:
+            taken = {one.label for one in self._applied}
+            if label in taken:
+                raise ConfigError(f"there is a fault {shown(label)} already", key="name")
             self._made += 1
             random = Random(f"{self._seed}/{self._made}/{fault.name}")
-            applied = AppliedFault(fault, selection or Selection(), random, self._changed, enabled=enabled)
+            applied = AppliedFault(
+                label or _unused(fault.name or "fault", taken),
+                fault,
+                selection or Selection(),
+                random,
+                self._changed,
+                enabled=enabled,
+            )
             self._applied = (*self._applied, applied)
         self._changed()
         return applied
@@ -372,6 +410,14 @@ class Faults:
             yield applied
         finally:
             self.remove(applied)
+
+    def find(self, label: str) -> AppliedFault:
+        """The fault of a label. Raises `ConfigError` that lists those there are."""
+        for one in self._applied:
+            if one.label == label:
+                return one
+        there_are = ", ".join(one.label for one in self._applied) or "none"
+        raise ConfigError(f"there is no fault {shown(label)}; there are: {there_are}", key="name")
 
     # What a conversation asks.
 
@@ -412,3 +458,11 @@ class Faults:
             when = one.fault.closes_at(contact)
             if when is not None:
                 yield when, one
+
+
+def _unused(name: str, taken: Collection[str]) -> str:
+    number, found = 1, name
+    while found in taken:
+        number += 1
+        found = f"{name}-{number}"
+    return found

@@ -132,7 +132,7 @@ class Personality:
                 raise ConfigError(f"{self.name} has no such option; there are: {known}", key=name)
             parameters[name].check(value)
         fault = self.make(**options)
-        return Fault(self.name, fault.admits, fault.asked, fault.answered, fault.closes_at, self.carriers)
+        return Fault(self.name, fault.admits, fault.asked, fault.answered, fault.closes_at, self.carriers, options)
 
 
 class PersonalityTable(Mapping[str, Personality]):

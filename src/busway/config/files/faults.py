@@ -1,0 +1,181 @@
+"""The schema of faults that a simulated device has: ``[[fault]]``.
+
+Knows what can be written, and which requests a section chooses; what goes wrong is known by the personalities, which
+are looked up, with their parameters, by who builds the faults (`busway.simulator.faults.reading`).
+
+::
+
+    [[fault]]
+    name = "slow meters"
+    personality = "late"
+    units = "1-3"
+    functions = ["read_holding_registers", 4]
+    addresses = "4x101-4x110"
+    probability = 0.1
+    schedule = { from = 60, for = 10, every = 300 }
+    on = true
+    parameters = { delay = 2.0 }
+"""
+
+from typing import Annotated, Any, Final
+
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+
+from ...codes import Table
+from ...errors import ConfigError
+from ...values.refusal import shown
+from ..access.notation import Range, merged, parse_functions, parse_items, parse_units
+from .lines import Path
+from .policy import Numbers
+from .schema import Faults, Section, Source
+
+_MOST_SECONDS: Final = 366 * 86_400.0
+
+
+def _as_parameter(value: object) -> object:
+    if not isinstance(value, bool | int | float):
+        raise ValueError(f"must be a number, true or false, not {shown(value)}")
+    return value
+
+
+ParameterValue = Annotated[
+    bool | int | float, BeforeValidator(_as_parameter, json_schema_input_type=bool | int | float)
+]
+
+
+class ScheduleSection(Section):
+    """``schedule``: when the fault is on, counted from its being switched on."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    from_: float = Field(default=0.0, ge=0, le=_MOST_SECONDS, alias="from")
+    for_: float | None = Field(default=None, ge=0, le=_MOST_SECONDS, alias="for")
+    every: float | None = Field(default=None, gt=0, le=_MOST_SECONDS)
+    skip: int = Field(default=0, ge=0)
+    times: int | None = Field(default=None, ge=0)
+
+    @model_validator(mode="after")
+    def _check(self) -> "ScheduleSection":
+        if self.every is not None and (self.for_ is None or self.every < self.for_):
+            raise Faults([(("every",), "must be at least as long as for, which it needs")])
+        return self
+
+
+class FaultSection(Section):
+    """``[[fault]]``: one fault. What is left out chooses every request."""
+
+    name: str = ""
+    personality: str = Field(min_length=1)
+    units: Numbers | None = None
+    functions: Numbers | None = None
+    addresses: Numbers | None = None
+    probability: float = Field(default=1.0, ge=0, le=1)
+    schedule: ScheduleSection = ScheduleSection()
+    on: bool = True
+    parameters: dict[str, ParameterValue] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check(self) -> "FaultSection":
+        faults: list[tuple[Path, str]] = []
+        for key in ("units", "functions", "addresses"):
+            try:
+                getattr(self, f"chosen_{key}")()
+            except ConfigError as error:
+                faults.append(((key,), error.message))
+        if faults:
+            raise Faults(faults)
+        return self
+
+    def chosen_units(self) -> frozenset[int] | None:
+        """Units 0…255; None for all. Raises nothing that reading the file did not, as those below."""
+        return None if self.units is None else parse_units(self.units)
+
+    def chosen_functions(self) -> frozenset[int] | None:
+        """Function codes 1…127; None for all."""
+        if self.functions is None:
+            return None
+        found = parse_functions(self.functions)
+        for code, sub_code in found:
+            if sub_code is not None:
+                raise ConfigError(f"a fault is for a whole function, not for sub-function {code}/{sub_code}")
+        return frozenset(code for code, _ in found)
+
+    def chosen_addresses(self) -> dict[Table, tuple[Range, ...]] | None:
+        """Ranges of items by table; None for all. A number without a table means the items of every table."""
+        if self.addresses is None:
+            return None
+        found: dict[Table, list[Range]] = {}
+        for each in self.addresses:
+            for part in each.split(",") if isinstance(each, str) else [each]:
+                for table, ranges in _items(part).items():
+                    found.setdefault(table, []).extend(ranges)
+        return {table: merged(ranges) for table, ranges in found.items()}
+
+
+def _items(part: str | int) -> dict[Table, tuple[Range, ...]]:
+    try:
+        return parse_items(part, None)
+    except ConfigError:
+        of_every_table: dict[Table, tuple[Range, ...]] = {}
+        for table in Table:
+            of_every_table |= parse_items(part, table)
+        return of_every_table
+
+
+def parse_fault_words(text: str) -> FaultSection:
+    """The section that words of a command line stand for: ``late`` or ``late:delay=2,units=1-3,for=10``.
+
+    Args:
+        text: the personality; behind a colon, keys of the section and of its schedule, and parameters.
+
+    Raises:
+        ConfigError: a word can not be; its key is the key at fault.
+    """
+    personality, _, rest = text.partition(":")
+    section: dict[str, Any] = {"personality": personality.strip()}  # Any: values of several types
+    for word in rest.split(",") if rest.strip() else []:
+        key, sign, value = (each.strip() for each in word.partition("="))
+        if not sign or not key:
+            raise ConfigError(f"must be NAME=VALUE, not {word.strip()!r}", key=key or text)
+        _put(section, key, value)
+    return _checked(section, text)
+
+
+_TEXTS: Final = frozenset({"name", "units", "functions", "addresses"})
+_SCHEDULE: Final = frozenset({"from", "for", "every", "skip", "times"})
+
+
+def _put(section: dict[str, Any], key: str, value: str) -> None:
+    if key in _TEXTS:
+        section[key] = value
+    elif key in _SCHEDULE:
+        section.setdefault("schedule", {})[key] = _plain(key, value)
+    elif key in ("probability", "on"):
+        section[key] = _plain(key, value)
+    else:
+        section.setdefault("parameters", {})[key] = _plain(key, value)
+
+
+def _plain(key: str, value: str) -> bool | int | float:
+    words = {"true": True, "false": False, "yes": True, "no": False}
+    if value.lower() in words:
+        return words[value.lower()]
+    for kind in (int, float):
+        try:
+            return kind(value)
+        except ValueError:
+            pass
+    raise ConfigError(f"must be a number, true or false, not {value!r}", key=key)
+
+
+def _checked(section: dict[str, Any], text: str) -> FaultSection:
+    class Words(Section):
+        fault: FaultSection
+
+    try:
+        return Source(text, {"fault": section}, {}).checked(Words).fault
+    except ConfigError as error:
+        raise ConfigError(error.message, key=(error.key or text).removeprefix("fault.")) from None
+
+
+__all__ = ["FaultSection", "ScheduleSection", "parse_fault_words"]
