@@ -1,0 +1,43 @@
+"""Ready-made devices: simulation files that come with the package, each with its parameters.
+
+Knows their names and texts; knows nothing of how they are simulated. Their register maps in the documentation are
+generated from them (``scripts/register_maps.py``).
+"""
+
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final
+
+from ...errors import ConfigError
+
+DEVICES: Final = {
+    "meter": "An energy meter for three phases: float32 values, uint32 counters.",
+    "inverter": "A three-phase photovoltaic inverter with SunSpec models 1, 103 and 120.",
+    "drive": "A variable-speed drive: control and status word, speed set point with ramp, faults.",
+    "io": "An IO block of a PLC: coils, inputs, counters, a watchdog.",
+    "thermostat": "A temperature controller on a serial line: set point, process value, alarms.",
+}
+"""The devices by name, each in a sentence, in the order of the documentation."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadyMade:
+    """A device of the package.
+
+    Attributes:
+        name: as ``busway simulate --device`` takes it.
+        file: its name in sentences about it.
+        text: the simulation file.
+    """
+
+    name: str
+    file: str
+    text: str
+
+
+def ready_made(name: str) -> ReadyMade:
+    """A device by name. Raises `ConfigError` that lists those there are."""
+    if name not in DEVICES:
+        raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
+    file = f"{name}.toml"
+    return ReadyMade(name, file, files(__name__).joinpath(file).read_text(encoding="utf-8"))
