@@ -54,6 +54,8 @@ def test_the_profile_strict_and_the_options_of_servers_hold_at_every_front() -> 
 def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> None:
     plan = simple_gateway([ANY_PORT, "udp://127.0.0.1:0"], "rtu:///dev/not-there?baud=9600").plan
     assert [front.name for front in plan.fronts] == [ANY_PORT, "udp://127.0.0.1:0"]
+    twice = simple_gateway([ANY_PORT, ANY_PORT], "tcp://10.0.0.5").plan
+    assert [front.name for front in twice.fronts] == [ANY_PORT, f"{ANY_PORT} (2)"]
     assert [line.link.endpoint.path for line in plan.lines] == ["/dev/not-there"]
     for fronts, line, sentence in (
         ([ANY_PORT], "rtu:///dev/x?baud=9", "baud: must be 50"),
@@ -165,14 +167,15 @@ async def test_a_front_that_is_renamed_changed_or_added_leaves_the_others_alone(
 
 
 async def test_what_can_not_be_had_changes_nothing_neither_routes_nor_policy() -> None:
-    async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
+    async with (
+        busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one,
+        busway.serve(ANY_PORT, units={1: device(0)}) as neighbour,
+    ):
         files = Files(one.endpoints[0], one.endpoints[0])
         files.text = FRONT + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             await link.unit(1).write_single_register(1, 5)
-            taken = '[[listener]]\nname = "taken"\nurl = "{}"\n'.format(
-                one.endpoints[0].replace("127.0.0.1", "0.0.0.0")
-            )
+            taken = f'[[listener]]\nname = "taken"\nurl = "{neighbour.endpoints[0]}"\n'
             files.text = FRONT + taken + '[policy]\ndefault = "deny"\n' + ROUTES.replace("2", "3")
             with pytest.raises(busway.LinkDown, match="the port is taken"):
                 await service.reload()

@@ -203,7 +203,7 @@ def _put_together(
     name = source.name
     judge = Judge(source)
     common = put_together(file, name, judge, examine=examine, changes=changes)
-    fronts = [_placed_front(file, place, parse_endpoint(url)) for place, url in file.places()]
+    fronts = _named_apart([_placed_front(file, place, parse_endpoint(url)) for place, url in file.places()])
     lines = {}
     for index, section in enumerate(file.line):
         line = _line(file, section, name, ("line", index), judge)
@@ -237,6 +237,18 @@ def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint) -> Placed
     if section is None:
         return PlacedFront(file.listen[int(place[1])], endpoint, place, None)
     return PlacedFront(section.title, endpoint, place, section.client_deadline)
+
+
+def _named_apart(fronts: Sequence[PlacedFront]) -> list[PlacedFront]:
+    """The fronts, each with a name of its own: a free port may be wanted twice by the same URL."""
+    named: dict[str, PlacedFront] = {}
+    for front in fronts:
+        name, number = front.name, 1
+        while name in named:
+            number += 1
+            name = f"{front.name} ({number})"
+        named[name] = replace(front, name=name)
+    return list(named.values())
 
 
 def _is_silent(file: GatewayFile, place: Place) -> bool:
