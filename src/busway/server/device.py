@@ -25,7 +25,7 @@ from ..pdu.model import Context, Refusal
 from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType
 from ..values.refusal import shown
-from .blocks import BitRun, RegisterRun
+from .blocks import BitRun, RegisterRun, Run
 from .cells import TableLike, lay_out
 from .groups import Groups
 from .hooks import Access, Change, Hook, Hooks, ReadFunction, When, WriteFunction, call, function_of, role_of
@@ -374,6 +374,13 @@ class Device:
         if not isinstance(run, RegisterRun | BitRun) or (writes and store.read_only):
             return None
         return run
+
+    def find_run(self, table: Table, address: int, count: int) -> Run | None:
+        """The run that holds some items, for an application that changes many of them at once by their bytes.
+
+        It does so as `busway.server.blocks` says: under ``lock``, and by `replace_all`. None unless all items exist.
+        """
+        return self._stores[table].find(address, count)
 
     def peek(self, table: Table, address: int, count: int) -> bytes | None:
         """Items in wire order as they are now, without a hook being called; None unless all of them exist."""

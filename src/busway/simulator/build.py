@@ -8,6 +8,7 @@ from typing import Any
 
 from ..codes import Table
 from ..config.files.device import DeviceFile, PointSection, TableSection, UnitSection
+from ..config.files.simulation import SimulatedUnitSection
 from ..server.cells import Cells
 from ..server.device import Device
 
@@ -20,7 +21,9 @@ def build_units(file: DeviceFile) -> dict[int, Device]:
 def build_device(section: UnitSection) -> Device:
     """The device that a unit's section declares, its points holding their first values."""
     # Any: arguments of different types
-    options: dict[str, Any] = {table.value: _cells(section.table(table), section.points_in(table)) for table in Table}
+    options: dict[str, Any] = {
+        table.value: _cells(section.table(table), section.points_in(table), _hole(section, table)) for table in Table
+    }
     if section.server_id is not None:
         options["server_id"] = section.server_id
     device = Device(
@@ -38,15 +41,37 @@ def build_device(section: UnitSection) -> Device:
     return device
 
 
-def _cells(declared: TableSection | None, points: Sequence[PointSection]) -> Cells | None:
-    """The items of a table: as declared, or else those of its points."""
+def _hole(section: UnitSection, table: Table) -> int | None:
+    """What is read between the points of a table; None where that is refused."""
+    return section.holes.value(table) if isinstance(section, SimulatedUnitSection) else None
+
+
+def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
+    """The items of a table: as declared, or else those of its points, and of the holes between them."""
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
     ]
     if declared is not None:
         return _declared(declared, [*declared.read_only, *read_only])
-    offsets = {offset for point in points for offset in range(point.place.offset, point.place.offset + point.size)}
-    return Cells(values=dict.fromkeys(sorted(offsets), 0), read_only=_pairs(read_only)) if offsets else None
+    values = {offset: 0 for point in points for offset in range(point.place.offset, point.place.offset + point.size)}
+    if not values:
+        return None
+    if hole is not None:
+        holes = [offset for offset in range(min(values), max(values)) if offset not in values]
+        values |= dict.fromkeys(holes, hole)
+        read_only += _ranges(holes)
+    return Cells(values=dict(sorted(values.items())), read_only=_pairs(read_only))
+
+
+def _ranges(offsets: Sequence[int]) -> list[list[int]]:
+    """Ascending offsets as ranges, each first and count."""
+    found: list[list[int]] = []
+    for offset in offsets:
+        if found and offset == sum(found[-1]):
+            found[-1][1] += 1
+        else:
+            found.append([offset, 1])
+    return found
 
 
 def _declared(table: TableSection, read_only: Sequence[Sequence[int]]) -> Cells:

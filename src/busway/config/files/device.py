@@ -193,7 +193,7 @@ class FifoSection(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "FifoSection":
-        _checked("address", lambda: self.place)
+        checked("address", lambda: self.place)
         return self
 
 
@@ -266,15 +266,15 @@ class PointSection(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "PointSection":
-        place = _checked("address", lambda: self.place)
+        place = checked("address", lambda: self.place)
         if place.table is Table.COILS or place.table is Table.DISCRETE_INPUTS or place.bit is not None:
             if self.type is not None:
                 raise Faults([(("type",), f"{place} is one bit and has no type")])
             if self.scale != 1.0:
                 raise Faults([(("scale",), f"{place} is one bit and has no scale")])
         else:
-            form = _checked("type", lambda: value_type(self.type or "uint16"))
-            form = _checked("order", lambda: value_type(self.type or "uint16", self.order))
+            form = checked("type", lambda: value_type(self.type or "uint16"))
+            form = checked("order", lambda: value_type(self.type or "uint16", self.order))
             if form.name.startswith("bit:"):
                 raise Faults([(("type",), f"one bit is written with its address, {place}.{form.name[4:]}")])
             if self.scale != 1.0 and not form.name.startswith(("int", "uint", "float", "bcd")):
@@ -288,7 +288,7 @@ class PointSection(Section):
         if self.access == "read" and place.bit is not None:
             raise Faults([(("access",), f"{place} can be written as its register can; give that a range in read_only")])
         if self.value is not None:
-            _checked("value", lambda: self.raw(self.value))
+            checked("value", lambda: self.raw(self.value))
         return self
 
 
@@ -435,8 +435,8 @@ def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path,
         seen.setdefault(value, index)
 
 
-def _checked(key: str, make: Callable[[], Result]) -> Result:
-    """What ``make`` gives; what it refuses becomes a fault of ``key``."""
+def checked(key: str, make: Callable[[], Result]) -> Result:
+    """What ``make`` gives; what it refuses becomes a fault of ``key`` of the section that is being checked."""
     try:
         return make()
     except (InvalidRequest, ConfigError) as error:

@@ -67,7 +67,7 @@ class Source:
             return schema.model_validate(self.data)
         except ValidationError as error:
             found = [
-                self.problem(path, sentence) for each in error.errors() for path, sentence in _faults(each, schema)
+                self.problem(path, sentence) for each in error.errors() for path, sentence in faults_of(each, schema)
             ]
             raise FileError(in_order(found)) from None
 
@@ -121,8 +121,8 @@ def _densest_line(text: str) -> int:
     return 1 + max(range(len(lines)), key=lambda at: (lines[at].count("[") + lines[at].count("{"), len(lines[at])))
 
 
-def _faults(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
-    """One of pydantic's errors (a mapping of its own kind, hence Any) as places and sentences."""
+def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
+    """One of pydantic's errors (a mapping of its own kind, hence Any) as places in the section, and sentences."""
     path: Path = tuple(error["loc"])
     raised = error.get("ctx", {}).get("error")
     if isinstance(raised, Faults):
@@ -197,7 +197,7 @@ def _keys_at(schema: type[Section], path: Path) -> list[str]:
         if inner is None:
             return []
         schema = inner
-    return list(schema.model_fields)
+    return [field.alias or name for name, field in schema.model_fields.items()]
 
 
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:

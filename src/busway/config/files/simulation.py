@@ -1,0 +1,257 @@
+"""The schema of simulation files: device files whose points have ranges, names for numbers, and behaviours.
+
+Knows what can be written and what fits together; knows no device that behaves (`busway.simulator`). Every device file
+and every configuration file is a simulation file too.
+
+::
+
+    [simulation]
+    keep = "state.json"
+
+    [[unit]]
+    unit = 1
+
+    [[unit.point]]
+    name = "voltage"
+    address = "3x1"
+    type = "float32"
+    behaviour = { kind = "sine", mean = 230.0, amplitude = 4.0, period = 60 }
+
+    [[include]]
+    file = "meter.toml"
+    units = "10-19"
+    with = { base = 230.0 }
+
+Rules:
+
+1. A point's first value lies in its range and has a name, if it has a range or names; so does what Modbus writes (03).
+2. Names stand for numbers: ``value = "auto"`` where ``enumeration = { auto = 1 }``.
+3. A hole is an address between the first and the last item of a table that no point takes. It is refused (02), or is
+   read as a value and can not be written. A table that is declared has no holes.
+4. A behaviour that begins somewhere (counter, random-walk, lag) goes on from ``value``; with the others, ``value``
+   would never be seen and is refused.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Final
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from ...codes import Table
+from ...errors import ConfigError, InvalidRequest
+from ...values.refusal import shown
+from .behaviours import ConstantSection, DeclaredBehaviour
+from .device import PointSection, UnitSection, Whole, checked
+from .lines import Path
+from .schema import Faults, Section
+from .system import DEFAULT_LISTEN, SystemFile
+
+REFUSE: Final = "refuse"
+_MOST_UNITS: Final = 256
+_NUMBERS: Final = ("int", "uint", "float", "bcd")
+
+
+def _as_hole(value: object) -> object:
+    if value == REFUSE or (isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 0xFFFF):
+        return value
+    raise ValueError(f'must be "{REFUSE}", or the value that is read, 0…65535, not {shown(value)}')
+
+
+def _as_holes(value: object) -> object:
+    return value if isinstance(value, dict) else dict.fromkeys((table.value for table in Table), value)
+
+
+Hole = Annotated[str | int, BeforeValidator(_as_hole, json_schema_input_type=Whole | str)]
+
+
+class HolesSection(Section):
+    """What is answered for addresses between points, by table."""
+
+    holding_registers: Hole = REFUSE
+    input_registers: Hole = REFUSE
+    coils: Hole = REFUSE
+    discrete_inputs: Hole = REFUSE
+
+    def value(self, table: Table) -> int | None:
+        """What is read in the holes of a table; None where they are refused."""
+        declared = getattr(self, table.value)
+        if not isinstance(declared, int):
+            return None
+        return int(declared != 0) if table.holds_bits else declared
+
+
+DeclaredHoles = Annotated[HolesSection, BeforeValidator(_as_holes, json_schema_input_type=Hole | HolesSection)]
+
+
+class SimulatedPointSection(PointSection):
+    """``[[unit.point]]``: one value with a name, and what makes it change."""
+
+    minimum: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    maximum: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    enumeration: dict[str, int] = Field(default_factory=dict)
+    behaviour: DeclaredBehaviour | None = None
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it holds a number, not one bit, text or a group of bits."""
+        return self.form is not None and self.form.name.startswith(_NUMBERS)
+
+    def raw(self, value: Any) -> Any:
+        """What the registers hold for a value or its name. Raises `InvalidRequest` if it does not fit."""
+        if self.enumeration:
+            if isinstance(value, str):
+                if value not in self.enumeration:
+                    raise InvalidRequest(f"there is no {shown(value)}; there are {', '.join(self.enumeration)}")
+                value = self.enumeration[value]
+            elif isinstance(value, bool) or value not in self.enumeration.values():
+                raise InvalidRequest(f"must be {self.names()}, not {shown(value)}")
+        raw = super().raw(value)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            self.check_range(value)
+        return raw
+
+    def check_range(self, value: float) -> None:
+        """Raises `InvalidRequest` if a value lies outside the point's range."""
+        low, high = self.minimum, self.maximum
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
+
+    def names(self) -> str:
+        """The names of the numbers that there are: ``off (0), auto (1)``."""
+        return ", ".join(f"{name} ({number})" for name, number in self.enumeration.items())
+
+    @model_validator(mode="after")
+    def _check_simulated(self) -> "SimulatedPointSection":
+        faults = [*self._range_faults(), *self._behaviour_faults()]
+        if faults:
+            raise Faults(faults)
+        return self
+
+    def _range_faults(self) -> Iterator[tuple[Path, str]]:
+        for key in ("minimum", "maximum"):
+            if getattr(self, key) is not None and not self.is_number:
+                yield (key,), f"{shown(self.name)} holds no number and has no {key}"
+        if self.minimum is not None and self.maximum is not None and not self.minimum <= self.maximum:
+            yield ("maximum",), f"must be at least the minimum, {self.minimum:g}, not {self.maximum:g}"
+        if not self.enumeration:
+            return
+        if not self.is_number or self.scale != 1.0 or (self.form is not None and self.form.name.startswith("float")):
+            yield ("enumeration",), "names stand for whole numbers without a scale"
+            return
+        seen: dict[int, str] = {}
+        for name, number in self.enumeration.items():
+            if number in seen:
+                yield ("enumeration", name), f"{number} is {shown(seen[number])} already"
+            seen.setdefault(number, name)
+            try:
+                assert self.form is not None
+                self.form.encode([number])
+                self.check_range(number)
+            except InvalidRequest as error:
+                yield ("enumeration", name), error.message
+
+    def _behaviour_faults(self) -> Iterator[tuple[Path, str]]:
+        if self.behaviour is None:
+            return
+        if self.form is not None and not self.is_number:
+            yield ("behaviour",), f"{self.form.name} is no number and has no behaviour"
+            return
+        if isinstance(self.behaviour, ConstantSection) and self.is_number:
+            constant = float(self.behaviour.value)
+            try:
+                self.raw(int(constant) if constant.is_integer() else constant)
+            except InvalidRequest as error:
+                yield ("behaviour", "value"), error.message
+        if self.value is not None and not self.behaviour.begins:
+            yield ("value",), f"would never be seen: the behaviour, {self.behaviour.kind}, gives the value at once"
+
+
+class SimulatedUnitSection(UnitSection):
+    """``[[unit]]``: a device that behaves."""
+
+    point: list[SimulatedPointSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+    holes: DeclaredHoles = HolesSection()
+
+
+def unit_numbers(text: str) -> list[int]:
+    """The units of ``1-100``, ``1, 5, 10-12``. Raises `ConfigError`."""
+    found: list[int] = []
+    for part in text.split(","):
+        first, dash, last = (each.strip() for each in part.partition("-"))
+        ends = [first, last] if dash else [first, first]
+        if not all(each.isascii() and each.isdecimal() and len(each) <= 3 for each in ends):
+            raise ConfigError(f'must be units such as "1-100" or "1, 5, 10-12", not {shown(text)}')
+        low, high = int(ends[0]), int(ends[1])
+        if not low <= high < _MOST_UNITS:
+            raise ConfigError(f"units are 0…{_MOST_UNITS - 1}, the lower first, not {shown(part.strip())}")
+        found += range(low, high + 1)
+    repeated = next((number for number in found if found.count(number) > 1), None)
+    if repeated is not None:
+        raise ConfigError(f"unit {repeated} is there twice")
+    return found
+
+
+def ranged(low: float | None, high: float | None) -> str:
+    """A range in words: ``0…100``, ``at least 0``, ``at most 100``."""
+    if low is None:
+        return f"at most {high:g}"
+    return f"at least {low:g}" if high is None else f"{low:g}…{high:g}"
+
+
+Parameter = int | float | bool | str
+"""What a parameter may be."""
+
+
+class IncludeSection(Section):
+    """``[[include]]``: the units of another file, or one unit of it several times."""
+
+    file: str = Field(min_length=1)
+    units: str | None = None
+    with_: dict[str, Parameter] = Field(default_factory=dict, alias="with")
+
+    def numbers(self) -> list[int] | None:
+        """The units that it makes; None for those that the file names itself."""
+        return None if self.units is None else unit_numbers(self.units)
+
+    @model_validator(mode="after")
+    def _check(self) -> "IncludeSection":
+        checked("units", self.numbers)
+        return self
+
+
+class ParameterKeys(Section):
+    """What a file takes from whoever includes it, and what it includes itself."""
+
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
+    required: list[str] = Field(default_factory=list)
+    include: list[IncludeSection] = Field(default_factory=list)
+
+
+class ProfileFile(ParameterKeys):
+    """A file that is included. Its units are checked one by one, as they are made."""
+
+    unit: list[dict[str, Any]] = Field(default_factory=list)  # Any: they may hold parameters still
+
+
+class SimulationSection(Section):
+    """``[simulation]``: what holds for all of it."""
+
+    keep: str | None = Field(default=None, min_length=1)
+    keep_every: float = Field(default=10.0, ge=0.1, le=86_400)
+    seed: int = Field(default=0, ge=0)
+
+
+class SimulationFile(SystemFile, ParameterKeys):
+    """A whole simulation file."""
+
+    simulation: SimulationSection = SimulationSection()
+    unit: list[SimulatedUnitSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+
+    def places(self) -> list[tuple[Path, str]]:
+        """The URLs that are listened on, each with where it stands."""
+        return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
+
+    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+        missing = [(("unit",), "is missing")] if not self.unit and not self.include else []
+        yield from missing
+        yield from (each for each in super()._whole_faults() if each != (("unit",), "is missing"))

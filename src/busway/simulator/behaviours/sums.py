@@ -1,0 +1,155 @@
+"""Behaviours that go on from their last value: counter and first-order lag.
+
+1. A number as rate or target gives a closed form of the time since the last `resume`: nothing is summed up, nothing
+   drifts.
+2. An expression as rate or target is seen after each moment, and holds until the next (`Observer`). Where it has no
+   value, a counter stands still and a lag stays where it is.
+"""
+
+import math
+
+from .expression import Bound
+
+
+class SteadyCounter:
+    """A sum at a rate that does not change.
+
+    Args:
+        rate: per second.
+        rollover: where it begins again from 0; None for nowhere.
+        start: the first value.
+    """
+
+    __slots__ = ("_rate", "_rollover", "_since", "_start")
+
+    def __init__(self, rate: float, rollover: float | None, start: float) -> None:
+        self._rate = rate
+        self._rollover = rollover
+        self._start = start
+        self._since = 0.0
+
+    def value(self, time: float) -> float:
+        """As `Behaviour.value`."""
+        value = self._start + self._rate * (time - self._since)
+        return value if self._rollover is None else value % self._rollover
+
+    def resume(self, time: float, value: float) -> None:
+        """As `Behaviour.resume`."""
+        self._since = time
+        self._start = value
+
+    def state(self, time: float) -> float | None:
+        """The value at that time."""
+        return self.value(time)
+
+
+class Counter:
+    """A sum at a rate that is an expression.
+
+    Args:
+        rate: per second.
+        rollover: where it begins again from 0; None for nowhere.
+        start: the first value.
+    """
+
+    __slots__ = ("_rate", "_rollover", "_seen", "_time", "_value")
+
+    def __init__(self, rate: Bound, rollover: float | None, start: float) -> None:
+        self._rate = rate
+        self._rollover = rollover
+        self._value = start
+        self._time = 0.0
+        self._seen = 0.0
+
+    def value(self, time: float) -> float:
+        """As `Behaviour.value`."""
+        value = self._value + self._seen * (time - self._time)
+        self._value = value if self._rollover is None else value % self._rollover
+        self._time = time
+        return self._value
+
+    def observe(self, time: float) -> None:
+        """As `Observer.observe`."""
+        rate = self._rate(time)
+        self._seen = rate if math.isfinite(rate) else 0.0
+
+    def resume(self, time: float, value: float) -> None:
+        """As `Behaviour.resume`."""
+        self._time = time
+        self._value = value
+
+    def state(self, time: float) -> float | None:
+        """The sum."""
+        return self._value
+
+
+class SteadyLag:
+    """An exponential approach to a target that does not change.
+
+    Args:
+        target: where it goes.
+        time_constant: seconds in which it makes 63 % of the way.
+        start: the first value.
+    """
+
+    __slots__ = ("_since", "_start", "_target", "_time_constant")
+
+    def __init__(self, target: float, time_constant: float, start: float) -> None:
+        self._target = target
+        self._time_constant = time_constant
+        self._start = start
+        self._since = 0.0
+
+    def value(self, time: float) -> float:
+        """As `Behaviour.value`."""
+        way = self._start - self._target
+        return self._target + way * math.exp((self._since - time) / self._time_constant)
+
+    def resume(self, time: float, value: float) -> None:
+        """As `Behaviour.resume`."""
+        self._since = time
+        self._start = value
+
+    def state(self, time: float) -> float | None:
+        """The value at that time."""
+        return self.value(time)
+
+
+class Lag:
+    """An exponential approach to a target that is an expression.
+
+    Args:
+        target: where it goes.
+        time_constant: seconds in which it makes 63 % of the way.
+        start: the first value.
+    """
+
+    __slots__ = ("_seen", "_target", "_time", "_time_constant", "_value")
+
+    def __init__(self, target: Bound, time_constant: float, start: float) -> None:
+        self._target = target
+        self._time_constant = time_constant
+        self._value = start
+        self._time = 0.0
+        self._seen = math.nan
+
+    def value(self, time: float) -> float:
+        """As `Behaviour.value`."""
+        if math.isfinite(self._seen):
+            way = self._value - self._seen
+            self._value = self._seen + way * math.exp((self._time - time) / self._time_constant)
+        self._time = time
+        return self._value
+
+    def observe(self, time: float) -> None:
+        """As `Observer.observe`."""
+        self._seen = self._target(time)
+
+    def resume(self, time: float, value: float) -> None:
+        """As `Behaviour.resume`."""
+        self._time = time
+        self._value = value
+
+    def state(self, time: float) -> float | None:
+        """The value."""
+        return self._value
