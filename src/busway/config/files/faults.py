@@ -17,6 +17,7 @@ are looked up, with their parameters, by who builds the faults (`busway.simulato
     parameters = { delay = 2.0 }
 """
 
+import re
 from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
@@ -30,6 +31,8 @@ from .policy import Numbers
 from .schema import Faults, Section, Source
 
 _MOST_SECONDS: Final = 366 * 86_400.0
+_OFFSETS: Final = re.compile(r"\s*[0-9]{1,4}\s*((\.\.|…|-)\s*[0-9]{1,5}\s*)?")
+"""A number or a range without a table. With five digits and more at its beginning, it would be a notation of one."""
 
 
 def _as_parameter(value: object) -> object:
@@ -113,13 +116,9 @@ class FaultSection(Section):
 
 
 def _items(part: str | int) -> dict[Table, tuple[Range, ...]]:
-    try:
+    if isinstance(part, str) and not _OFFSETS.fullmatch(part):
         return parse_items(part, None)
-    except ConfigError:
-        of_every_table: dict[Table, tuple[Range, ...]] = {}
-        for table in Table:
-            of_every_table |= parse_items(part, table)
-        return of_every_table
+    return {table: ranges for table in Table for _, ranges in parse_items(part, table).items()}
 
 
 def parse_fault_words(text: str) -> FaultSection:

@@ -65,7 +65,7 @@ def put_on(board: FaultBoard, sections: Iterable[FaultSection]) -> list[str]:
     """
     ordered = list(sections)
     named = [one.name for one in ordered if one.name]
-    made = []
+    made: list[str] = []
     for one in ordered:
         name, number = one.name, 1
         while not name or (not one.name and name in (*named, *made)):  # a name that somebody chose is theirs
