@@ -2,7 +2,8 @@
 
 Knows routes, lines and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
-1. A write to unit 0 goes to all lines of the front that take broadcasts, and is answered once it was sent.
+1. A write to unit 0 goes to all lines of the front that take broadcasts, and is answered once it was sent. A line
+   takes it only where a route lets the front write so to each of its units: all of them will hear it.
 2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
    front is silent there, because it never hears of those units (`FrontHandler.serial_units`).
 3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
@@ -16,15 +17,14 @@ from typing import Final
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..pdu.direct import Answer
 from ..pdu.functions import AnyRequest, FunctionTable
-from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ..pdu.general import ExceptionResponse, MalformedRequest
 from ..pdu.message import Message, Request
 from ..session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
 from .lines import Line
 from .routes import Action, FrontRoutes, Route, Straddles
+from .translation import echo
 
 _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
-_BROADCAST: Final = Route(line="all")
-"""How a broadcast is translated: not at all."""
 
 
 @dataclass(slots=True)
@@ -140,23 +140,20 @@ class FrontHandler:
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
         """A write to unit 0 that came over a network."""
         self.counters.broadcasts += 1
-        lines = [self._lines[name] for name in self._routes.lines if name in self._lines]
-        takers = [line for line in lines if line.takes_broadcasts]
-        if not takers:
+        own = self._routes.find(BROADCAST_UNIT, request)
+        if isinstance(own, Route) and own.action is not Action.FORWARD:
+            return self._not_forwarded(context, own)
+        ways = [way for line in self._takers() if (way := self._way_to_all(line, request)) is not None]
+        if not ways:
+            if isinstance(own, Route) and own.line in self._lines:
+                return self._lines[own.line].forward(context, request, own, deadline=self.deadline)
             return self._no_route(context, None)
-        rest = _Rest(context, len(takers), None if self.silent_broadcasts else _echo(request))
-        for line in takers:
-            part = RequestContext(
-                unit=BROADCAST_UNIT,
-                function=context.function,
-                diagnostics=context.diagnostics,
-                peer=context.peer,
-                listener=context.listener,
-                role=context.role,
-                finish=rest.one_done,
-            )
-            if not line.broadcast(part, request, _BROADCAST):
-                rest.one_done(part, ExceptionResponse(context.function, _NO_PATH))
+        rest = _Rest(context, None if self.silent_broadcasts else echo(request))
+        parts = [(way, rest.part()) for way in ways]
+        for way, part in parts:
+            outcome = self._refused(part, way) if isinstance(way, int) else self._to_all(part, request, way)
+            if outcome is not LATER:
+                rest.one_done(part, outcome)
         return LATER
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
@@ -171,32 +168,97 @@ class FrontHandler:
             return line.forward(context, request, found, deadline=self.deadline)
         if id(line) not in executed:
             executed.add(id(line))
-            line.broadcast(context, request, _BROADCAST)
+            self.counters.broadcasts += 1
+            way = self._way_to_all(line, request)
+            if isinstance(way, Route):
+                self._to_all(context, request, way)
+            elif way is not None:
+                self._refused(context, way)
         return SILENCE
+
+    def _takers(self) -> list[Line]:
+        """The lines of this front that take broadcasts."""
+        lines = [self._lines[name] for name in self._routes.lines if name in self._lines]
+        return [line for line in lines if line.takes_broadcasts]
+
+    def _way_to_all(self, line: Line, request: Request) -> Route | int | None:
+        """How a write reaches all units of a line; the exception code, if one of them must not be written so.
+
+        Everybody on the line hears it: what is refused for one of its units is refused for all, and all must want it
+        under the same address. None where it is not for that line at all.
+        """
+        ways: set[Route] = set()
+        refused = 0  # by the words of a route
+        unreached = False
+        for unit in self._routes.units_to(line.name):
+            found = self._routes.find(unit, request)
+            if isinstance(found, Straddles):
+                refused = refused or ExceptionCode.ILLEGAL_DATA_ADDRESS
+            elif found is not None and found.action is Action.REFUSE:
+                refused = refused or found.code
+            elif found is None or found.line != line.name:
+                unreached = True
+            else:
+                ways.add(_for_all_units(found))
+        if refused or not ways:
+            return refused or None
+        return _NO_PATH if unreached or len(ways) > 1 else ways.pop()
+
+    def _to_all(self, context: RequestContext, request: Request, way: Route) -> Message | Deferral:
+        return self._lines[way.line].broadcast(context, request, way, deadline=self.deadline)
+
+    def _refused(self, context: RequestContext, code: int) -> Message:
+        self.counters.refused += 1
+        return ExceptionResponse(context.function, code)
+
+
+def _for_all_units(route: Route) -> Route:
+    """A route to all units of a line, that moves and splits as the one to one of them does."""
+    return Route(
+        line=route.line,
+        unit=BROADCAST_UNIT,
+        shift=route.shift,
+        max_registers=route.max_registers,
+        max_bits=route.max_bits,
+        split_writes=route.split_writes,
+    )
 
 
 class _Rest:
     """Waits until a broadcast was sent on all lines; the worst of them is the answer."""
 
-    __slots__ = ("_context", "_left", "_reply")
+    __slots__ = ("_context", "_parts", "_reply")
 
-    def __init__(self, context: RequestContext, lines: int, reply: Message | None) -> None:
+    def __init__(self, context: RequestContext, reply: Message | None) -> None:
         self._context = context
-        self._left = lines
+        self._parts: list[RequestContext] = []
         self._reply: Message | Deferral = SILENCE if reply is None else reply
+        context.gone = self.asker_gone
+
+    def part(self) -> RequestContext:
+        """Who asks one of the lines."""
+        context = self._context
+        part = RequestContext(
+            unit=BROADCAST_UNIT,
+            function=context.function,
+            diagnostics=context.diagnostics,
+            peer=context.peer,
+            listener=context.listener,
+            role=context.role,
+            finish=self.one_done,
+        )
+        self._parts.append(part)
+        return part
 
     def one_done(self, part: RequestContext, reply: Message | Deferral) -> None:
         """One line has sent it, or could not."""
         if isinstance(reply, ExceptionResponse):
             self._reply = reply
-        self._left -= 1
-        if not self._left:
+        self._parts.remove(part)
+        if not self._parts:
             self._context.reply(self._reply)
 
-
-def _echo(request: Request) -> Message:
-    """What a device would have answered to a write."""
-    if request.echoes or isinstance(request, OpaqueRequest):
-        return request
-    fields = request.values()
-    return request.Reply(**{name: fields[name] for name in request.Reply.declared if name in fields})
+    def asker_gone(self) -> None:
+        """The client has gone: where the broadcast was not sent yet, it is not sent any more."""
+        for part in self._parts:
+            part.abandon()

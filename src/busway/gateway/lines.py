@@ -13,6 +13,7 @@ Knows links and demands; knows no front beyond the context of a request.
 import asyncio
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -27,7 +28,7 @@ from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
 from ..session.breaker import BreakerState
 from ..session.demand import Demand
-from ..session.handler import LATER, Outcome, RequestContext
+from ..session.handler import LATER, Deferral, RequestContext
 from ..session.ledger import ClientCounters
 from ..session.serial_client import SerialClientSession
 from .answers import code_for
@@ -38,6 +39,8 @@ from .translation import behind, in_front
 MAX_CONNECTIONS = 16
 _READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 0.15 µs
 _CLIENTS_REMEMBERED = 4096
+_FOR_EVER = 86_400.0
+"""Seconds that a client waits who has no deadline, where the one before it has one."""
 
 
 @dataclass(slots=True)
@@ -150,6 +153,7 @@ class Line:
         connections: how many there are to one server; 1 on a serial line.
         share_reads: whether identical reads in flight are asked once.
         broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
+        clock: seconds, by which values that are remembered grow old.
     """
 
     def __init__(
@@ -160,6 +164,7 @@ class Line:
         connections: int = 1,
         share_reads: bool = True,
         broadcast: bool | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if not 1 <= connections <= MAX_CONNECTIONS:
             raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {connections}", key="connections")
@@ -171,6 +176,7 @@ class Line:
         self.takes_broadcasts = settings.endpoint.framing != "mbap" if broadcast is None else broadcast
         self.counters = LineCounters()
         self._connections = connections
+        self._clock = clock
         self._links: list[Link] = []
         self._link_of: OrderedDict[str, Link] = OrderedDict()
         self._memory: Memory[_Exchange] = Memory()
@@ -227,7 +233,9 @@ class Line:
 
     # Requests.
 
-    def forward(self, context: RequestContext, request: Request, route: Route, *, deadline: float | None) -> Outcome:
+    def forward(
+        self, context: RequestContext, request: Request, route: Route, *, deadline: float | None
+    ) -> Message | Deferral:
         """Ask a device for a client in front.
 
         Args:
@@ -240,7 +248,7 @@ class Line:
         key = None
         if isinstance(request, _READS):
             if route.cache is not None:
-                data = self._memory.recall(unit, _place(request, route), time.monotonic(), for_seconds=route.cache)
+                data = self._memory.recall(unit, _place(request, route), self._clock(), for_seconds=route.cache)
                 if data is not None:
                     self.counters.recalled += 1
                     return request.Reply(data)
@@ -249,9 +257,7 @@ class Line:
                 key = (request.code, request.address + route.shift, request.count, limit or 0)
             exchange = self._memory.reading(unit, key) if self.share_reads and key is not None else None
             if exchange is not None:
-                self.counters.shared += 1
-                exchange.waiters.append((context, request, route))
-                context.gone = partial(self.gone, exchange, context)
+                self._share(exchange, (context, request, route), deadline)
                 return LATER
         try:
             sent = behind(request, route)
@@ -268,18 +274,25 @@ class Line:
             return ExceptionResponse(context.function, self._refused(error))
         return LATER
 
-    def broadcast(self, context: RequestContext, request: Request, route: Route) -> bool:
-        """Send a write to all units of the line; the answer comes when it was sent. False: it can not be sent now."""
-        link = self._link_for(context)
-        if link is None:
-            return False
-        exchange = _Exchange(self, link, 0, (context, request, route))
-        error = self._begin(exchange, (request,), route, None, context)
-        if error is not None:
-            self._refused(error)
-            return False
-        self.counters.broadcasts += 1
-        return True
+    def broadcast(
+        self, context: RequestContext, request: Request, route: Route, *, deadline: float | None
+    ) -> Message | Deferral:
+        """Send a write to all units of the line; the answer comes when it was sent. Arguments as those of `forward`."""
+        outcome = self.forward(context, request, route, deadline=deadline)
+        self.counters.broadcasts += outcome is LATER
+        return outcome
+
+    def _share(
+        self, exchange: _Exchange, waiter: tuple[RequestContext, Request, Route], deadline: float | None
+    ) -> None:
+        """Wait for a read that another client has asked."""
+        self.counters.shared += 1
+        exchange.waiters.append(waiter)
+        waiter[0].gone = partial(self.gone, exchange, waiter[0])
+        demand = exchange.demand
+        if demand.deadline is not None:  # whoever came first may have less time than who comes now
+            patience = _FOR_EVER if deadline is None else deadline
+            demand.deadline = max(demand.deadline, exchange.link.now() + patience)
 
     def _begin(
         self,
@@ -304,20 +317,20 @@ class Line:
             caller=context.peer,
         )
         demand.owner = exchange
+        # All before it begins: it may end at once, while a connection is made anew.
+        self._open += 1
         if is_write:
             self._memory.write_begins(exchange.unit)
+        elif exchange.key is not None:
+            exchange.since = self._memory.read_begins(exchange.unit, exchange.key, exchange)
+            if route.cache is not None:
+                exchange.began = self._clock()
         try:
             link.begin(demand, now)
         except ModbusError as error:
-            if is_write:
-                self._memory.write_ended(exchange.unit)
+            self._leave(exchange)
             return error
-        if exchange.key is not None:
-            exchange.since = self._memory.read_begins(exchange.unit, exchange.key, exchange)
-            if route.cache is not None:
-                exchange.began = time.monotonic()
         self.counters.forwarded += 1
-        self._open += 1
         return None
 
     def _link_for(self, context: RequestContext) -> Link | None:

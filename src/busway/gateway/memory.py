@@ -6,6 +6,8 @@ Whoever has seen a write end must not be given what was there before it. So:
 
 1. From the moment a write to a unit is asked until it has ended, nothing of the unit is shared or remembered, and what
    was before is forgotten. A broadcast does so for all units of the line.
+   A write to 255 or 0 of a server on TCP is one to the device itself, whatever number others ask it by: it concerns all
+   units too, and what is remembered of 255 and 0 is forgotten at every write.
 2. A read that was sent before a write ended is not remembered either: its value may be the old one.
 3. A value is as old as the moment its read was sent; it is answered until its time to live has passed since.
 """
@@ -14,7 +16,7 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from ..codes import BROADCAST_UNIT, Table
+from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, Table
 from ..pdu.bits import slice_bits
 
 Shared = TypeVar("Shared")
@@ -23,6 +25,8 @@ Key = tuple[int, int, int, int]
 Place = tuple[Table, int, int]
 """Table, address of the first item, count."""
 
+EVERYBODY = (BROADCAST_UNIT, TCP_DEVICE_UNIT)
+"""Units that may stand for any other."""
 BLOCKS_PER_UNIT = 64
 """Values remembered of a unit; the one unused longest is forgotten."""
 
@@ -53,11 +57,11 @@ class _Unit(Generic[Shared]):
 class Memory(Generic[Shared]):
     """The memory of one line. ``Shared`` is whatever stands for a read in flight."""
 
-    __slots__ = ("_broadcasts", "_units")
+    __slots__ = ("_open_writes", "_units")
 
     def __init__(self) -> None:
         self._units: dict[int, _Unit[Shared]] = {}
-        self._broadcasts = 0
+        self._open_writes = 0
 
     def _unit(self, unit: int) -> _Unit[Shared]:
         found = self._units.get(unit)
@@ -70,20 +74,30 @@ class Memory(Generic[Shared]):
     def write_begins(self, unit: int) -> None:
         """A write to ``unit`` is about to be asked."""
         self._unit(unit).open_writes += 1
+        self._open_writes += 1
         self._changed(unit)
 
     def write_ended(self, unit: int) -> None:
         """It has ended, however."""
         self._unit(unit).open_writes -= 1
+        self._open_writes -= 1
         self._changed(unit)
 
     def _changed(self, unit: int) -> None:
-        for each in self._units.values() if unit == BROADCAST_UNIT else (self._unit(unit),):
-            each.forget()
+        concerned = self._units if unit in EVERYBODY else (unit, *EVERYBODY)
+        for each in concerned:
+            state = self._units.get(each)
+            if state is not None:
+                state.forget()
 
-    def _is_quiet(self, state: _Unit[Shared]) -> bool:
-        broadcast = self._units.get(BROADCAST_UNIT)
-        return not state.open_writes and (broadcast is None or not broadcast.open_writes)
+    def _is_quiet(self, unit: int) -> bool:
+        """Whether no write is open that concerns a unit."""
+        if not self._open_writes:
+            return True
+        if unit in EVERYBODY:
+            return False
+        states = (self._units.get(each) for each in (unit, *EVERYBODY))
+        return not any(state is not None and state.open_writes for state in states)
 
     # Reads in flight.
 
@@ -95,7 +109,7 @@ class Memory(Generic[Shared]):
     def read_begins(self, unit: int, key: Key, shared: Shared) -> int:
         """A read is asked. The number is to be handed to `remember`."""
         state = self._unit(unit)
-        if self._is_quiet(state):
+        if self._is_quiet(unit):
             state.reading[key] = shared
         return state.changes
 
@@ -118,7 +132,7 @@ class Memory(Generic[Shared]):
             read_at: when it was asked.
         """
         state = self._unit(unit)
-        if state.changes != since or not self._is_quiet(state):
+        if state.changes != since or not self._is_quiet(unit):
             return
         state.blocks[place] = _Block(data, read_at)
         state.blocks.move_to_end(place)

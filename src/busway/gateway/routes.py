@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from ..codes import TABLE_SIZE, ExceptionCode, Table
+from ..codes import LAST_SERIAL_UNIT, TABLE_SIZE, ExceptionCode, Table
 from ..errors import ConfigError
 from ..pdu.general import OpaqueRequest
 from ..pdu.message import Request
@@ -169,6 +169,14 @@ class FrontRoutes:
             if within is None:
                 return Straddles(route)
         return None
+
+    def units_to(self, line: str) -> list[int]:
+        """The units 1…247 of which some requests lead to a line."""
+        return [
+            unit
+            for unit in range(1, LAST_SERIAL_UNIT + 1)
+            if any(route.line == line for route in self._by_unit.get(unit, ()))
+        ]
 
     @property
     def units(self) -> frozenset[int]:

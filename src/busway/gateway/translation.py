@@ -10,6 +10,7 @@ from typing import Any
 
 from ..errors import InvalidRequest
 from ..pdu.bits import slice_bits
+from ..pdu.general import OpaqueRequest
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
 from ..pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters
@@ -53,7 +54,17 @@ def in_front(request: Request, route: Route, sent: Sequence[Request], replies: S
     if len(replies) > 1:
         return _joined(request, sent, replies)
     reply = replies[0]
+    if reply is sent[0]:  # nobody answers on unit 0 of a serial line: the request stands for its answer
+        return echo(request)
     return _moved(reply, type(request), -route.shift) if route.shift else reply
+
+
+def echo(request: Request) -> Message:
+    """What a device would have answered to a write."""
+    if request.echoes or isinstance(request, OpaqueRequest):
+        return request
+    fields = request.values()
+    return request.Reply(**{name: fields[name] for name in request.Reply.declared if name in fields})
 
 
 def _limit(request: Request, route: Route) -> int | None:
