@@ -55,11 +55,11 @@ async def gateway(
         for name, url in lines.items()
     )
     plan = GatewayPlan(fronts=(front,), lines=settings, table=RoutingTable(routes), own_unit=own_unit)
-    async with (
-        Gateway(plan) as made,
-        busway.open(made.endpoints[0], timeout=3.0, retries=0, max_transactions=4) as link,
-    ):
-        yield made, link
+    async with Gateway(plan) as made:
+        endpoint = made.endpoints[0]
+        calls = {"max_transactions": 4} if endpoint.startswith("tcp") else {}
+        async with busway.open(endpoint, timeout=3.0, retries=0, **calls) as link:
+            yield made, link
 
 
 async def refusal(asked: object) -> int:
