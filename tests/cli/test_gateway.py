@@ -211,7 +211,6 @@ def test_the_audit_log_has_a_line_for_each_write_through_the_gateway(tmp_path: P
 
 
 @pytest.mark.clause("M6")
-@pytest.mark.clause("M7")
 def test_roles_decide_at_a_secure_front_what_reaches_the_serial_line(
     tmp_path: Path, write_file: Callable[..., Path]
 ) -> None:
