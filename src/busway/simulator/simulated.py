@@ -6,6 +6,7 @@ simulation since its beginning.
 1. The registers are the truth: ``value`` is what a client would read.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -160,10 +161,9 @@ class SimulatedPoint:
     def value(self) -> Any:  # what its type says
         """The value in the unit of measure, as a client reads it; None where the registers mean nothing in the type."""
         try:
-            stored = self.device.read(self.section.place, self.form.form)
+            return self.section.physical(self._decoded())
         except BadReply:
             return None
-        return self.section.physical(stored)
 
     @property
     def label(self) -> str | None:
@@ -175,18 +175,24 @@ class SimulatedPoint:
     def raw(self) -> str:
         """Its registers in hexadecimal, ``4366 8000``; of one bit ``0`` or ``1``."""
         if self.form.form is None:
-            return str(int(self.device.read(self.section.place)))
+            return str(int(self._decoded()))
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
         """Take over what the registers hold, after somebody else has written them."""
-        value = self.value
-        if isinstance(value, int | float):
-            self.number = float(value)
-            self.stored = value if isinstance(value, bool) else self.device.read(self.section.place, self.form.form)
-        else:
-            self.number = float("nan")
+        try:
+            self.stored = self._decoded()
+        except BadReply:
             self.stored = None
+        value = None if self.stored is None else self.section.physical(self.stored)
+        self.number = float(value) if isinstance(value, int | float) else math.nan
+
+    def _decoded(self) -> Any:  # what its type says
+        """What the registers hold, in the type."""
+        form, offset = self.form.form, self.offset
+        if form is None:
+            return bool(self.memory.data[offset >> 3] >> (offset & 7) & 1)
+        return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
 
     def put(self, value: Any) -> None:  # what its type says
         """Set the registers to a value in the unit of measure, or to its name.

@@ -28,6 +28,7 @@ Rules:
 """
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -210,26 +211,26 @@ class PointSection(Section):
     access: Literal["read", "read-write"] | None = None
     description: str = ""
 
-    @property
+    @cached_property
     def place(self) -> Address:
         """Where it stands."""
         return parse_address(self.address)
 
-    @property
+    @cached_property
     def table(self) -> Table:
         """The table it stands in."""
         table = self.place.table
         assert table is not None  # a text that names no table is refused
         return table
 
-    @property
+    @cached_property
     def form(self) -> ValueType | None:
         """The type of its registers; None for one bit."""
         if self.table.holds_bits or self.place.bit is not None:
             return None
         return value_type(self.type or "uint16", self.order)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Registers or bits that it takes."""
         return 1 if self.form is None else self.form.registers
