@@ -57,7 +57,7 @@ COLUMNS_PAGE = """\
 {remark}
 
 `busway simulate --map points.csv` serves a register map as a device. `busway simulate --clone URL --map points.csv`
-reads its points from a live device. `busway.simulator.register_map.read_register_map(path)` gives the points to a program.
+reads its points from a live device. For programs there is `busway.simulator.register_map.read_register_map(path)`.
 
 ```
 name,address,type,scale,unit,access,value
@@ -67,8 +67,8 @@ setpoint,4x11,float32,,°C,read-write,21.5
 
 The first line that is neither empty nor begins with `#` names the columns, in any order. Cells are separated by comma,
 semicolon or tab. The text is UTF-8, UTF-16 with a byte order mark, or else Latin-1. Where commas do not separate,
-numbers may have a decimal comma. Other columns are refused by name; a column whose name begins with `#` is not read, nor
-is a line that does.
+numbers may have a decimal comma. Other columns are refused by name; a column whose name begins with `#` is not read,
+nor is a line that does.
 
 | column | cell | other names |
 | --- | --- | --- |

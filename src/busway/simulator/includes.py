@@ -10,7 +10,7 @@ Knows files by their names, includes and parameters; what stands in a file is kn
 3. With ``units`` an include makes units of the one ``[[unit]]`` of its file, each with a memory of its own; without,
    it takes the file's units as they are.
 4. A file can not include itself, nor another that does.
-5. Paths in a file are relative to its folder.
+5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package.
 """
 
 import os
@@ -24,7 +24,6 @@ from pydantic import ValidationError
 from ..assembly.configuration import Configuration, put_together
 from ..assembly.judging import Judge
 from ..assembly.paths import within
-from ..assembly.reading import read_text
 from ..config.files.lines import Path
 from ..config.files.problems import FileError
 from ..config.files.schema import Source, faults_of, in_order, read_source
@@ -39,6 +38,7 @@ from ..config.files.simulation import (
 from ..errors import ConfigError
 from ..values.refusal import shown
 from .behaviours.expression import parse_expression
+from .devices import PREFIX, read_profile
 
 Reader = Callable[[str], str]
 """The text of a file by its name."""
@@ -99,11 +99,11 @@ def load_declaration(
             file, line and key.
     """
     name = os.fspath(path)
-    return parse_declaration(read_text(name), name, changes=changes)
+    return parse_declaration(read_profile(name), name, changes=changes)
 
 
 def parse_declaration(
-    text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_text
+    text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_profile
 ) -> SimulationDeclaration:
     """What a text declares.
 
@@ -148,7 +148,7 @@ class _Including:
             yield from self._one(section, source, ("include", index))
 
     def _one(self, section: IncludeSection, parent: Source, at: Path) -> Iterator[DeclaredUnit]:
-        name = within(parent.name, section.file)
+        name = section.file if section.file.startswith(PREFIX) else within(parent.name, section.file)
         identity = _identity(name)
         if identity in self._chain:
             raise FileError([parent.problem((*at, "file"), f"{name} would include itself")])

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final
 
+from ...assembly.reading import read_text
 from ...errors import ConfigError
+
+PREFIX: Final = "device:"
+"""How a file says that it includes one of these."""
 
 DEVICES: Final = {
     "meter": "An energy meter for three phases: float32 values, uint32 counters.",
@@ -41,3 +45,17 @@ def ready_made(name: str) -> ReadyMade:
         raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
     file = f"{name}.toml"
     return ReadyMade(name, file, files(__name__).joinpath(file).read_text(encoding="utf-8"))
+
+
+def read_profile(name: str) -> str:
+    """The text of a simulation file by its path, or of ``device:NAME``.
+
+    Raises:
+        ConfigError: there is no such device, or the file can not be read; names the file.
+    """
+    if not name.startswith(PREFIX):
+        return read_text(name)
+    try:
+        return ready_made(name.removeprefix(PREFIX)).text
+    except ConfigError as error:
+        raise ConfigError(error.message, file=name) from error
