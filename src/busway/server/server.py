@@ -132,6 +132,16 @@ class Server:
         if isinstance(self._handler, Guard):
             self._guard = self._handler
 
+    def use_wires(self, wires: Wires) -> None:
+        """Tell somebody of every way by which bytes leave, as ``wires`` does. Only while stopped.
+
+        Raises:
+            ConfigError: it is running, and has ways already.
+        """
+        if self.is_running:
+            raise ConfigError("a running server has its ways already", key="wires")
+        self._wires = wires
+
     def replace_policy(self, policy: "Policy") -> None:
         """Let another policy hold, from the next request on.
 

@@ -38,6 +38,7 @@ from ..config.files.simulation import (
 from ..errors import ConfigError
 from ..values.refusal import shown
 from .behaviours.expression import parse_expression
+from .faults.reading import fault_problems
 from .devices import PREFIX, read_profile
 
 Reader = Callable[[str], str]
@@ -119,6 +120,8 @@ def parse_declaration(
     source = read_source(text, name)
     source = replace(source, data=_own_units(_Filled(source, _declared_parameters(source, {}, None))))
     file = source.checked(SimulationFile)
+    if problems := fault_problems(file.fault, source):
+        raise FileError(in_order(problems))
     own = [DeclaredUnit(section, source, ("unit", index)) for index, section in enumerate(file.unit)]
     units = [*own, *_Including(read, (_identity(name),)).all_of(file, source)]
     _refuse_repeated(file, units, source)

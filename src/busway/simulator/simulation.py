@@ -1,6 +1,6 @@
 """A simulation: units whose points follow their behaviours, and what a person or a program does to them meanwhile.
 
-Knows files of simulations, the engine and a clock; knows no page and no fault.
+Knows files of simulations, the engine and a clock; knows no page. What goes wrong on purpose is the fault board's.
 
 >>> simulation = Simulation("plant.toml")                                    # doctest: +SKIP
 >>> async with simulation.running("tcp://127.0.0.1:5020"): ...               # doctest: +SKIP
@@ -30,6 +30,8 @@ from ..server.listener import Listener
 from ..session.handler import Handler
 from ..values.refusal import shown
 from .engine import Engine
+from .faults.board import FaultBoard
+from .faults.reading import put_on
 from .includes import SimulationDeclaration, load_declaration
 from .simulated import SIMULATION, PointChange, SimulatedPoint, SimulatedUnit
 from .state import KeptPoint, KeptState, load_state, save_state
@@ -38,6 +40,7 @@ from .writes import watch_writes
 
 if TYPE_CHECKING:
     from ..server.server import Server
+    from ..testing.faults import Faults
 
 _log = logging.getLogger("busway.simulator")
 
@@ -90,6 +93,7 @@ class Simulation:
         declaration: the file, includes and all.
         units: the units by number.
         points: all points by ``UNIT/NAME``.
+        board: the faults by name, those of the file and more; played by every server that `serve` makes.
         warnings: what is odd, a sentence each: values that were kept and can not be taken up again.
     """
 
@@ -110,6 +114,8 @@ class Simulation:
         wired = wire(self.declaration.units, self.seed)
         self.units: Mapping[int, SimulatedUnit] = MappingProxyType(wired.units)
         self.points: Mapping[str, SimulatedPoint] = MappingProxyType(wired.points)
+        self.board = FaultBoard(seed=self.seed, clock=clock)
+        put_on(self.board, self.declaration.file.fault)
         self.warnings: list[str] = []
         self._watchers: tuple[Watcher, ...] = ()
         self._wraps: list[Callable[[Handler], Handler]] = []
@@ -183,6 +189,11 @@ class Simulation:
 
         return end
 
+    @property
+    def faults(self) -> "Faults":
+        """What goes wrong on purpose; by their names on ``board``."""
+        return self.board.faults
+
     # ---- time
 
     def tick(self, now: float) -> None:
@@ -247,6 +258,7 @@ class Simulation:
         server = self.declaration.configuration.serve(
             listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
         )
+        self.board.attach(server)
         for wrap in self._wraps:
             server.wrap_handler(wrap)
         return server

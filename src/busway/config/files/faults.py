@@ -20,7 +20,7 @@ are looked up, with their parameters, by who builds the faults (`busway.simulato
 import re
 from typing import Annotated, Any, Final
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...codes import Table
 from ...errors import ConfigError
@@ -48,8 +48,6 @@ ParameterValue = Annotated[
 
 class ScheduleSection(Section):
     """``schedule``: when the fault is on, counted from its being switched on."""
-
-    model_config = ConfigDict(populate_by_name=True)
 
     from_: float = Field(default=0.0, ge=0, le=_MOST_SECONDS, alias="from")
     for_: float | None = Field(default=None, ge=0, le=_MOST_SECONDS, alias="for")

@@ -42,6 +42,7 @@ from ...errors import ConfigError, InvalidRequest
 from ...values.refusal import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import PointSection, UnitSection, Whole, checked
+from .faults import FaultSection
 from .lines import Path
 from .schema import Faults, Section
 from .system import DEFAULT_LISTEN, SystemFile
@@ -245,6 +246,7 @@ class SimulationFile(SystemFile, ParameterKeys):
     """A whole simulation file."""
 
     simulation: SimulationSection = SimulationSection()
+    fault: list[FaultSection] = Field(default_factory=list)
     unit: list[SimulatedUnitSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
 
     def places(self) -> list[tuple[Path, str]]:

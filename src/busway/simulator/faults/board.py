@@ -6,7 +6,7 @@ Knows personalities, names and the server's side of faults; knows no file and no
 
     board = FaultBoard(seed=7)
     board.add("late", units={3}, parameters={"delay": 2.0})
-    server = Server(endpoints, board.around(handler), wires=board.wires)
+    board.attach(server)
     board.switch("late", on=False)
 
 1. A board serves one server: faults and ways belong together.
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...codes import Table
+from ...server.server import Server
 from ...session.handler import Handler
 from ...testing.clock import Clock
 from ...testing.faults import AppliedFault, Faults, Schedule, Selection
@@ -71,8 +72,13 @@ class FaultBoard:
         self.wires = FaultyWires(self.faults, clock)
         self.personalities = personalities
 
+    def attach(self, server: Server) -> None:
+        """Let a server play the faults, on all its listeners. Raises `ConfigError` while it is running."""
+        server.wrap_handler(self.around)
+        server.use_wires(self.wires)
+
     def around(self, handler: Handler) -> FaultyHandler:
-        """The handler to give to the server: it plays the faults on what ``handler`` answers."""
+        """A handler that plays the faults on what ``handler`` answers; its server needs ``wires`` too."""
         return FaultyHandler(handler, self.faults, self.wires)
 
     def add(
