@@ -19,6 +19,7 @@ Examples:
   busway config check plant.toml
   busway config show plant.toml
   busway config schema > busway.schema.json
+  busway config schema --simulation
 """
 
 
@@ -26,16 +27,18 @@ def config(
     action: str = typer.Argument(..., metavar="ACTION", help="check, show or schema."),
     file: str | None = typer.Argument(None, metavar="[FILE]", help="The configuration file, for check and show."),
     device: bool = typer.Option(False, "--device", help="schema: of device files alone."),
+    simulation: bool = typer.Option(False, "--simulation", help="schema: of simulation files."),
 ) -> int:
     """Check and explain configuration files."""
     actions: dict[str, Callable[[str], None]] = {"check": _check, "show": _show}
     if action == "schema":
         if file is not None:
             raise ConfigError("schema takes no file", key=file)
-        _print_schema(device)
+        _print_schema(device, simulation)
     elif action in actions:
-        if device:
-            raise ConfigError("is for schema", key="--device")
+        for is_given, name in ((device, "--device"), (simulation, "--simulation")):
+            if is_given:
+                raise ConfigError("is for schema", key=name)
         if file is None:
             raise ConfigError(f"{action} needs a file", key="FILE")
         actions[action](file)
@@ -62,10 +65,19 @@ def _show(file: str) -> None:
         print(line)
 
 
-def _print_schema(device: bool) -> None:
+def _print_schema(device: bool, simulation: bool) -> None:
     from ..config.files.device import DeviceFile
     from ..config.files.schema import json_schema
     from ..config.files.system import SystemFile
 
-    made = json_schema(DeviceFile, "busway device file") if device else json_schema(SystemFile, "busway configuration")
+    if device and simulation:
+        raise ConfigError("goes without --device", key="--simulation")
+    if simulation:
+        from ..config.files.simulation import SimulationFile
+
+        made = json_schema(SimulationFile, "busway simulation file")
+    elif device:
+        made = json_schema(DeviceFile, "busway device file")
+    else:
+        made = json_schema(SystemFile, "busway configuration")
     print(json.dumps(made, indent=2, ensure_ascii=False))

@@ -30,6 +30,7 @@ COMMANDS = {
     "scan": "Find the units that answer on a line or behind an address.",
     "counters": "Read what a device counts of its communication.",
     "serve": "Be a device.",
+    "simulate": "Be devices that behave as a file says.",
     "gateway": "Stand between clients and lines.",
     "status": "Show how a running server or gateway does.",
     "sniff": "Listen to a line, never send.",

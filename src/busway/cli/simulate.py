@@ -1,0 +1,147 @@
+"""``busway simulate``: be devices that behave as a file says, until Ctrl-C or SIGTERM.
+
+1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
+   the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
+2. Units and behaviours are those of the start: what is read again is policy, lists and certificates.
+"""
+
+import asyncio
+import math
+import re
+from collections.abc import Callable
+from contextlib import AsyncExitStack, suppress
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import ConfigError
+from .arguments import CAPTURE, VERBOSE, seconds, show_traffic, whole_number
+from .exits import ExitCode
+from .files import capturing
+from .output import say
+from .running import (
+    ALLOW,
+    ALLOW_WRITES,
+    AUDIT,
+    CONTROL,
+    DENY,
+    METRICS,
+    NO_STANDARD_PORT,
+    POLICY,
+    PRIORITY,
+    access_rules,
+    address_list,
+    announce,
+    listener_changes,
+    read_again_on_hangup,
+)
+from .signals import stop_event
+
+if TYPE_CHECKING:
+    from ..assembly.service import Declared, Service
+    from ..simulator.simulation import Simulation
+
+EXAMPLES = """\b
+Examples:
+  busway simulate plant.toml
+  busway simulate plant.toml --listen tcp://127.0.0.1:1502 --listen rtu:///dev/ttyUSB0?baud=9600
+  busway simulate plant.toml --seed 7 --speed 60 --for 1m
+  busway simulate plant.toml --check
+
+The same file and seed give the same values. A listener that the network reaches is read-only without a policy;
+--allow-writes lifts that.
+"""
+
+_SPEED = re.compile(r"\d{1,7}(\.\d{1,6})?|\.\d{1,6}", re.ASCII)
+_FASTEST = 100_000.0
+
+
+def simulate(
+    file: str = typer.Argument(..., metavar="FILE", help="A simulation file, in TOML; every device file is one."),
+    listen: list[str] | None = typer.Option(
+        None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
+    ),
+    seed: str | None = typer.Option(None, "--seed", metavar="N", help="Of noise and chance, instead of the file's."),
+    speed: str = typer.Option("1", "--speed", metavar="X", help="Seconds of the simulation in a second: 60."),
+    duration: str | None = typer.Option(None, "--for", metavar="TIME", help="End after this time: 10s, 5m."),
+    check: bool = typer.Option(False, "--check", help="Say what the file comes to, or what is wrong with it; no more."),
+    no_standard_port: bool = NO_STANDARD_PORT,
+    policy: str | None = POLICY,
+    allow_writes: bool = ALLOW_WRITES,
+    allow: list[str] | None = ALLOW,
+    deny: list[str] | None = DENY,
+    priority: list[str] | None = PRIORITY,
+    audit: str | None = AUDIT,
+    metrics: str | None = METRICS,
+    control: str | None = CONTROL,
+    capture: str | None = CAPTURE,
+    verbose: int = VERBOSE,
+) -> int:
+    """Be devices that behave."""
+    limit = None if duration is None else seconds(duration, "--for", high=366 * 86_400)
+    options: dict[str, Any] = {  # of different types
+        "seed": None if seed is None else whole_number(seed, "--seed", 0, 2**31 - 1),
+        "speed": _speed(speed),
+    }
+    from ..assembly.service import Service, Wishes
+    from ..server.loops import run
+    from ..simulator.includes import load_declaration
+    from ..simulator.simulation import Simulation
+
+    changes = listener_changes(priority)
+    simulation = Simulation(load_declaration(file, changes=changes), **options)
+    if check:
+        _print_units(simulation)
+        return ExitCode.DONE
+    wishes = Wishes(
+        listen=listen or (),
+        rules=access_rules(policy),
+        addresses=address_list(allow, deny),
+        allow_writes=allow_writes,
+        audit=audit,
+        metrics=metrics,
+        control=control,
+        standard_port=False if no_standard_port else None,
+        can_reload=True,
+        name="simulator",
+    )
+    service = Service(_reader(simulation, file, changes), wishes)
+    show_traffic(verbose)
+    with capturing(capture):
+        run(_simulate(simulation, service, limit))
+    return ExitCode.DONE
+
+
+def _speed(text: str) -> float:
+    value = float(text) if _SPEED.fullmatch(text) else math.nan
+    if not 0 < value <= _FASTEST:
+        raise ConfigError(f"a number above 0, at most {_FASTEST:g}, is needed, not {text!r}", key="--speed")
+    return value
+
+
+def _reader(simulation: "Simulation", file: str, changes: dict[str, Any]) -> "Callable[[], Declared]":
+    """What gives the simulation first, and what the file says whenever it is read again."""
+    from ..simulator.includes import load_declaration
+
+    first: list[Declared] = [simulation]
+    return lambda: first.pop() if first else load_declaration(file, changes=changes).configuration
+
+
+def _print_units(simulation: "Simulation") -> None:
+    for unit in simulation.units.values():
+        moving = sum(point.behaviour != "" for point in unit.points.values())
+        name = f" {unit.name}:" if unit.name else ""
+        print(f"unit {unit.unit}:{name} {len(unit.points)} points, {moving} with a behaviour")
+
+
+async def _simulate(simulation: "Simulation", service: "Service", limit: float | None) -> None:
+    with stop_event() as stop:
+        async with AsyncExitStack() as stack:
+            await stack.enter_async_context(read_again_on_hangup(service))
+            await stack.enter_async_context(service)
+            await stack.enter_async_context(simulation.driven(service.server))
+            for sentence in simulation.warnings:
+                say(sentence)
+            announce(service)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(stop.wait(), limit)
