@@ -26,6 +26,7 @@ from ..errors import ConfigError, InvalidRequest, ModbusError
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
+from ..pdu.wide import MAX_DATA, NARROW, wide
 from ..session.breaker import BreakerState
 from ..session.demand import Demand
 from ..session.handler import LATER, Deferral, RequestContext
@@ -179,7 +180,8 @@ class Line:
         self._clock = clock
         self._links: list[Link] = []
         self._link_of: OrderedDict[str, Link] = OrderedDict()
-        self._memory: Memory[_Exchange] = Memory()
+        self._width = settings.parameters.register_width
+        self._memory: Memory[_Exchange] = Memory(self._width)
         self._open = 0
         self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open
 
@@ -247,11 +249,13 @@ class Line:
         unit = route.unit_behind(context.unit)
         key = None
         if isinstance(request, _READS):
+            if self._width != NARROW and isinstance(request, ReadRegisters) and request.count * self._width > MAX_DATA:
+                return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_VALUE)
             if route.cache is not None:
                 data = self._memory.recall(unit, _place(request, route), self._clock(), for_seconds=route.cache)
                 if data is not None:
                     self.counters.recalled += 1
-                    return request.Reply(data)
+                    return self._recalled(request, data)
             limit = route.max_bits if isinstance(request, ReadBits) else route.max_registers
             if self.share_reads or route.cache is not None:
                 key = (request.code, request.address + route.shift, request.count, limit or 0)
@@ -260,7 +264,7 @@ class Line:
                 self._share(exchange, (context, request, route), deadline)
                 return LATER
         try:
-            sent = behind(request, route)
+            sent = behind(request, route, self._width)
         except InvalidRequest:
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_ADDRESS)
         link = self._link_for(context)
@@ -281,6 +285,11 @@ class Line:
         outcome = self.forward(context, request, route, deadline=deadline)
         self.counters.broadcasts += outcome is LATER
         return outcome
+
+    def _recalled(self, request: ReadRegisters | ReadBits, data: bytes) -> Message:
+        if isinstance(request, ReadRegisters):
+            return wide(type(request), self._width).Reply(data)
+        return request.Reply(data)
 
     def _share(
         self, exchange: _Exchange, waiter: tuple[RequestContext, Request, Route], deadline: float | None

@@ -18,6 +18,7 @@ from typing import Generic, TypeVar
 
 from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, Table
 from ..pdu.bits import slice_bits
+from ..pdu.wide import NARROW
 
 Shared = TypeVar("Shared")
 Key = tuple[int, int, int, int]
@@ -55,11 +56,16 @@ class _Unit(Generic[Shared]):
 
 
 class Memory(Generic[Shared]):
-    """The memory of one line. ``Shared`` is whatever stands for a read in flight."""
+    """The memory of one line. ``Shared`` is whatever stands for a read in flight.
 
-    __slots__ = ("_open_writes", "_units")
+    Args:
+        register_width: bytes of a register.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("_open_writes", "_units", "_width")
+
+    def __init__(self, register_width: int = NARROW) -> None:
+        self._width = register_width
         self._units: dict[int, _Unit[Shared]] = {}
         self._open_writes = 0
 
@@ -151,5 +157,5 @@ class Memory(Generic[Shared]):
                 state.blocks.move_to_end(known)
                 if table.holds_bits:
                     return slice_bits(block.data, at, count)
-                return block.data[2 * at : 2 * (at + count)]
+                return block.data[self._width * at : self._width * (at + count)]
         return None

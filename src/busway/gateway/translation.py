@@ -13,16 +13,24 @@ from ..pdu.bits import slice_bits
 from ..pdu.general import OpaqueRequest
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
+from ..pdu.wide import NARROW, wide
 from ..pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters
 from .routes import Route
 
 
-def behind(request: Request, route: Route) -> tuple[Request, ...]:
+def behind(request: Request, route: Route, width: int = NARROW) -> tuple[Request, ...]:
     """The requests to send for one that a route takes: itself, as a rule.
+
+    Args:
+        request: as it is asked in front.
+        route: what becomes of it.
+        width: bytes of the registers of the device, 2…12; it answers reads in its own width, which goes through.
 
     Raises:
         InvalidRequest: an address that does not exist behind the shift.
     """
+    if width != NARROW and isinstance(request, ReadRegisters):
+        request = wide(type(request), width)(request.address, request.count)
     if route.shift:
         moved = _moved(request, type(request), route.shift)
         assert isinstance(moved, Request)
@@ -93,7 +101,9 @@ def _read_pieces(kind: type[Any], address: int, count: int, limit: int) -> tuple
 
 def _joined(request: Request, sent: Sequence[Request], replies: Sequence[Any]) -> Message:
     if isinstance(request, ReadRegisters):
-        return request.Reply(b"".join(reply.data for reply in replies))
+        kind: Any = type(sent[0])  # as wide as the device's registers are
+        joined: Message = kind.Reply(b"".join(reply.data for reply in replies))
+        return joined
     if isinstance(request, ReadBits):
         bits = at = 0
         for piece, reply in zip(sent, replies, strict=True):
