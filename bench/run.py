@@ -26,7 +26,7 @@ from harness import machine
 from harness.bench import Bench, prepare
 from harness.children import ChildFailed
 from harness.report import Table
-from tables import ASKED_BY_NAME_SECONDS, TABLES
+from tables import ASKED_BY_NAME_SECONDS, QUICK_ROUNDS, TABLES
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -35,27 +35,29 @@ def main(arguments: list[str] | None = None) -> int:
     asked = _arguments(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     before = machine.description()
-    bench = prepare(asked.quick, asked.rounds, asked.seconds)
+    bench = prepare(asked.quick, asked.seconds)
     began = time.time()
     tables: dict[str, Table] = {}
     try:
         for name in asked.only or [name for name, entry in TABLES.items() if entry.quick or not asked.quick]:
             try:
-                tables[name] = _measured(bench, name)
+                tables[name] = _measured(bench, name, asked.rounds)
             except ChildFailed as failure:
                 bench.say(f"table {name} is left out: {failure}")
                 continue
             print(tables[name].text(), flush=True)
     except KeyboardInterrupt:
         bench.say("interrupted; what was measured so far is kept")
-    return _finish(before, began, asked.quick, tables)
+    shortened = asked.quick or bool(asked.rounds or asked.seconds)
+    return _finish(before, began, shortened, tables)
 
 
-def _measured(bench: Bench, name: str) -> Table:
+def _measured(bench: Bench, name: str, asked_rounds: int | None) -> Table:
     entry = TABLES[name]
+    rounds = asked_rounds or (QUICK_ROUNDS if bench.quick else entry.rounds)
     budget = (entry.quick or ASKED_BY_NAME_SECONDS) if bench.quick else entry.full
     began = time.monotonic()
-    table: Table = importlib.import_module(entry.module).run(replace(bench, budget=budget))
+    table: Table = importlib.import_module(entry.module).run(replace(bench, budget=budget, rounds=rounds))
     bench.say(f"table {name} took {time.monotonic() - began:.0f} s of {budget:.0f} s")
     return table
 
@@ -87,7 +89,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _finish(before: dict[str, object], began: float, quick: bool, tables: dict[str, Table]) -> int:
+def _finish(before: dict[str, object], began: float, shortened: bool, tables: dict[str, Table]) -> int:
     bars = [bar for table in tables.values() for bar in table.bars]
     counts = {word: sum(bar.verdict == word for bar in bars) for word in ("ok", "missed", "not measured")}
     print(f"\n{', '.join(f'{key} {value}' for key, value in before.items())}")
@@ -99,7 +101,7 @@ def _finish(before: dict[str, object], began: float, quick: bool, tables: dict[s
     result: dict[str, object] = {
         "date": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(began)),
         "took_seconds": round(time.time() - began, 1),
-        "quick": quick,
+        "shortened": shortened,
         "machine": before,
         "tables": {name: table.kept() for name, table in tables.items()},
     }

@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import AsyncExitStack
 
-from harness.window import BURST, Window
+from harness.window import Window, burst
 
 import busway
 
@@ -17,25 +17,31 @@ import busway
 async def main(port: int, seconds: float, registers: int, connections: int, tasks: int) -> None:
     expected = list(range(registers))
     async with AsyncExitStack() as opened:
-        units = []
+        links = []
         for _ in range(connections):
             link = busway.open(
-                f"tcp://127.0.0.1:{port}", max_transactions=tasks, join="--join" in sys.argv, shared=False
+                f"tcp://127.0.0.1:{port}",
+                max_transactions=tasks,
+                max_connections=max(connections, 8),
+                join="--join" in sys.argv,
+                shared=False,
             )
-            units.append((await opened.enter_async_context(link)).unit(1))
+            links.append(await opened.enter_async_context(link))
+        await asyncio.gather(*(link.connect() for link in links))
+        each = burst(connections * tasks)
         window = Window(seconds)
 
         async def caller(unit: busway.AsyncUnit) -> None:
             going = True
             while going:
-                for _ in range(BURST):
+                for _ in range(each):
                     began = time.perf_counter()
                     values = await unit.read_holding_registers(0, count=registers)
                 if values != expected:
                     raise SystemExit(f"wrong values: {values}")
-                going = window.count(BURST, began)
+                going = window.count(each, began)
 
-        await asyncio.gather(*(caller(unit) for unit in units for _ in range(tasks)))
+        await asyncio.gather(*(caller(link.unit(1)) for link in links for _ in range(tasks)))
     window.report()
 
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent.parent
 Command = list[str | Path]
 LEAST_TURN, LONGEST_TURN = 0.05, 1.5
 PEERS = ("bench/build/peers", ".peers")
-"""Environments with peers, the first that is there is taken; the benchmark's own has some that the tests do not need."""
+"""Environments with peers, the first that is there is taken: the benchmark's own has more than the tests need."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Bench:
     """One run of the benchmark."""
 
     quick: bool
-    rounds: int  # of every contender
+    rounds: int  # turns of every contender
     server_core: int | None
     load_core: int | None
     programs: dict[str, Path]  # the C programs that are there
@@ -63,7 +63,7 @@ class Bench:
         return [self.peers_python, "-m", module, *map(str, arguments)]
 
 
-def prepare(quick: bool, rounds: int | None = None, seconds: float | None = None) -> Bench:
+def prepare(quick: bool, seconds: float | None = None) -> Bench:
     """Builds what can be built and finds out what is there."""
     began = time.monotonic()
 
@@ -79,7 +79,7 @@ def prepare(quick: bool, rounds: int | None = None, seconds: float | None = None
         say("no environment with the Python peers: they are left out (make bench-peers)")
     return Bench(
         quick=quick,
-        rounds=rounds or (3 if quick else 5),
+        rounds=1,
         asked_seconds=seconds,
         server_core=server_core,
         load_core=load_core,

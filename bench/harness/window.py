@@ -15,6 +15,11 @@ from array import array
 BURST = 8  # transactions per report of a client that awaits each; 0.3 µs of bookkeeping become 0.04 µs each
 
 
+def burst(callers: int) -> int:
+    """How many transactions a caller reports at a time: where callers are many, a round of all of them stays short."""
+    return max(1, min(BURST, 16 * BURST // callers))
+
+
 class Window:
     """Counts transactions between two points of time; opens when it is built."""
 

@@ -10,7 +10,7 @@ import asyncio
 import sys
 import time
 
-from harness.window import BURST, Window
+from harness.window import BURST, Window, burst
 from pymodbus.client import AsyncModbusTcpClient, ModbusTcpClient
 
 
@@ -36,17 +36,18 @@ async def awaiting(port: int, seconds: float, registers: int, connections: int, 
     for client in clients:
         if not await client.connect():
             raise SystemExit("no connection")
+    each = burst(connections * tasks)
     window = Window(seconds)
 
     async def caller(client: AsyncModbusTcpClient) -> None:
         going = True
         while going:
-            for _ in range(BURST):
+            for _ in range(each):
                 began = time.perf_counter()
                 reply = await client.read_holding_registers(0, count=registers, device_id=1)
             if reply.isError() or len(reply.registers) != registers:
                 raise SystemExit(f"wrong reply: {reply}")
-            going = window.count(BURST, began)
+            going = window.count(each, began)
 
     await asyncio.gather(*(caller(client) for client in clients for _ in range(tasks)))
     for client in clients:

@@ -1,6 +1,6 @@
 """A busway gateway on TCP, everything to one server behind.
 
-Run from `bench/`: python -m servers.busway_gateway URL [--connections N] [--uvloop] [--no-sharing]
+Run from `bench/`: python -m servers.busway_gateway URL [--connections N] [--uvloop] [--no-sharing] [--real-time]
 """
 
 import argparse
@@ -8,6 +8,7 @@ import asyncio
 from urllib.parse import urlsplit
 
 from harness import announce
+from harness.priority import PROGRAM, real_time
 
 from busway.gateway.gateway import Gateway, simple_plan
 
@@ -27,7 +28,10 @@ parser.add_argument("url")
 parser.add_argument("--connections", type=int, default=1)
 parser.add_argument("--uvloop", action="store_true")
 parser.add_argument("--no-sharing", action="store_true")
+parser.add_argument("--real-time", action="store_true")
 asked = parser.parse_args()
+if asked.real_time:
+    real_time(PROGRAM)
 serving = main(asked.url, asked.connections, not asked.no_sharing)
 if asked.uvloop:
     import uvloop

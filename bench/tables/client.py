@@ -1,12 +1,14 @@
 """Clients against the floor server: transactions per second, client CPU per transaction, latency.
 
 The floor server has one core, the client the other. FC03 for 10 registers. `await` means one await per request, in as
-many tasks as requests are in flight; `execute_many` hands over a batch and gets all replies together; `blocking` is
-lock-step. The latency of `execute_many` is that of a whole batch. The load generator stands beside
-them for comparison; whether it is an upper limit on one connection has not been shown.
+many tasks per connection as requests are in flight; `execute_many` hands over a batch and gets all replies together;
+`blocking` is lock-step. The latency of `execute_many` is that of a whole batch (256 requests, fewer on 100 connections
+and more). The load generator is the floor of a client: it checks little and keeps no result; whether it is an upper
+limit on one connection has not been shown.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 from harness import children
@@ -19,15 +21,32 @@ REGISTERS = 10
 IN_FLIGHT = 16
 
 MANY, AWAIT, BLOCKING = "execute_many", "await", "blocking"
+GENERATOR = "floor: load generator (C)"
+STARTING = 0.35
+"""Seconds that a client in Python takes beside what is counted, to start and to dial, on the average of the table."""
+
+Pattern = tuple[int, int]
+"""Connections × requests in flight on each."""
+LONGER = {100: 2.0, 1000: 5.0}
+"""Turns with many connections last longer: a round of all of them has to be short beside what is counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """A command that lacks its port and duration, and how many times as long as others it is measured."""
+
+    command: Callable[[int, float], Command]
+    longer: float = 1.0
 
 
 def run(bench: Bench) -> Table:
     table = Table(f"Clients against the floor server: FC03 x {REGISTERS} registers", RATE_COLUMNS)
+    contenders = {MANY: _many(bench), AWAIT: _await(bench), BLOCKING: _blocking(bench)}
+    everybody = [one for these in contenders.values() for one in these.values()]
+    apart = STARTING * len(everybody) * bench.rounds
+    seconds = bench.turn(int(sum(one.longer for one in everybody)), apart=apart, overhead=0.0)
     with children.server(bench.program("floor_server"), bench.server_core) as floor:
-        groups = {
-            kind: _measure(bench, floor, kind, contenders)
-            for kind, contenders in ((MANY, _many(bench)), (AWAIT, _await(bench)), (BLOCKING, _blocking(bench)))
-        }
+        groups = {kind: _measure(bench, floor, kind, seconds, these) for kind, these in contenders.items()}
     for kind, group in groups.items():
         for series in group.values():
             add_rates(table, kind, series)
@@ -35,88 +54,106 @@ def run(bench: Bench) -> Table:
     return table
 
 
-# A contender's command lacks its port and duration, which are known when it is its turn.
-Contender = Callable[[int, float], Command]
-
-
 def _many(bench: Bench) -> dict[str, Contender]:
-    def ours(connections: int, *options: str) -> Contender:
-        return lambda port, seconds: bench.ours(
-            "clients.busway_many", port, seconds, REGISTERS, connections, IN_FLIGHT, *options
-        )
-
-    contenders: dict[str, Contender] = {
-        "load generator (C), 1 connection": _generator(bench, 1, IN_FLIGHT),
-        "load generator (C), 16 connections": _generator(bench, 16, IN_FLIGHT),
-        "busway, 1 connection": ours(1),
-        "busway, 16 connections": ours(16),
-    }
-    if bench.uvloop:
-        contenders["busway, uvloop, 1 connection"] = ours(1, "--uvloop")
-        contenders["busway, uvloop, 16 connections"] = ours(16, "--uvloop")
+    patterns = [(1, IN_FLIGHT), (16, IN_FLIGHT)] if bench.quick else [(many, IN_FLIGHT) for many in (1, 16, 100, 1000)]
+    contenders: dict[str, Contender] = {}
+    for pattern in patterns:
+        contenders[_label(GENERATOR, pattern)] = _generator(bench, pattern)
+        contenders[_label("busway", pattern)] = _ours(bench, "clients.busway_many", pattern)
+        if bench.uvloop:
+            contenders[_label("busway, uvloop", pattern)] = _ours(bench, "clients.busway_many", pattern, "--uvloop")
     return contenders
 
 
 def _await(bench: Bench) -> dict[str, Contender]:
-    def ours(connections: int, tasks: int, *options: str) -> Contender:
-        return lambda port, seconds: bench.ours(
-            "clients.busway_await", port, seconds, REGISTERS, connections, tasks, *options
-        )
-
-    def pymodbus(connections: int, tasks: int) -> Contender:
-        return lambda port, seconds: bench.peer(
-            "peers.pymodbus_client", "await", port, seconds, REGISTERS, connections, tasks
-        )
-
-    contenders = {
-        "pymodbus, 1 connection, 16 tasks": pymodbus(1, IN_FLIGHT),
-        "pymodbus, 16 connections, 1 task each": pymodbus(16, 1),
-        "busway, 1 connection, 16 tasks": ours(1, IN_FLIGHT),
-        "busway, joined, 1 connection, 16 tasks": ours(1, IN_FLIGHT, "--join"),
-        "busway, 16 connections, 1 task each": ours(16, 1),
-    }
+    patterns = [(1, IN_FLIGHT)] if bench.quick else [(1, IN_FLIGHT), (16, 1), (100, 1), (1000, 1)]
+    module = "clients.busway_await"
+    contenders: dict[str, Contender] = {}
+    for pattern in patterns:
+        contenders[_label(GENERATOR, pattern)] = _generator(bench, pattern)
+        if pattern[0] <= 100:
+            contenders[_label("pymodbus", pattern)] = _peer(bench, "peers.pymodbus_client", pattern)
+        if pattern[0] <= 16:
+            contenders[_label("modbus-rs", pattern)] = _peer(bench, "peers.modbus_rs_client", pattern)
+        contenders[_label("busway", pattern)] = _ours(bench, module, pattern)
+        if bench.uvloop:
+            contenders[_label("busway, uvloop", pattern)] = _ours(bench, module, pattern, "--uvloop")
+    joined = (1, IN_FLIGHT)
+    contenders[_label("busway, joined", joined)] = _ours(bench, module, joined, "--join")
     if bench.uvloop:
-        contenders["busway, uvloop, 1 connection, 16 tasks"] = ours(1, IN_FLIGHT, "--uvloop")
-        contenders["busway, uvloop, joined, 1 connection, 16 tasks"] = ours(1, IN_FLIGHT, "--uvloop", "--join")
+        contenders[_label("busway, uvloop, joined", joined)] = _ours(bench, module, joined, "--uvloop", "--join")
     return contenders
 
 
 def _blocking(bench: Bench) -> dict[str, Contender]:
+    def peer(module: str, *words: str) -> Contender:
+        return Contender(lambda port, seconds: bench.peer(module, *words, port, seconds, REGISTERS))
+
     return {
-        "load generator (C)": _generator(bench, 1, 1),
-        "pyModbusTCP": lambda port, seconds: bench.peer("peers.pymodbustcp_client", port, seconds, REGISTERS),
-        "pymodbus": lambda port, seconds: bench.peer("peers.pymodbus_client", "blocking", port, seconds, REGISTERS),
-        "busway": lambda port, seconds: bench.ours("clients.busway_blocking", port, seconds, REGISTERS),
+        GENERATOR: _generator(bench, (1, 1)),
+        "pyModbusTCP": peer("peers.pymodbustcp_client"),
+        "pymodbus": peer("peers.pymodbus_client", "blocking"),
+        "umodbus": peer("peers.umodbus_client"),
+        "modbus-rs": peer("peers.modbus_rs_client", "blocking"),
+        "busway": Contender(lambda port, seconds: bench.ours("clients.busway_blocking", port, seconds, REGISTERS)),
     }
 
 
-def _generator(bench: Bench, connections: int, in_flight: int) -> Contender:
-    return lambda port, seconds: bench.program("load", "127.0.0.1", port, connections, in_flight, REGISTERS, seconds)
+def _label(name: str, pattern: Pattern) -> str:
+    return f"{pattern[0]:>4} x {pattern[1]:>2}  {name}"
 
 
-def _measure(bench: Bench, floor: children.Server, kind: str, contenders: dict[str, Contender]) -> dict[str, Series]:
-    def turn(command: Contender) -> Sample:
-        result = children.run(command(floor.port, bench.seconds), bench.load_core, bench.seconds)
+def _ours(bench: Bench, module: str, pattern: Pattern, *options: str) -> Contender:
+    def command(port: int, seconds: float) -> Command:
+        return bench.ours(module, port, seconds, REGISTERS, *pattern, *options)
+
+    return Contender(command, LONGER.get(pattern[0], 1.0))
+
+
+def _peer(bench: Bench, module: str, pattern: Pattern) -> Contender:
+    def command(port: int, seconds: float) -> Command:
+        return bench.peer(module, "await", port, seconds, REGISTERS, *pattern)
+
+    return Contender(command, LONGER.get(pattern[0], 1.0))
+
+
+def _generator(bench: Bench, pattern: Pattern) -> Contender:
+    return Contender(
+        lambda port, seconds: bench.program("load", "127.0.0.1", port, *pattern, REGISTERS, seconds),
+        LONGER.get(pattern[0], 1.0),
+    )
+
+
+def _measure(
+    bench: Bench, floor: children.Server, kind: str, seconds: float, contenders: dict[str, Contender]
+) -> dict[str, Series]:
+    def turn(one: Contender) -> Sample:
+        length = seconds * one.longer
+        result = children.run(one.command(floor.port, length), bench.load_core, length)
         return Sample.of(result, result["cpu"])
 
-    bench.say(f"client: {kind}")
-    turns = {name: partial(turn, command) for name, command in contenders.items()}
+    bench.say(f"client: {kind}, {seconds:.2f} s a turn")
+    turns = {name: partial(turn, one) for name, one in contenders.items()}
     return alternate(turns, bench.rounds, (ChildFailed,), bench.say)
 
 
 def _bars(groups: dict[str, dict[str, Series]]) -> list[Bar]:
-    def rate(kind: str, name: str) -> float | None:
-        return groups[kind][name].median("rate")
+    def rate(kind: str, name: str, pattern: Pattern) -> float | None:
+        series = groups[kind].get(_label(name, pattern))
+        return None if series is None else series.median("rate")
 
-    def against(kind: str, mine: str, theirs: str) -> float | None:
-        return ratio(groups[kind][mine], groups[kind][theirs], "rate")
+    def against_pymodbus(name: str, pattern: Pattern) -> float | None:
+        group = groups[AWAIT]
+        return ratio(group.get(_label(name, pattern)), group.get(_label("pymodbus", pattern)), "rate")
 
-    one, sixteen = "1 connection", "16 connections"
-    awaited = "1 connection, 16 tasks"
+    sixteen, awaited, single = (16, IN_FLIGHT), (1, IN_FLIGHT), (16, 1)
+    fast = "busway, uvloop"
+    blocking = ratio(groups[BLOCKING]["busway"], groups[BLOCKING]["pyModbusTCP"], "rate")
     return [
-        Bar(f"execute_many, {one}", rate(MANY, f"busway, {one}"), ">=", 150_000, "/s"),
-        Bar(f"execute_many, {sixteen}", rate(MANY, f"busway, {sixteen}"), ">=", 350_000, "/s"),
-        Bar("await per request, 16 in flight on 1 connection", rate(AWAIT, f"busway, {awaited}"), ">=", 80_000, "/s"),
-        Bar("the same, requests of one turn joined", rate(AWAIT, f"busway, joined, {awaited}"), ">=", 80_000, "/s"),
-        Bar("blocking: busway / pyModbusTCP, rate", against(BLOCKING, "busway", "pyModbusTCP"), ">=", 0.9),
+        Bar("execute_many, 16 connections", rate(MANY, "busway", sixteen), ">=", 450_000, "/s"),
+        Bar("execute_many, 16 connections, uvloop", rate(MANY, fast, sixteen), ">=", 500_000, "/s"),
+        Bar("await, 16 in flight on 1 connection, uvloop", rate(AWAIT, fast, awaited), ">=", 100_000, "/s"),
+        Bar("await, 1 x 16: busway / pymodbus, rate", against_pymodbus("busway", awaited), ">=", 10),
+        Bar("await, 16 x 1: busway / pymodbus, rate", against_pymodbus("busway", single), ">=", 10),
+        Bar("blocking: busway / pyModbusTCP, rate", blocking, ">=", 0.9),
     ]

@@ -2,66 +2,64 @@
 
 The server behind is the floor, on the core of the load generator; the gateway has the other core for itself. 16
 connections with 16 requests in flight, FC03 for 10 registers, all requests alike but for their addresses, so reads are
-not shared: sharing is switched off, since a generator that asks 256 times the same would measure that alone.
+not shared: sharing is switched off, since a generator that asks 256 times the same would measure that alone. The floor
+is what the generator gets from the server behind when it asks it directly, on the other core like the gateways.
 """
 
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 
-from harness import children, machine
-from harness.bench import Bench
+from harness import children
+from harness.bench import Bench, Command
 from harness.children import ChildFailed
 from harness.measure import Sample, Series, alternate
 from harness.report import RATE_COLUMNS, Bar, Table, add_rates
+from harness.serving import Shape, load, start
 
-REGISTERS = 10
-SHAPES = ((16, 16), (16, 1))
-ONE, FOUR, UVLOOP = "1 connection behind", "4 connections behind", "4 behind, uvloop"
+SHAPES = (Shape(16, 16), Shape(16, 1))
+FLOOR = "floor (C), no gateway"
+ONE, FOUR = "1 connection behind", "4 connections behind"
+ONE_UVLOOP, FOUR_UVLOOP = "1 behind, uvloop", "4 behind, uvloop"
+STARTING = 3.0
 
 
 def run(bench: Bench) -> Table:
-    table = Table(f"Gateway, TCP to TCP: FC03 x {REGISTERS} registers", RATE_COLUMNS)
-    results: dict[tuple[int, int], dict[str, Series]] = {}
+    table = Table("Gateway, TCP to TCP: FC03 x 10 registers", RATE_COLUMNS)
+    results: dict[Shape, dict[str, Series]] = {}
     with ExitStack() as running:
         behind = running.enter_context(children.server(bench.program("floor_server"), bench.load_core))
-        gateways = _start(bench, running, f"tcp://127.0.0.1:{behind.port}")
+        gateways = start(bench, running, _contenders(bench, f"tcp://127.0.0.1:{behind.port}"))
+        seconds = bench.turn(len(SHAPES) * len(gateways), apart=STARTING)
         for shape in SHAPES:
-            bench.say(f"gateway: {shape[0]} connections x {shape[1]} in flight")
+            bench.say(f"gateway: {shape}, {seconds:.2f} s a turn")
             turns: dict[str, Callable[[], Sample]] = {
-                name: partial(_load, bench, gateway, *shape) for name, gateway in gateways.items()
+                name: partial(load, bench, gateway, shape, seconds) for name, gateway in gateways.items()
             }
             results[shape] = alternate(turns, bench.rounds, (ChildFailed,), bench.say)
             for series in results[shape].values():
-                add_rates(table, f"{shape[0]:>2} x {shape[1]:>2}", series)
+                add_rates(table, str(shape), series)
+    full = results[SHAPES[0]]
     table.bars = [
-        Bar("16 x 16: one connection behind", _rate(results, ONE), ">=", 60_000, "/s"),
-        Bar("16 x 16: four connections behind", _rate(results, FOUR), ">=", 80_000, "/s"),
+        Bar("16 x 16: one connection behind", _rate(full, ONE), ">=", 60_000, "/s"),
+        Bar("16 x 16: four connections behind", _best(full, FOUR, FOUR_UVLOOP), ">=", 100_000, "/s"),
     ]
     return table
 
 
-def _start(bench: Bench, running: ExitStack, url: str) -> dict[str, children.Server]:
-    wanted = {ONE: ("--connections", 1), FOUR: ("--connections", 4)}
+def _contenders(bench: Bench, url: str) -> dict[str, Callable[[], Command]]:
+    def ours(connections: int, *options: str) -> Callable[[], Command]:
+        return lambda: bench.ours("servers.busway_gateway", url, "--no-sharing", "--connections", connections, *options)
+
+    wanted = {FLOOR: lambda: bench.program("floor_server"), ONE: ours(1), FOUR: ours(4)}
     if bench.uvloop:
-        wanted[UVLOOP] = ("--connections", 4, "--uvloop")  # type: ignore[assignment]
-    started = {}
-    for name, options in wanted.items():
-        command = bench.ours("servers.busway_gateway", url, "--no-sharing", *options)
-        try:
-            started[name] = running.enter_context(children.server(command, bench.server_core))
-        except ChildFailed as failure:
-            bench.say(f"{name} is left out: {failure}")
-    return started
+        wanted |= {ONE_UVLOOP: ours(1, "--uvloop"), FOUR_UVLOOP: ours(4, "--uvloop")}
+    return wanted
 
 
-def _load(bench: Bench, gateway: children.Server, connections: int, in_flight: int) -> Sample:
-    before = machine.cpu_seconds(gateway.pid)
-    command = bench.program("load", "127.0.0.1", gateway.port, connections, in_flight, REGISTERS, bench.seconds)
-    result = children.run(command, bench.load_core, bench.seconds)
-    return Sample.of(result, machine.cpu_seconds(gateway.pid) - before)
+def _rate(series: dict[str, Series], name: str) -> float | None:
+    return series[name].median("rate") if name in series else None
 
 
-def _rate(results: dict[tuple[int, int], dict[str, Series]], name: str) -> float | None:
-    series = results[16, 16].get(name)
-    return None if series is None else series.median("rate")
+def _best(series: dict[str, Series], *names: str) -> float | None:
+    return max(filter(None, (_rate(series, name) for name in names)), default=None)

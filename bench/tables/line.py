@@ -86,7 +86,7 @@ def _t3_5(baud: int) -> float:
     return 0.00175 if baud > 19_200 else 3.5 * CHARACTER_BITS / baud
 
 
-def _least(baud: int) -> float:
+def least(baud: int) -> float:
     """Seconds that one read takes at least."""
     return CHARACTERS * CHARACTER_BITS / baud + 2 * _t3_5(baud)
 
@@ -125,7 +125,7 @@ def _measure(bench: Bench, baud: int, reads: int, name: str, contender: Contende
             with children.server(bench.ours("servers.busway_line_server", url), bench.load_core, "serving"):
                 command = contender.client(master, baud)
                 line.answer(SIGUSR1, "forgotten")
-                result = children.run(command, bench.load_core, reads * _least(baud) * 3)
+                result = children.run(command, bench.load_core, reads * least(baud) * 3)
                 before_reply, before_request, _ = map(float, line.answer(SIGUSR2, "silences"))
     except ChildFailed as failure:
         contender.missing = str(failure)
@@ -146,14 +146,14 @@ def _add(table: Table, baud: int, reads: int, name: str, contender: Contender) -
         table.rows.append((label, "–", *[""] * (len(COLUMNS) - 2)))
         table.figures.append({"baud": baud, "name": name, "missing": contender.missing})
         return None
-    least = reads * _least(baud)
+    whole = reads * least(baud)
     seconds, typical = min(contender.seconds), statistics.median(contender.typical)
-    excess, typical_excess = (seconds / least - 1) * 100, (typical / least - 1) * 100
+    excess, typical_excess = (seconds / whole - 1) * 100, (typical / whole - 1) * 100
     before_reply, before_request = (statistics.median(one) for one in (contender.replies, contender.requests))
     table.rows.append(
         (
             label,
-            f"{least:.3f}",
+            f"{whole:.3f}",
             f"{seconds:.3f}",
             f"{excess:.1f}",
             f"{typical:.3f}",
@@ -168,7 +168,7 @@ def _add(table: Table, baud: int, reads: int, name: str, contender: Contender) -
         {
             "baud": baud,
             "name": name,
-            "least": least,
+            "least": whole,
             "excess_percent": excess,
             "typical_excess_percent": typical_excess,
             "rounds": contender.seconds,

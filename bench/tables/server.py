@@ -20,6 +20,7 @@ SHAPES = ((16, 16), (16, 1), (1, 1), (1, 16), (50, 4))
 QUICK_SHAPES = (Shape(16, 16), Shape(16, 1), Shape(1, 1), Shape(50, 4, 125))
 
 FLOOR, LIBMODBUS, PYMODBUS, PYMODBUSTCP = "floor (C)", "libmodbus (C)", "pymodbus", "pyModbusTCP"
+MODBUS_RS = "modbus-rs, Python handler"
 BARE, BARE_UVLOOP = "bare loop, checks nothing", "bare loop, uvloop"
 OURS, OURS_UVLOOP = "busway", "busway, uvloop"
 STARTING = 4.0
@@ -53,6 +54,7 @@ def _contenders(bench: Bench) -> dict[str, Callable[[], Command]]:
         LIBMODBUS: lambda: bench.program("libmodbus_server"),
         PYMODBUS: lambda: bench.peer("peers.pymodbus_server"),
         PYMODBUSTCP: lambda: bench.peer("peers.pymodbustcp_server"),
+        MODBUS_RS: lambda: bench.peer("peers.modbus_rs_server"),
         OURS: lambda: bench.ours("servers.busway_server"),
     }
     if bench.uvloop:
