@@ -160,7 +160,8 @@ def test_the_overview_has_a_row_for_everything() -> None:
     assert own.startswith("allows 127.0.0.0/8; denies 127.0.0.9; refuses all others; 4 priority places for 10.0.0.1")
     assert "a role is required" in rows["listener", "tls://127.0.0.1:0"]
     assert rows["policy", ""] == (
-        "2 rules (setpoints, rule 2), else read-only; allows 10.0.0.0/8, 127.0.0.1; denies 10.9.0.0/16; refuses all others"
+        "2 rules (setpoints, rule 2), else read-only; "
+        "allows 10.0.0.0/8, 127.0.0.1; denies 10.9.0.0/16; refuses all others"
     )
     assert rows["server", ""] == "audit audit.jsonl; metrics on 127.0.0.1:9502; control socket busway.sock"
     assert rows["link", "boiler"] == (

@@ -75,7 +75,7 @@ def test_a_running_serve_is_found_and_tells_of_its_connections(home: Path, run: 
             lines = result.out.splitlines()
             assert endpoint in lines[0]
             assert f"process {program.process.pid}" in lines[0]
-            assert "1 remote connections of" in result.out
+            assert "1 remote connection of" in result.out
             heading = next(line for line in lines if line.startswith("listener"))
             assert {"communication", "error", "device"} <= set(heading.split())
             (connection,) = [line for line in lines if line.startswith("127.0.0.1:")]

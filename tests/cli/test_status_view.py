@@ -113,7 +113,7 @@ def test_the_fronts_of_a_gateway_are_shown_as_servers_and_its_lines_as_a_table()
     sections = sections_of(told(fronts=[front], lines=[line_told()]))
     titles = [section.title for section in sections]
     assert "front office" in titles
-    assert "1 remote connections of 5 supported" in titles
+    assert "1 remote connection of 5 supported" in titles
     assert next(section.rows for section in sections if section.title == "of them") == [["no route", "3"]]
     assert sections[-1].columns == ["line", "behind", "state", "in flight", "queued", "forwarded", "answered"]
     assert sections[-1].rows == [["hall", "rtu:///dev/ttyUSB0", "up", "1", "2", "7", "4"]]

@@ -146,6 +146,14 @@ def test_a_buffer_below_900_bytes_is_refused(name: str) -> None:
 
 
 @pytest.mark.clause("T20")
+@pytest.mark.parametrize("scheme", ["tls", "udp", "rtu+udp"])
+def test_an_interface_is_refused_where_it_would_have_no_effect(scheme: str) -> None:
+    with pytest.raises(busway.ConfigError, match="unknown option") as caught:
+        link_settings(f"{scheme}://10.0.0.5:502?interface=lo", {})
+    assert caught.value.key == "interface"
+
+
+@pytest.mark.clause("T20")
 async def test_a_client_and_a_server_meet_over_ipv6() -> None:
     async with busway.serve("tcp://[::1]:0", units={1: busway.Device(holding_registers=[7])}) as server:
         assert server.endpoints[0].startswith("tcp://[::1]:")

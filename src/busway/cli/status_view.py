@@ -175,7 +175,7 @@ def places_line(state: JsonObject) -> str:
     if "supported_connections" not in state:
         return ""
     remote = state.get("remote_connections", len(_connections(state)))
-    line = f"{remote} remote connections of {state['supported_connections']} supported"
+    line = f"{remote} remote connection{'' if remote == 1 else 's'} of {state['supported_connections']} supported"
     return f"{line}, {state['local_connections']} local" if "local_connections" in state else line
 
 

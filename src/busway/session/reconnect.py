@@ -53,8 +53,8 @@ TRANSITIONS: dict[tuple[ConnectionState, ConnectionEvent], ConnectionState] = {
     (_S.UP, _E.RELEASED): _S.DOWN,
     (_S.SUSPECT, _E.RELEASED): _S.DOWN,
 }
-"""LOST leads to BACKING_OFF instead where the connection brought no valid reply (rule 2). RELEASED is an end that proves
-nothing (rule 3)."""
+"""LOST leads to BACKING_OFF instead where the connection brought no valid reply (rule 2). RELEASED is an end that
+proves nothing (rule 3)."""
 
 FIRST_PAUSE: Final = 0.1
 """Seconds of the first pause."""
