@@ -195,3 +195,14 @@ def test_a_listener_that_the_network_reaches_and_roles_without_tls_are_warned_of
         "3: listener[0].url: warning: tcp://0.0.0.0:5020 listens on every interface of this host",
         "11: policy.rule[0].roles: warning: nobody has a role: there is no tls:// listener",
     ]
+
+
+def test_gaps_of_routes_are_those_of_the_units_behind_on_serial_lines_only() -> None:
+    slow = route("hall", units="101-102", unit_offset=-100, request_gap=0.5)
+    plan = parse_gateway(FRONT + LINE + slow + route("hall", units="2", request_gap=0.7), "x").plan
+    assert plan.lines[0].unit_gaps == {1: 0.5, 2: 0.7}
+    assert refused(FRONT, SERVER, route("server", units="1", request_gap=0.5)) == [
+        "10: route[0].request_gap: is an option of the line where that is no serial one"
+    ]
+    impatient = FRONT + "client_deadline = 1.5\n"
+    assert "+ 0.505 s for frames" in refused(impatient, LINE, "timeout = 0.4\n", route("hall", request_gap=0.5))[0]

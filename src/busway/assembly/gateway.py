@@ -37,7 +37,7 @@ from .judging import Judge
 from .links import for_all_links, named_link
 from .paths import TLS_FILES, rooted, within
 from .reading import read_text
-from .routing import PlacedFront, PlacedRoute, judge_routes, placed_routes
+from .routing import PlacedFront, PlacedRoute, judge_routes, placed_routes, unit_gaps
 
 COMMAND = "busway gateway"
 """The name of what stands in no file."""
@@ -220,7 +220,7 @@ def _put_together(
             Front(front.name, listener, front.deadline, _is_silent(file, front.place))
             for front, listener in zip(fronts, listeners, strict=True)
         ),
-        lines=tuple(lines.values()),
+        lines=tuple(replace(line, unit_gaps=unit_gaps(routes, name)) for name, line in lines.items()),
         table=RoutingTable(tuple(one.route for one in routes)),
         own_unit=file.gateway.own_unit,
         server=server,

@@ -57,6 +57,11 @@ class PlacedRoute:
     place: Place
     section: RouteSection | None
 
+    @property
+    def gap(self) -> float:
+        """Seconds that its unit is left alone after it has replied."""
+        return (self.section.request_gap or 0.0) if self.section is not None else 0.0
+
     def key(self, *names: str) -> Place:
         """Where the first of these keys stands that is set, or else the route itself."""
         written = set() if self.section is None else self.section.model_fields_set
@@ -157,6 +162,7 @@ def judge_routes(
         *_unreached(routes),
         *_impossible_units(routes, fronts, lines),
         *_impossible_addresses(routes),
+        *_gaps_on_networks(routes, lines),
         *_impatient_clients(routes, fronts, lines),
         *_fronts_without_units(file, routes, fronts),
         *_loops(file, fronts, lines),
@@ -249,6 +255,23 @@ def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
             yield placed.key("functions"), f"none of them reads or writes {route.addresses.table.label}s"
 
 
+def _gaps_on_networks(routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:
+    for placed in routes:
+        if placed.gap and placed.route.line and lines[placed.route.line].link.line is None:
+            yield placed.key("request_gap"), "is an option of the line where that is no serial one"
+
+
+def unit_gaps(routes: Sequence[PlacedRoute], line: str) -> dict[int, float]:
+    """The gaps that routes ask for, by the unit behind: the longest of each."""
+    found: dict[int, float] = {}
+    for placed in routes:
+        if placed.gap and placed.route.line == line:
+            for unit in placed.route.units:
+                behind = placed.route.unit_behind(unit)
+                found[behind] = max(placed.gap, found.get(behind, 0.0))
+    return found
+
+
 def _touches(code: int, addresses: AddressRange) -> bool:
     kinds = [one for one in STANDARD if one.code == code]
     touched = {touch.table for kind in kinds for touch in (kind.reads, kind.writes) if touch is not None}
@@ -262,7 +285,7 @@ def _impatient_clients(
         if front.deadline is None:
             continue
         cases = [
-            (worst_case(lines[one.route.line], one.route), one.route.line)
+            (worst_case(lines[one.route.line], one.route, one.gap), one.route.line)
             for one in routes
             if one.route.line and (not one.route.fronts or front.name in one.route.fronts)
         ]
@@ -276,8 +299,8 @@ def _impatient_clients(
             )
 
 
-def worst_case(line: LineSettings, route: Route) -> WorstCase:
-    """How long a request of a route may take on its line, once it has its turn."""
+def worst_case(line: LineSettings, route: Route, gap: float = 0.0) -> WorstCase:
+    """How long a request of a route may take on its line, once it has its turn; ``gap``: that of its unit, seconds."""
     parameters = line.link.parameters
     timeout = route.timeout or parameters.timeout
     reading = writing = parameters.request_gap
@@ -286,6 +309,7 @@ def worst_case(line: LineSettings, route: Route) -> WorstCase:
         serial = line.link.line.conversation
         pause = max(parameters.request_gap, serial.unit_switch_gap, serial.quiet_window, timing.t3_5)
         short, long = _REQUEST_CHARACTERS[line.link.endpoint.framing]
+        pause = max(pause, gap)
         reading, writing = pause + timing.duration(short), pause + timing.duration(long)
     pieces = max(_pieces(_MOST_REGISTERS, route.max_registers), _pieces(_MOST_BITS, route.max_bits))
     read = _attempts(parameters.retries, timeout, reading, pieces)
@@ -398,4 +422,4 @@ def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults
             return
 
 
-__all__ = ["PlacedFront", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "worst_case"]
+__all__ = ["PlacedFront", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "unit_gaps", "worst_case"]

@@ -36,14 +36,15 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
 def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
     """The routes in the order in which they are looked through."""
     names = [front.name for front in configuration.plan.fronts]
-    for route in configuration.plan.table.routes:
+    for placed in configuration.routes:
+        route = placed.route
         yield (
             ", ".join(name for name in names if name in route.fronts) if route.fronts else "all",
             "all" if route.units == ALL_UNITS else units_text(route.units),
             ", ".join(f"{code:02}" for code in sorted(route.functions)) or "all",
             "all" if route.addresses is None else str(route.addresses),
             _target(route),
-            "; ".join(_details(route)),
+            "; ".join(_details(route, placed.gap)),
         )
 
 
@@ -65,7 +66,7 @@ def _line(line: LineSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
         timing = timing_of(port)
         yield f"{port.baud} baud, {timing.character * 1000:.3g} ms a character"
     yield f"timeout {parameters.timeout:g} s, {parameters.retries} retries"
-    cases = [worst_case(line, one.route) for one in routes if one.route.line == line.name]
+    cases = [worst_case(line, one.route, one.gap) for one in routes if one.route.line == line.name]
     if cases:
         yield f"{max(case.seconds for case in cases):.3g} s at most"
     if line.connections > 1:
@@ -93,7 +94,7 @@ def _target(route: Route) -> str:
     return "dropped" if route.action is Action.DROP else route.line
 
 
-def _details(route: Route) -> Iterator[str]:
+def _details(route: Route, gap: float) -> Iterator[str]:
     if route.unit is not None:
         yield f"as unit {route.unit}"
     if route.unit_offset:
@@ -113,6 +114,8 @@ def _details(route: Route) -> Iterator[str]:
         yield "writes are split too"
     if route.timeout is not None:
         yield f"timeout {route.timeout:g} s"
+    if gap:
+        yield f"left alone for {gap:g} s"
     if route.cache is not None:
         yield f"remembered for {route.cache:g} s"
 

@@ -77,6 +77,7 @@ class LineSettings:
         connections: how many there are to one server.
         share_reads: whether identical reads in flight are asked once.
         broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
+        unit_gaps: seconds that a unit is left alone after it has replied, by unit; on serial lines only.
     """
 
     name: str
@@ -84,8 +85,11 @@ class LineSettings:
     connections: int = 1
     share_reads: bool = True
     broadcast: bool | None = None
+    unit_gaps: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.unit_gaps and self.link.line is None:
+            raise ConfigError("units have gaps of their own on serial lines only", key="unit_gaps")
         if not 1 <= self.connections <= MAX_CONNECTIONS:
             raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {self.connections}", key="connections")
         if self.connections > 1 and self.link.endpoint.carrier == "serial":
@@ -94,7 +98,9 @@ class LineSettings:
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
         """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`."""
-        own = {key: options.pop(key) for key in ("connections", "share_reads", "broadcast") if key in options}
+        own = {
+            key: options.pop(key) for key in ("connections", "share_reads", "broadcast", "unit_gaps") if key in options
+        }
         return cls(name, link_settings(url, options), **own)
 
 
@@ -514,6 +520,7 @@ def _opened(settings: LineSettings) -> Line:
         broadcast=settings.broadcast,
     )
     line.open()
+    line.leave_alone(settings.unit_gaps)
     return line
 
 

@@ -13,7 +13,7 @@ Knows links and demands; knows no front beyond the context of a request.
 import asyncio
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -196,6 +196,12 @@ class Line:
             session.serve_units_in_turn()
             connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
             self._links.append(Link(connector, session, self.settings))
+
+    def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
+        """Leave units alone for so many seconds after their replies; on serial lines only."""
+        for link in self._links:
+            if isinstance(link.session, SerialClientSession):
+                link.session.leave_alone(unit_gaps)
 
     async def close(self) -> None:
         """Close the links. What still waits is answered 0A."""

@@ -12,12 +12,12 @@ RTU and ASCII differ only in the framing that is handed in.
    whose usual delay is known is taken to have missed the request. One that is not known to answer in time is not
    asked anything else (the same may be repeated) before twice its timeout has passed; others are meanwhile.
 5. Nothing is sent before t3.5 after the last byte of anybody, ``request_gap`` after a reply and ``unit_switch_gap``
-   where the unit changes.
+   where the unit changes. A unit that has a gap of its own is left alone for it; others are asked meanwhile.
 6. Dead units cost the line no more than a probe (`breaker`); their requests fail with `UnitSuspended`.
 7. A request that was cancelled, or whose deadline is over, stays in flight until its reply comes or its time is over.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -145,6 +145,7 @@ class SerialClientSession:
         "_serial",
         "_timeouts_in_row",
         "_try_at",
+        "_unit_gaps",
         "breakers",
         "counters",
         "finished",
@@ -198,8 +199,13 @@ class SerialClientSession:
         self._missed: dict[int, _Missed] = {}
         self._pace: dict[int, float] = {}
         self._timeouts_in_row = 0
+        self._unit_gaps: Mapping[int, float] = {}
 
     # What the application asks.
+
+    def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
+        """Leave these units alone for so many seconds after each of their replies."""
+        self._unit_gaps = dict(unit_gaps)
 
     def submit(self, demand: Demand, now: float) -> None:
         """Take a demand.
@@ -489,6 +495,8 @@ class SerialClientSession:
         self.valid_reply = True
         self.breakers.answered(frame.unit)
         self._learn_pace(flight, frame)
+        if self._unit_gaps:
+            self._keep_gap(frame)
         self._idle(frame.ended)
         demand, position = flight.demand, flight.position
         if demand is None:
@@ -516,6 +524,15 @@ class SerialClientSession:
         self._missed.pop(unit, None)
         self._pauses.pop(unit, None)
         self._pace[unit] = max(delay, self._pace.get(unit, 0.0) * _PACE_FORGETS)
+
+    def _keep_gap(self, frame: SerialFrame) -> None:
+        """The unit misses what comes too soon after its reply."""
+        gap = self._unit_gaps.get(frame.unit)
+        if gap:
+            until = frame.ended + gap
+            pause = self._pauses.get(frame.unit)
+            same, other = (until, until) if pause is None else (pause.same_until, pause.other_until)
+            self._pauses[frame.unit] = _Pause(max(until, same), max(until, other))
 
     def _idle(self, last_byte: float) -> None:
         """The transaction is over; gaps count from the end of the last frame."""

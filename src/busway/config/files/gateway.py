@@ -114,6 +114,7 @@ class RouteSection(Section):
     split_writes: bool = False
     cache: float | None = Field(default=None, ge=0.001, le=3600)
     timeout: float | None = Field(default=None, ge=0.001, le=3600)
+    request_gap: float | None = Field(default=None, ge=0.001, le=60)
 
     @model_validator(mode="after")
     def _check(self) -> "RouteSection":
@@ -128,7 +129,7 @@ class RouteSection(Section):
             yield (), f"needs exactly one of line, refuse and drop, and has {' and '.join(ways) or 'none of them'}"
         if self.line is None:
             only_forwarded = {"unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache"}
-            for name in sorted((only_forwarded | {"timeout"}) & self.model_fields_set):
+            for name in sorted((only_forwarded | {"timeout", "request_gap"}) & self.model_fields_set):
                 yield (name,), "has no effect where nothing is forwarded"
         for key in ("units", "functions", "table", "addresses"):
             try:

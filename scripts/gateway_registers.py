@@ -1,0 +1,28 @@
+"""Writes the tables of registers in docs/gateway.md from the map of the gateway's own unit. ``--check``: only compares.
+
+Knows the map; knows no gateway.
+"""
+
+from collections.abc import Sequence
+
+from marked import ROOT, replaced, update
+
+from busway.gateway.own_unit import FIRST_LINE, LINE_REGISTERS, REGISTERS, Entry
+
+
+def render(entries: Sequence[Entry], start: int, label: str) -> str:
+    """A table of registers; ``label`` stands before the offset in a line's block."""
+    lines = ["| offset | notation | type | value | |", "| --- | --- | --- | --- | --- |"]
+    for entry in entries:
+        kind = "uint32" if entry.registers == 2 else "uint16"
+        offset = f"{label}{entry.address}"
+        lines.append(f"| {offset} | `3x{start + entry.address + 1}` | {kind} | `{entry.name}` | {entry.meaning} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    file = ROOT / "docs" / "gateway.md"
+    page = file.read_text(encoding="utf-8")
+    page = replaced(page, "own", render(REGISTERS, 0, ""))
+    page = replaced(page, "lines", render(LINE_REGISTERS, FIRST_LINE, f"{FIRST_LINE} + "))
+    update(file, page)

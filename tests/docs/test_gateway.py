@@ -1,0 +1,86 @@
+"""The page on the gateway: its code runs, its files are right, its tables say what the code says."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from busway.assembly.gateway import parse_gateway
+from busway.assembly.routing_overview import ROUTING_HEADINGS, gateway_rows, routing_rows
+from busway.config.files.gateway import FrontSection, GatewaySection, LineSection, RouteSection
+from busway.config.files.listeners import ListenerSection
+from busway.config.files.system import LinkKeys
+
+ROOT = Path(__file__).resolve().parents[2]
+GUIDE = ROOT / "docs" / "gateway.md"
+SETUPS = (
+    "One serial line for many masters",
+    "An inverter that takes one connection",
+    "A read-only view for a third party",
+    "A serial master in front of servers on a network",
+    "Merging lines by renumbering",
+)
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    return GUIDE.read_text(encoding="utf-8")
+
+
+def files_of(text: str) -> list[str]:
+    """The gateway files of the page."""
+    return re.findall(r"^```toml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.clause("T32")
+def test_its_program_runs_and_prints_what_it_says(run_page: Callable[[Path], None]) -> None:
+    run_page(GUIDE)
+
+
+def test_its_files_are_right_and_nothing_in_them_is_odd(text: str) -> None:
+    files = files_of(text)
+    assert len(files) == 1 + len(SETUPS)
+    for number, file in enumerate(files):
+        configuration = parse_gateway(file, f"{number}.toml")
+        assert configuration.warnings == ()
+
+
+@pytest.mark.parametrize("heading", SETUPS)
+def test_the_five_set_ups_are_there(text: str, heading: str) -> None:
+    assert f"\n### {heading}\n" in text
+
+
+def test_what_check_prints_is_what_it_prints(text: str) -> None:
+    configuration = parse_gateway(files_of(text)[0], "plant.toml")
+    for rows in (list(gateway_rows(configuration)), [ROUTING_HEADINGS, *routing_rows(configuration)]):
+        widths = [max(len(row[at]) for row in rows) for at in range(len(rows[0]))]
+        for row in rows:
+            line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            assert f"\n{line}\n" in text
+
+
+def test_every_key_of_listeners_lines_and_routes_is_explained(text: str) -> None:
+    explained = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))))
+    own_of_lines = set(LineSection.model_fields) - set(LinkKeys.model_fields)
+    known = {name for kind in LineSection.kinds for name in kind.__dataclass_fields__}
+    for keys in (
+        set(FrontSection.model_fields) - set(ListenerSection.model_fields),
+        own_of_lines - known,
+        set(RouteSection.model_fields) - {"name"},
+        set(GatewaySection.model_fields),
+    ):
+        assert keys - explained == set()
+
+
+def test_the_tables_of_registers_are_those_of_the_map() -> None:
+    done = subprocess.run(
+        [sys.executable, "scripts/gateway_registers.py", "--check"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
