@@ -5,6 +5,7 @@ import socket
 from urllib.parse import urlsplit
 
 import pytest
+from handlers import ScriptedHandler, registers
 from waiting import until
 
 import busway
@@ -138,17 +139,33 @@ async def test_strangers_push_out_no_marked_peer_however_many_senders_there_are(
             assert status.listeners[0].priority_connections == 1
 
 
+@pytest.mark.clause("T13")
+async def test_marked_sender_that_asks_from_many_ports_keeps_nobody_out() -> None:
+    options = {"priority": ["127.0.0.2"], "max_connections": 2, "max_priority_connections": 2}
+    async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
+        for _ in range(5):
+            with Marked(server.endpoints[0]) as marked:
+                await marked.ask(frame_of("udp", 1, READ))
+        with Sender(server.endpoints[0]) as stranger:
+            await stranger.ask(frame_of("udp", 1, READ))
+        assert server.counters.refused_full == 0
+        assert [one.pool.value for one in server.status().connections] == ["priority", "other", "other"]
+        with Marked(server.endpoints[0]) as marked:
+            await marked.ask(frame_of("udp", 1, READ))
+
+
 @pytest.mark.clause("T40")
 async def test_sender_without_a_place_gets_nothing() -> None:
     options = {"priority": ["127.0.0.2"], "max_connections": 1, "max_priority_connections": 1}
-    async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
+    slow = ScriptedHandler(lambda context, request: registers(0) if context.unit == 1 else busway.LATER)
+    async with busway.serve("udp://127.0.0.1:0", handler=slow, **options) as server:
         with (
             Marked(server.endpoints[0]) as first,
             Marked(server.endpoints[0]) as second,
             Sender(server.endpoints[0]) as third,
         ):
-            for one in (first, second):
-                await one.ask(frame_of("udp", 1, READ))
+            await first.ask(frame_of("udp", 1, READ))
+            second.socket.send(frame_of("udp", 2, READ))
             third.socket.send(frame_of("udp", 1, READ))
             await first.ask(frame_of("udp", 1, READ))  # sent after it, and so answered after it was looked at
             assert server.counters.refused_full == 1

@@ -8,6 +8,9 @@ Knows datagrams and peers; knows nothing of what they say.
    senders, and shall push nobody off TCP.
 3. For a datagram at most one leaves: the reply of its request. Nothing is sent to a sender that is refused, over its
    rate, or without a place.
+4. Nobody says when a sender has gone. So where all other places are marked senders', one of them makes room for a
+   stranger if nothing of it is in work: it loses nothing, because its next datagram has a place again. Without this a
+   marked device that asks from a new port each time would keep all others out for ever.
 """
 
 import asyncio
@@ -130,6 +133,8 @@ class UdpListener:
     def _admit(self, socket: "_Socket", address: Any) -> "_Peer | None":
         peer = _Peer(self.reception, socket, address)
         admission = self._pools.admit(peer)
+        if not admission.accepted and self._forget_unused():
+            admission = self._pools.admit(peer)
         if not admission.accepted:
             self.reception.counters.refused_full += 1
             return None
@@ -139,6 +144,15 @@ class UdpListener:
         self._peers[socket, address] = peer
         self.reception.came(peer)
         return peer
+
+    def _forget_unused(self) -> bool:
+        """Give up a marked peer that has nothing in work and no priority place; whether there was one (rule 4)."""
+        unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
+        if not unused:
+            return False
+        self.reception.counters.evicted += 1
+        self.leave(min(unused, key=lambda one: one.last_used))
+        return True
 
 
 class _Socket(asyncio.DatagramProtocol):
