@@ -33,6 +33,7 @@ LAYER_OF = {
     "gateway": 6,
     "simulator": 6,
     "testing": 6,
+    "web": 6,
     "cli": 7,
     "__main__": 7,
 }

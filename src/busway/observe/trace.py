@@ -10,15 +10,15 @@ Knows frames and messages; knows no connection: a driver hands it what it receiv
 
 import logging
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from ..framing.mbap import FrameKind, MbapFrame, MbapReceiver
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
-from .ends import ends_of
+from .ends import Ends, ends_of
 
 if TYPE_CHECKING:
-    from .capture import Capture
+    from ..framing.received import Received
 
 _log = logging.getLogger("busway.trace")
 
@@ -34,19 +34,46 @@ class TraceLevel(IntEnum):
     BYTES = 3
 
 
+class ConnectionRecorder(Protocol):
+    """Takes the bytes of one connection."""
+
+    def received(self, data: bytes) -> None:
+        """Bytes that came in."""
+
+    def sent(self, data: bytes) -> None:
+        """Bytes that went out."""
+
+
+class LineRecorder(Protocol):
+    """Takes what is heard on one serial line, or on a connection with its framing."""
+
+    def heard(self, found: "Received", *, at: float | None = None, is_outgoing: bool = False) -> None:
+        """A frame or damaged chunk, begun at ``at`` (seconds since 1970)."""
+
+
+class Recorder(Protocol):
+    """What traffic goes into: a capture file (`busway.observe.capture.Capture`), or whatever keeps it."""
+
+    def connection(self, ends: Ends) -> ConnectionRecorder:
+        """A connection between these ends."""
+
+    def line(self, name: str) -> LineRecorder:
+        """A line by its name."""
+
+
 class Trace:
     """The switch. One for the process: `TRACE`.
 
     Attributes:
         level: how much is shown; what drivers test.
-        capture: the file that traffic goes into, or None.
+        capture: what traffic goes into, a file or else, or None.
     """
 
     __slots__ = ("capture", "level")
 
     def __init__(self) -> None:
         self.level = TraceLevel.OFF
-        self.capture: Capture | None = None
+        self.capture: Recorder | None = None
 
     def set(self, level: TraceLevel) -> None:
         """Show traffic from now on; the logger ``busway.trace`` must let DEBUG pass."""
@@ -56,8 +83,8 @@ class Trace:
         if level > TraceLevel.OFF:
             _log.setLevel(logging.DEBUG)
 
-    def capture_into(self, capture: "Capture | None") -> None:
-        """Write the traffic of connections that are made from now on into this file; None ends it."""
+    def capture_into(self, capture: Recorder | None) -> None:
+        """Hand the traffic of connections that are made from now on to this file or recorder; None ends it."""
         self.capture = capture
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
 

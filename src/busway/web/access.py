@@ -1,0 +1,162 @@
+"""Who may ask, before anything of a request is read: its Host, its Origin, its token; and how much may be sent.
+
+Knows headers and sizes; knows no resource. It stands around the whole application, HTTP and WebSocket.
+
+1. On loopback no token is needed, but the ``Host`` must be one of loopback: a name that somebody has pointed at
+   127.0.0.1 (DNS rebinding) is not.
+2. A page of another origin is refused, by ``Origin`` and by ``Sec-Fetch-Site``; and what changes something must be
+   JSON, which such a page can not send unasked.
+3. Elsewhere each request to the API carries the token, in ``Authorization: Bearer …``; a WebSocket, for which a browser
+   sets no such header, as its subprotocol ``bearer.…``. It is never part of an address, which would end in logs.
+   The page itself holds no secret and needs none.
+4. Tokens are compared in constant time.
+"""
+
+import hmac
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from starlette.responses import JSONResponse
+
+from ..control.addresses import is_loopback
+
+Scope = MutableMapping[str, Any]  # Any: as ASGI has them
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+BODY_LIMIT: Final = 4 * 1024 * 1024
+"""Bytes of a request: a hundred thousand values."""
+BEARER_PROTOCOL: Final = "bearer."
+POLICY_VIOLATION: Final = 1008
+"""Why a WebSocket is closed (RFC 6455 §7.4.1)."""
+_CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+
+
+@dataclass(frozen=True, slots=True)
+class AccessRules:
+    """What holds for one listener.
+
+    Attributes:
+        token: what must be shown; empty where none is needed.
+        is_loopback: whether it can be reached from this host alone.
+    """
+
+    token: str = ""
+    is_loopback: bool = True
+
+
+class Refused(Exception):
+    """A request that goes no further: a status and a sentence."""
+
+    def __init__(self, status: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+class Access:
+    """Lets through to ``inner`` what may pass.
+
+    Args:
+        inner: the application.
+        rules: what holds.
+        is_open: whether a path needs no token.
+    """
+
+    def __init__(self, inner: Application, rules: AccessRules, is_open: Callable[[str], bool]) -> None:
+        self._inner = inner
+        self._rules = rules
+        self._is_open = is_open
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Of ASGI."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._inner(scope, receive, send)
+            return
+        headers = _headers(scope)
+        try:
+            self._check(scope, headers)
+            if scope["type"] == "http":
+                receive = _bounded(receive, headers)
+            await self._inner(scope, receive, send)
+        except Refused as error:
+            await _refuse(error, scope, receive, send)
+
+    def _check(self, scope: Scope, headers: dict[str, list[str]]) -> None:
+        host = _single(headers, "host")
+        if self._rules.is_loopback and not _names_loopback(host):
+            raise Refused(403, "the Host is not one of this machine's loopback")
+        origin = _single(headers, "origin")
+        if origin and origin.lower() not in (f"http://{host}".lower(), f"https://{host}".lower()):
+            raise Refused(403, "pages of another origin are not answered")
+        changes = scope["type"] == "websocket" or scope.get("method") in _CHANGING
+        if changes and _single(headers, "sec-fetch-site") not in ("", "same-origin", "none"):
+            raise Refused(403, "pages of another origin change nothing here")
+        if self._rules.token and not self._is_open(scope["path"]):
+            given = _token(scope, headers)
+            if not hmac.compare_digest(given.encode(), self._rules.token.encode()):
+                raise Refused(401, "the token is missing or wrong")
+        if scope.get("method") in _CHANGING and _has_body(headers):
+            kind = _single(headers, "content-type").partition(";")[0].strip().lower()
+            if kind != "application/json":
+                raise Refused(415, "the body must be application/json")
+
+
+def _headers(scope: Scope) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for name, value in scope["headers"]:
+        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1").strip())
+    return found
+
+
+def _single(headers: dict[str, list[str]], name: str) -> str:
+    values = headers.get(name, [])
+    if len(values) > 1:
+        raise Refused(400, f"the header {name} stands twice")
+    return values[0] if values else ""
+
+
+def _names_loopback(host: str) -> bool:
+    name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
+    return name.lower() == "localhost" or is_loopback(name.strip("[]"))
+
+
+def _token(scope: Scope, headers: dict[str, list[str]]) -> str:
+    if scope["type"] == "websocket":
+        for protocol in scope.get("subprotocols", ()):
+            if protocol.startswith(BEARER_PROTOCOL):
+                return str(protocol.removeprefix(BEARER_PROTOCOL))
+    scheme, _, token = _single(headers, "authorization").partition(" ")
+    return token.strip() if scheme.lower() == "bearer" else ""
+
+
+def _has_body(headers: dict[str, list[str]]) -> bool:
+    return "transfer-encoding" in headers or _single(headers, "content-length") not in ("", "0")
+
+
+def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
+    """Take at most `BODY_LIMIT` bytes, announced or not."""
+    announced = _single(headers, "content-length")
+    if announced and (not announced.isdecimal() or int(announced) > BODY_LIMIT):
+        raise Refused(413, f"the body exceeds {BODY_LIMIT} bytes")
+    taken = 0
+
+    async def take() -> Message:
+        nonlocal taken
+        message = await receive()
+        taken += len(message.get("body", b""))
+        if taken > BODY_LIMIT:
+            raise Refused(413, f"the body exceeds {BODY_LIMIT} bytes")
+        return message
+
+    return take
+
+
+async def _refuse(error: Refused, scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)})
+        return
+    headers = {"WWW-Authenticate": "Bearer"} if error.status == 401 else None
+    await JSONResponse({"error": str(error)}, error.status, headers)(scope, receive, send)

@@ -1,0 +1,140 @@
+"""Faults of a simulation as the API shows and changes them.
+
+Knows a board of faults and the personalities they are made of; knows no HTTP.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, Protocol
+
+from ..errors import ConfigError
+from ..testing.faults import Schedule, Selection
+from ..testing.personality import Personality, PersonalityTable
+from .messages import FaultAnswer, NewFault, ParameterAnswer, PersonalityAnswer, plain_value, plain_values
+
+
+class Board(Protocol):
+    """Faults by name; `busway.simulator.faults.board.FaultBoard` says what each of these does."""
+
+    @property
+    def personalities(self) -> PersonalityTable: ...
+
+    def add(
+        self,
+        personality: str,
+        *,
+        name: str = "",
+        units: Collection[int] | None = None,
+        functions: Collection[int] | None = None,
+        addresses: range | None = None,
+        probability: float = 1.0,
+        schedule: Schedule | None = None,
+        on: bool = True,
+        parameters: Mapping[str, Any] | None = None,  # Any: as the personality declares them
+    ) -> str: ...
+
+    def switch(self, name: str, *, on: bool) -> None: ...
+
+    def remove(self, name: str) -> None: ...
+
+    def list(self) -> Sequence[Any]: ...  # Any: `FaultStatus`
+
+    def status(self, name: str) -> Any: ...
+
+    def watch(self, changed: Callable[[], None]) -> Callable[[], None]: ...
+
+
+def all_faults(board: Board) -> list[FaultAnswer]:
+    """All that were put on, in the order in which they act."""
+    return [_fault(one) for one in board.list()]
+
+
+def all_personalities(board: Board) -> list[PersonalityAnswer]:
+    """All that can be put on."""
+    return [_personality(one) for one in board.personalities.values()]
+
+
+def fault_named(board: Board, name: str) -> FaultAnswer:
+    """One of them. Raises `ConfigError` for an unknown name."""
+    return _fault(board.status(name))
+
+
+def put_on(board: Board, wanted: NewFault) -> FaultAnswer:
+    """Put one on. Raises `ConfigError` for a name, a parameter or an address range that can not be."""
+    name = board.add(
+        wanted.personality,
+        name=wanted.name,
+        units=None if wanted.units is None else frozenset(wanted.units),
+        functions=None if wanted.functions is None else frozenset(wanted.functions),
+        addresses=_addresses(wanted.first, wanted.last),
+        probability=wanted.probability,
+        schedule=Schedule(**wanted.schedule.model_dump()),
+        on=wanted.on,
+        parameters=wanted.parameters,
+    )
+    return fault_named(board, name)
+
+
+# Inside.
+
+
+def _fault(status: Any) -> FaultAnswer:
+    return FaultAnswer(
+        name=status.name,
+        personality=status.personality,
+        happens=status.happens,
+        on=status.is_on,
+        struck=status.struck,
+        parameters=plain_values(status.parameters),
+        selection=_selection(status.selection),
+    )
+
+
+def _addresses(first: int | None, last: int | None) -> range | None:
+    if first is None and last is None:
+        return None
+    low, high = first or 0, 65535 if last is None else last
+    if low > high:
+        raise ConfigError(f"must be at least first, {low}, not {high}", key="last")
+    return range(low, high + 1)
+
+
+def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of several types
+    """What chooses; what chooses everything is left out."""
+    shown: dict[str, Any] = {}
+    if selection.units is not None:
+        shown["units"] = sorted(selection.units)
+    if selection.functions is not None:
+        shown["functions"] = sorted(selection.functions)
+    if selection.addresses is not None:
+        shown["first"], shown["last"] = selection.addresses.start, selection.addresses.stop - 1
+    items = getattr(selection, "items", None)
+    if items:
+        shown["items"] = {table.value: [list(one) for one in ranges] for table, ranges in items.items()}
+    if selection.probability < 1:
+        shown["probability"] = selection.probability
+    usual = Schedule()
+    for one in fields(Schedule):
+        value = getattr(selection.schedule, one.name)
+        if value != getattr(usual, one.name):
+            shown[one.name] = value
+    return shown
+
+
+def _personality(personality: Personality) -> PersonalityAnswer:
+    return PersonalityAnswer(
+        name=personality.name,
+        happens=personality.happens,
+        answer=personality.answer,
+        carriers=sorted(one.value for one in personality.carriers),
+        parameters=[
+            ParameterAnswer(
+                name=one.name,
+                default=plain_value(one.default),
+                kind="" if one.kind is None else one.kind.__name__,
+                meaning=one.says.meaning,
+                range=one.range_text,
+            )
+            for one in personality.parameters.values()
+        ],
+    )

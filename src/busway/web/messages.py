@@ -1,0 +1,319 @@
+"""What is asked of the API and what it answers, as JSON. Times are seconds; moments are seconds since 1970.
+
+Knows shapes; knows no simulation.
+
+1. A number that JSON has not is a text: ``"NaN"``, ``"Infinity"``, ``"-Infinity"``. So is a whole number that a browser
+   could not hold (beyond 2**53).
+2. What is asked is strict: a key that there is not is refused. What is answered may gain keys.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Scalar = bool | int | float | str | None
+Plain = Scalar | list[Scalar]
+"""The value of a point: one thing, or a list of them."""
+
+_LARGEST_EXACT: Final = 2**53
+_NOT_IN_JSON: Final = ("NaN", "Infinity", "-Infinity")
+
+
+class Asked(BaseModel):
+    """The body or the query of a request."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Answer(BaseModel):
+    """The body of an answer."""
+
+
+class Failure(Answer):
+    """Why it could not be done."""
+
+    error: str = Field(description="A sentence.")
+
+
+class Nothing(Answer):
+    """It is done."""
+
+    done: bool = True
+
+
+# Points.
+
+
+class PointAnswer(Answer):
+    """A point: what it is, and what it holds now."""
+
+    index: int = Field(description="its place among all points, by which the stream names it")
+    key: str = Field(description="UNIT/NAME")
+    unit: int
+    name: str
+    table: str = Field(description="coils, discrete_inputs, input_registers or holding_registers")
+    address: str = Field(description="notation, 1-based: 4x1")
+    type: str = Field(description="bit, uint16, float32, …")
+    order: str = ""
+    scale: float = 1.0
+    unit_of_measure: str = ""
+    description: str = ""
+    access: str = Field("read", description="what Modbus may do: read or read-write")
+    minimum: float | None = None
+    maximum: float | None = None
+    enumeration: dict[str, int] = Field(default_factory=dict, description="numbers by name")
+    behaviour: str = ""
+    value: Plain = None
+    raw: str = Field("", description="as on the wire, hexadecimal")
+    held: bool = Field(False, description="set by hand: its behaviour waits")
+    changed_at: float = Field(0.0, description="seconds of the simulation")
+    last_writer: str = ""
+
+
+class Points(Answer):
+    """Points, in the order of the file."""
+
+    points: list[PointAnswer]
+    total: int = Field(description="how many there are with these filters, without the limit")
+
+
+class PointsQuery(Asked):
+    """Which points."""
+
+    unit: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="only this unit")
+    search: str | None = Field(None, description="only where key, description or unit of measure has this")
+    limit: Annotated[int, Field(ge=1, le=100_000)] = 100_000
+    skip: Annotated[int, Field(ge=0)] = 0
+
+
+class NewValue(Asked):
+    """A value in the unit of measure, or the name of one."""
+
+    value: Plain
+
+
+class Values(Answer):
+    """Values by key."""
+
+    values: dict[str, Plain]
+
+
+class NewValues(Asked):
+    """Values by key."""
+
+    values: Annotated[dict[str, Plain], Field(max_length=100_000)]
+
+
+class Written(Answer):
+    """What was set of many values, and what was not."""
+
+    written: int
+    refused: dict[str, str] = Field(default_factory=dict, description="sentences by key")
+
+
+class UnitAnswer(Answer):
+    """A unit."""
+
+    unit: int
+    name: str = ""
+    points: int
+
+
+class Units(Answer):
+    """The units."""
+
+    units: list[UnitAnswer]
+
+
+# Faults.
+
+
+class ParameterAnswer(Answer):
+    """A parameter of a personality, with its default."""
+
+    name: str
+    default: Plain = None
+    kind: str = Field("", description="float, int or bool; empty if anything is taken")
+    meaning: str = ""
+    range: str = ""
+
+
+class PersonalityAnswer(Answer):
+    """A way to misbehave."""
+
+    name: str
+    happens: str
+    answer: str = Field("", description="what a client that is up to it does")
+    carriers: list[str] = Field(default_factory=list, description="where it is met: tcp, serial, connection")
+    parameters: list[ParameterAnswer] = Field(default_factory=list)
+
+
+class FaultAnswer(Answer):
+    """A fault that was put on."""
+
+    name: str
+    personality: str
+    happens: str = ""
+    on: bool
+    struck: int = Field(0, description="requests that it has struck, connections that it has refused or closed")
+    parameters: dict[str, Plain] = Field(default_factory=dict)
+    selection: dict[str, Any] = Field(default_factory=dict, description="what it is chosen by")
+
+
+class Faults(Answer):
+    """Faults that were put on, and those that can be."""
+
+    faults: list[FaultAnswer]
+    personalities: list[PersonalityAnswer]
+
+
+class NewSchedule(Asked):
+    """When a fault is on, counted from its being switched on."""
+
+    after: Annotated[float, Field(ge=0)] = 0.0
+    lasts: Annotated[float, Field(ge=0)] | None = None
+    every: Annotated[float, Field(gt=0)] | None = None
+    skip: Annotated[int, Field(ge=0)] = 0
+    times: Annotated[int, Field(ge=0)] | None = None
+
+
+class NewFault(Asked):
+    """A fault to put on; what is left out chooses everything."""
+
+    personality: str
+    name: str = Field("", max_length=100, description="what to call it; by default as its personality")
+    parameters: dict[str, Plain] = Field(default_factory=dict)
+    units: list[Annotated[int, Field(ge=0, le=255)]] | None = None
+    functions: list[Annotated[int, Field(ge=1, le=127)]] | None = None
+    first: Annotated[int, Field(ge=0, le=65535)] | None = Field(None, description="of the addresses, 0-based")
+    last: Annotated[int, Field(ge=0, le=65535)] | None = None
+    probability: Annotated[float, Field(ge=0, le=1)] = 1.0
+    schedule: NewSchedule = Field(default_factory=NewSchedule)
+    on: bool = True
+
+
+class Switch(Asked):
+    """On or off."""
+
+    on: bool
+
+
+# The server.
+
+
+class Connections(Answer):
+    """Connections, the oldest first."""
+
+    connections: list[dict[str, Any]] = Field(description="as `busway status` shows them")
+
+
+class Lines(Answer):
+    """Listeners, with their lamps and diagnostic counters."""
+
+    lines: list[dict[str, Any]]
+
+
+class Counters(Answer):
+    """What has happened since the start or the last reset."""
+
+    counters: dict[str, Any]
+
+
+# Traffic.
+
+
+class FieldAnswer(Answer):
+    """A field of a PDU."""
+
+    name: str
+    data: str = Field(description="hexadecimal")
+    text: str = ""
+    problem: str = ""
+
+
+class FrameAnswer(Answer):
+    """A frame that passed."""
+
+    number: int = Field(description="counts up by one")
+    at: float
+    direction: str = Field(description="request, reply, or damaged")
+    peer: str
+    unit: int | None = None
+    transaction: int | None = None
+    function: int | None = None
+    raw: str = Field(description="the PDU, hexadecimal; of damaged bytes those")
+    title: str
+    text: str = Field(description="all fields in one line")
+    fields: list[FieldAnswer] = []
+    problems: list[str] = []
+    exception: bool = False
+    seconds: float | None = Field(None, description="of a reply: since its request")
+
+
+class Traffic(Answer):
+    """Frames, the oldest first."""
+
+    frames: list[FrameAnswer]
+    last: int = Field(description="number of the last frame that passed; ask with `after` for what comes next")
+    lost: int = Field(description="frames after `after` that are not kept any more")
+
+
+class TrafficQuery(Asked):
+    """Which frames."""
+
+    limit: Annotated[int, Field(ge=1, le=2000)] = 100
+    after: Annotated[int, Field(ge=0)] | None = Field(None, description="only those with a higher number")
+
+
+# The simulation.
+
+
+class SimulationAnswer(Answer):
+    """The simulation."""
+
+    name: str
+    version: str
+    endpoints: list[str]
+    units: int
+    points: int
+    uptime: float
+    time: float | None = Field(None, description="of its clock, in seconds since it began")
+    seed: int | str | None = None
+    speed: float | None = Field(None, description="seconds of its clock in a second; null where it has only one")
+    paused: bool | None = Field(None, description="null where it can not be paused")
+
+
+class SimulationChange(Asked):
+    """What is to change; the rest stays."""
+
+    speed: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    paused: bool | None = None
+
+
+def plain_value(value: Any) -> Plain:
+    """A value as `Plain`."""
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return value if -_LARGEST_EXACT <= value <= _LARGEST_EXACT else str(value)
+    if isinstance(value, float):
+        if math.isfinite(value):
+            return value
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    if isinstance(value, bytes | bytearray):
+        return value.hex(" ")
+    if isinstance(value, list | tuple):
+        return [one if not isinstance(one := plain_value(each), list) else str(one) for each in value]
+    return str(value)
+
+
+def plain_values(values: Mapping[str, Any]) -> dict[str, Plain]:
+    """Each of them as `Plain`."""
+    return {str(name): plain_value(value) for name, value in values.items()}
+
+
+def given_value(value: Plain) -> Plain:
+    """A value as it was given: the texts for numbers that JSON has not become those numbers."""
+    return float(value) if isinstance(value, str) and value in _NOT_IN_JSON else value

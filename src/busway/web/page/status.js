@@ -1,0 +1,111 @@
+// The server: its listeners with their lamps, its connections, what it counts; and the head of the page.
+
+import { byId, bytesText, duration, element, keyed, setText } from "./dom.js";
+import { ask } from "./link.js";
+
+const LAMPS = [
+  ["communication", "Communication"],
+  ["error", "Error"],
+  ["device_status", "Device status"],
+];
+
+export class StatusView {
+  constructor() {
+    this.isVisible = false;
+    byId("reset").addEventListener("click", () => ask("POST", "/api/counters/reset").catch(() => {}));
+    byId("pause").addEventListener("click", () => this.pause());
+  }
+
+  setVisible(isVisible) {
+    this.isVisible = isVisible;
+    if (isVisible && this.status) this.draw();
+  }
+
+  take(status) {
+    this.status = status;
+    const simulation = status.simulation;
+    setText(byId("name"), simulation.name);
+    if (document.title !== `${simulation.name} – busway simulator`) document.title = `${simulation.name} – busway simulator`;
+    const speed = simulation.speed !== null && simulation.speed !== 1 ? `, ${simulation.speed} × speed` : "";
+    const clock = simulation.time === null ? "" : ` · ${duration(Math.floor(simulation.time))}${speed}`;
+    setText(byId("endpoints"), simulation.endpoints.join("  ") + clock);
+    byId("pause").hidden = simulation.paused === null;
+    setText(byId("pause"), simulation.paused ? "Go on" : "Pause");
+    if (this.isVisible) this.draw();
+  }
+
+  async pause() {
+    const paused = !this.status.simulation.paused;
+    this.status.simulation = await ask("PATCH", "/api/simulation", { paused });
+    this.take(this.status);
+  }
+
+  draw() {
+    const { lines, connections, counters } = this.status;
+    keyed(byId("lines"), lines, (line) => line.endpoint, makeLine, updateLine);
+    keyed(byId("connections").tBodies[0], connections, (one) => `${one.listener} ${one.peer}`, makeConnection, updateConnection);
+    byId("connections").hidden = connections.length === 0;
+    byId("connections-empty").hidden = connections.length > 0;
+    counts(byId("counters"), counters);
+  }
+}
+
+function makeLine(line) {
+  return element(
+    "article",
+    { class: "card" },
+    element("h2", {}, line.endpoint),
+    element(
+      "ul",
+      { class: "lamps" },
+      ...LAMPS.map(([key, name]) =>
+        element(
+          "li",
+          { "data-lamp-of": key },
+          element("span", { class: key === "error" ? "lamp fault" : "lamp", "aria-hidden": "true" }),
+          element("span", {}, name, ": ", element("span", { class: "state" })),
+        ),
+      ),
+    ),
+    element("dl", { class: "counters" }),
+  );
+}
+
+function updateLine(card, line) {
+  for (const [key] of LAMPS) {
+    const item = card.querySelector(`[data-lamp-of="${key}"]`);
+    const lamp = item.querySelector(".lamp");
+    if (lamp.dataset.lamp !== line.lamps[key]) lamp.dataset.lamp = line.lamps[key];
+    setText(item.querySelector(".state"), line.lamps[key]);
+  }
+  const { requests, foreign, damaged, abandoned, event_count, listen_only, is_open } = line;
+  counts(card.querySelector("dl"), { open: is_open, listen_only, requests, foreign, damaged, abandoned, event_count, ...line.counters });
+}
+
+function makeConnection() {
+  const cells = ["", "", "number", "number", "number", "number"];
+  return element("tr", {}, ...cells.map((name) => element("td", name ? { class: name } : {})));
+}
+
+function updateConnection(row, one) {
+  const who = one.role ? `${one.peer} (${one.role})` : one.peer;
+  const texts = [who, one.state, String(one.requests), bytesText(one.received), bytesText(one.sent), duration(Math.floor(one.age))];
+  texts.forEach((text, at) => setText(row.cells[at], text));
+}
+
+/** Counters as a list; what they hold themselves stands behind their name. */
+function counts(list, counters) {
+  const flat = [];
+  for (const [name, value] of Object.entries(counters)) {
+    if (value !== null && typeof value === "object") {
+      for (const [inner, number] of Object.entries(value)) flat.push([`${name} ${inner}`, number]);
+    } else flat.push([name, value]);
+  }
+  keyed(
+    list,
+    flat,
+    ([name]) => name,
+    ([name]) => element("div", {}, element("dt", {}, name.replaceAll("_", " ")), element("dd")),
+    (item, [, value]) => setText(item.lastElementChild, typeof value === "boolean" ? (value ? "yes" : "no") : String(value)),
+  );
+}

@@ -1,0 +1,283 @@
+"""``/stream``: what happens, as it happens, to whoever looks. One WebSocket of JSON texts.
+
+Knows clients and what each wants; knows no page.
+
+1. A client says what it wants (`Wish`), as often as it likes; what it then gets first is how that stands. So coming
+   back after a lost connection is asking again.
+2. It gets at most ten messages a second. A point that changed more often comes once, as it is now: nothing is kept of
+   it but that it changed.
+3. Frames come from the tail of the traffic: what a client was too slow for, or what is too much for anybody to read,
+   is skipped and counted. So nothing grows, however slowly a client takes what it gets; one that takes nothing at all
+   is closed.
+4. The simulation is watched only while somebody looks.
+"""
+
+import asyncio
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, ValidationError
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from .access import BEARER_PROTOCOL
+from .api import Api
+from .messages import Asked, plain_value
+
+PROTOCOL: Final = "busway"
+"""The subprotocol that is chosen; beside it a browser may show its token."""
+INTERVAL: Final = 0.1
+"""Seconds between two messages to one client, at least."""
+STATUS_INTERVAL: Final = 1.0
+SEND_SECONDS: Final = 20.0
+"""For one message to be taken."""
+CLIENTS: Final = 16
+POINTS_AT_ONCE: Final = 4000
+"""In one message; the rest comes with the next."""
+MOST_POINTS: Final = 5000
+"""That one client may follow: more than that nobody looks at, and following all points of a large simulation would
+take its time away."""
+FRAMES_AT_ONCE: Final = 50
+_TRY_AGAIN_LATER: Final = 1013
+_UNSUPPORTED: Final = 1003
+
+Index = Annotated[int, Field(ge=0)]
+
+
+class Wish(Asked):
+    """What a client wants to get from now on; what is left out stays as it was.
+
+    Attributes:
+        points: their numbers, as ``/api/points`` gives them, or ``all``.
+        traffic: whether frames are wanted.
+        after: the number of the last frame that it has.
+    """
+
+    points: Literal["all"] | Annotated[list[Index], Field(max_length=MOST_POINTS)] | None = None
+    traffic: bool | None = None
+    after: Index | None = None
+
+
+class Client:
+    """One WebSocket: what it wants, and what of that it does not have yet."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+        self._changed: dict[int, None] = {}
+        self._points: frozenset[int] = frozenset()
+        self._wants_all = False
+        self._wants_traffic = False
+        self._seen = api.traffic.last
+        self._has_switched = True
+        self._status_due = 0.0
+        self._wake = asyncio.Event()
+        self.skipped = 0
+
+    def wish(self, wish: Wish) -> str:
+        """Take a wish; what can not be is said."""
+        count = len(self._api.order)
+        if wish.points == "all":
+            if count > MOST_POINTS:
+                return f"at most {MOST_POINTS} points can be followed, and there are {count}"
+            self._wants_all = True
+            self._changed = dict.fromkeys(range(count))
+        elif wish.points is not None:
+            unknown = next((index for index in wish.points if index >= count), None)
+            if unknown is not None:
+                return f"there is no point number {unknown}"
+            self._wants_all = False
+            fresh = frozenset(wish.points)
+            kept = {index: None for index in self._changed if index in fresh}
+            self._changed = kept | dict.fromkeys(index for index in wish.points if index not in self._points)
+            self._points = fresh
+        if wish.traffic is not None:
+            if wish.traffic and not self._wants_traffic and wish.after is None:
+                self._seen = max(self._api.traffic.last - FRAMES_AT_ONCE, 0)
+            self._wants_traffic = wish.traffic
+        if wish.after is not None:
+            self._seen = min(wish.after, self._api.traffic.last)
+        self._wake.set()
+        return ""
+
+    # What happens, told by the hub.
+
+    def changed(self, indices: Sequence[int]) -> None:
+        """Points have changed."""
+        if self._wants_all:
+            self._changed.update(dict.fromkeys(indices))
+        else:
+            points = self._points
+            self._changed.update({index: None for index in indices if index in points})
+        if self._changed:
+            self._wake.set()
+
+    def passed(self) -> None:
+        """A frame has passed."""
+        if self._wants_traffic:
+            self._wake.set()
+
+    def switched(self) -> None:
+        """A fault was switched, put on or taken off."""
+        self._has_switched = True
+        self._wake.set()
+
+    # What is sent.
+
+    async def next(self) -> dict[str, Any]:  # Any: JSON
+        """The next message, as soon as there is something to say."""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
+                    await self._wake.wait()
+            self._wake.clear()
+            message = self._message()
+            if message:
+                return message
+
+    def _message(self) -> dict[str, Any]:
+        message: dict[str, Any] = {}
+        if self._changed:
+            message["points"] = [self._point(index) for index in self._take()]
+        if self._wants_traffic and self._seen < self._api.traffic.last:
+            message |= self._frames()
+        now = time.monotonic()
+        is_due = now >= self._status_due
+        if is_due or self._has_switched:
+            self._has_switched = False
+            message["faults"] = [one.model_dump(mode="json") for one in self._api.faults()]
+        if is_due:
+            self._status_due = now + STATUS_INTERVAL
+            message["status"] = self._api.status()
+        if message:
+            message["time"] = time.time()
+        return message
+
+    def _take(self) -> list[int]:
+        taken = list(self._changed)[:POINTS_AT_ONCE]
+        if len(taken) == len(self._changed):
+            self._changed = {}
+        else:
+            for index in taken:
+                del self._changed[index]
+            self._wake.set()
+        return taken
+
+    def _point(self, index: int) -> list[Any]:
+        point = self._api.order[index]
+        return [index, plain_value(point.value), point.raw, point.changed_at, point.last_writer, point.is_held]
+
+    def _frames(self) -> dict[str, Any]:
+        tail = self._api.traffic
+        frames = tail.after(self._seen, FRAMES_AT_ONCE)
+        first = frames[0].number if frames else tail.last + 1
+        self.skipped += first - self._seen - 1
+        self._seen = tail.last
+        return {"traffic": [tail.shown(one).model_dump(mode="json") for one in frames], "skipped": self.skipped}
+
+
+class Streams:
+    """All clients of the stream.
+
+    Args:
+        api: what they look at.
+    """
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+        self._clients: list[Client] = []
+        self._unwatch: list[Callable[[], object]] = []
+        self._thread = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def __len__(self) -> int:
+        return len(self._clients)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serve one WebSocket until it ends."""
+        if len(self._clients) >= CLIENTS:
+            await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
+            return
+        offered = socket.scope.get("subprotocols", [])
+        shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)
+        await socket.accept(PROTOCOL if PROTOCOL in offered or shows_token else None)
+        client = Client(self._api)
+        self._join(client)
+        sender = asyncio.create_task(self._send(socket, client))
+        try:
+            await self._receive(socket, client)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            self._leave(client)
+            sender.cancel()
+            await asyncio.gather(sender, return_exceptions=True)
+
+    async def _receive(self, socket: WebSocket, client: Client) -> None:
+        while True:
+            text = await socket.receive_text()
+            try:
+                problem = client.wish(Wish.model_validate_json(text))
+            except ValidationError:
+                problem = "what was sent is no wish: points, traffic, after"
+            if problem:
+                await socket.close(_UNSUPPORTED, problem)
+                return
+
+    async def _send(self, socket: WebSocket, client: Client) -> None:
+        while True:
+            text = json.dumps(await client.next(), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+            try:
+                async with asyncio.timeout(SEND_SECONDS):
+                    await socket.send_text(text)
+            except TimeoutError:
+                with contextlib.suppress(RuntimeError):
+                    if socket.application_state is WebSocketState.CONNECTED:
+                        await socket.close(_TRY_AGAIN_LATER, "it takes nothing")
+                return
+            await asyncio.sleep(INTERVAL)
+
+    # Watching the simulation.
+
+    def _join(self, client: Client) -> None:
+        self._clients.append(client)
+        if len(self._clients) == 1:
+            self._loop = asyncio.get_running_loop()
+            self._thread = threading.get_ident()
+            self._unwatch = [
+                self._api.subject.watch(self._changed),
+                self._api.traffic.watch(self._passed),
+            ]
+            if self._api.board is not None:
+                self._unwatch.append(self._api.board.watch(self._switched))
+
+    def _leave(self, client: Client) -> None:
+        self._clients.remove(client)
+        if not self._clients:
+            for unwatch in self._unwatch:
+                unwatch()
+            self._unwatch = []
+
+    def _changed(self, changes: Sequence[Any]) -> None:
+        places = self._api.places
+        indices = [places[change.key] for change in changes]
+        self._tell(lambda client: client.changed(indices))
+
+    def _passed(self) -> None:
+        self._tell(Client.passed)
+
+    def _switched(self) -> None:
+        self._tell(Client.switched)
+
+    def _tell(self, say: Callable[[Client], None]) -> None:
+        """Say it to all clients, in the thread of the event loop."""
+        if threading.get_ident() == self._thread:
+            self._say(say)
+        elif self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._say, say)
+
+    def _say(self, say: Callable[[Client], None]) -> None:
+        for client in self._clients:
+            say(client)
