@@ -14,7 +14,7 @@
  * Use: paced HOST PORT CONNECTIONS PERIOD SECONDS SERVER
  *      PERIOD is the time of a connection between two questions, in seconds; SERVER is the process that is asked. Prints
  *      one line of JSON about the counted part: transactions, seconds, rate (per second), p50/p99/p99.9/longest (µs),
- *      late (replies after more than 100 ms), missing, server (seconds of CPU time of that process).
+ *      late (replies after more than 100 ms), missing, cpu (seconds, of this process), server (of that process).
  */
 #define _GNU_SOURCE
 #include <arpa/inet.h>
@@ -167,7 +167,7 @@ int main(int argc, char **argv) {
 
     double step = period * 1e9 / (double)connections; /* ns between two questions of the whole crowd */
     uint64_t begin = now(), start = begin + (uint64_t)(period * 1e9), stop = start + (uint64_t)(seconds * 1e9);
-    double cpu = 0;
+    double cpu = 0, own = 0;
     uint64_t asked = 0, at = begin, heard = begin;
     struct epoll_event ready[EVENTS];
     while (at < stop) {
@@ -194,16 +194,18 @@ int main(int argc, char **argv) {
         if (!counted_from && at >= start) {
             counted_from = at;
             cpu = cpu_of(server);
+            own = cpu_of(getpid());
         }
     }
     if (!counted) fail("no transaction was counted");
     if (counted > room) fail("more replies than questions");
     double lasted = (double)(at - counted_from) / 1e9;
     cpu = cpu_of(server) - cpu;
+    own = cpu_of(getpid()) - own;
     qsort(latencies, counted, sizeof *latencies, ascending);
     printf("{\"transactions\": %llu, \"seconds\": %.6f, \"rate\": %.1f, \"p50\": %.1f, \"p99\": %.1f, "
-           "\"p99.9\": %.1f, \"longest\": %.1f, \"late\": %llu, \"missing\": %llu, \"server\": %.6f}\n",
+           "\"p99.9\": %.1f, \"longest\": %.1f, \"late\": %llu, \"missing\": %llu, \"cpu\": %.6f, \"server\": %.6f}\n",
            (unsigned long long)counted, lasted, (double)counted / lasted, percentile(0.50), percentile(0.99),
-           percentile(0.999), latencies[counted - 1], (unsigned long long)late, (unsigned long long)missing, cpu);
+           percentile(0.999), latencies[counted - 1], (unsigned long long)late, (unsigned long long)missing, own, cpu);
     return 0;
 }

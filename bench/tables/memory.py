@@ -1,16 +1,16 @@
-"""What an idle connection costs a server, with 1000 of them.
+"""What an idle connection costs a server, with 1000, 5000 and 10 000 of them.
 
 A few connections come first, so that what a server imports and allocates once is there already. Each connection makes
 one transaction and then rests. Two figures: growth of the resident memory of the process (without the kernel's sockets,
 and without what the process had free before, so it can be too low), and, in a second run, living Python objects as
-`tracemalloc` counts them. The bar takes the larger one.
+`tracemalloc` counts them, those that Python itself makes for a connection included. The bar takes the larger one.
 """
 
 import socket
-import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from signal import SIGUSR2
 
 from harness import children, machine
@@ -18,83 +18,112 @@ from harness.bench import Bench, Command
 from harness.children import ChildFailed, Server
 from harness.report import Bar, Table, figure
 
-FIRST, CONNECTIONS = 10, 1000  # together below 1024, the most that libmodbus' select() can wait for
+FIRST = 10
+CONNECTIONS = (1000, 5000, 10_000)
+QUICK_CONNECTIONS = (1000,)
+SELECT_LIMIT = 1000  # libmodbus waits with select(), which knows 1024 descriptors
+PEER_LIMIT = 5000  # of connections to peers in Python: they take seconds to accept more
 REQUEST = bytes.fromhex("0001 0000 0006 01 03 0000 000A")  # FC03, unit 1, 10 registers from 0
 REPLY_SIZE = 7 + 2 + 20
 
-OURS = "busway"
+OURS, OURS_UVLOOP = "busway", "busway, uvloop"
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """A server: its command, how many connections it is given at most, and whether its Python objects are counted."""
+
+    command: Callable[[], Command]
+    limit: int = CONNECTIONS[-1]
+    traced: bool = False
 
 
 def run(bench: Bench) -> Table:
-    table = Table(f"Memory per idle connection, {CONNECTIONS} connections", ("", "resident KB", "Python objects KB"))
-    larger: dict[str, float] = {}
-    for name, command, traced in _contenders(bench):
+    sizes = QUICK_CONNECTIONS if bench.quick else CONNECTIONS
+    columns = [f"{kind} KB, {size:,}" for kind in ("resident", "objects") for size in sizes]
+    table = Table("Memory per idle connection", ("", *columns))
+    larger: dict[tuple[str, int], float] = {}
+    for name, contender in _contenders(bench).items():
+        within = [size for size in sizes if size <= contender.limit]
         try:
-            rounds = [_cost(bench, command(), _resident) for _ in range(1 if bench.quick else 3)]
-            resident = statistics.median(rounds)
-            objects = _cost(bench, [*command(), "--trace-memory"], _traced) if traced else None
+            resident = _cost(bench, contender.command(), within, _resident)
+            objects = {}
+            if contender.traced:
+                objects = _cost(bench, [*contender.command(), "--trace-memory"], within, _traced)
         except (ChildFailed, OSError) as failure:
             bench.say(f"memory: {name} is left out. {failure}")
-            table.rows.append((name, "–", "–"))
+            table.rows.append((name, "–", *[""] * (len(columns) - 1)))
             table.figures.append({"name": name, "missing": str(failure)})
             continue
-        larger[name] = max(resident, objects or 0.0)
-        bench.say(f"memory: {name:<42} {resident:>8.1f} KB")
-        table.rows.append((name, figure(resident), "" if objects is None else figure(objects)))
-        table.figures.append({"name": name, "resident_kb": resident, "rounds": rounds, "objects_kb": objects})
-    table.bars = [Bar("busway, memory per idle connection", larger.get(OURS), "<=", 10, "KB")]
+        for size in within:
+            larger[name, size] = max(resident[size], objects.get(size, 0.0))
+            bench.say(f"memory: {name}, {size} connections: {resident[size]:.1f} KB")
+        cells = [figure(found[size]) if size in found else "" for found in (resident, objects) for size in sizes]
+        table.rows.append((name, *cells))
+        table.figures.append({"name": name, "resident_kb": resident, "objects_kb": objects})
+    most = sizes[-1]
+    table.bars = [Bar(f"{most:,} connections held, memory of each", larger.get((OURS, most)), "<=", 8, "KB")]
     return table
 
 
-def _contenders(bench: Bench) -> list[tuple[str, Callable[[], Command], bool]]:
-    """Name, command, and whether its Python objects are counted (a quick run counts only ours: it takes long)."""
-    contenders: list[tuple[str, Callable[[], Command], bool]] = [
-        ("floor (C)", lambda: bench.program("floor_server"), False),
-        ("libmodbus (C)", lambda: bench.program("libmodbus_server"), False),
-        ("pymodbus", lambda: bench.peer("peers.pymodbus_server"), not bench.quick),
-        (OURS, lambda: bench.ours("servers.busway_server"), True),
-    ]
+def _contenders(bench: Bench) -> dict[str, Contender]:
+    contenders = {
+        "floor (C)": Contender(lambda: bench.program("floor_server")),
+        "bare loop, checks nothing": Contender(lambda: bench.ours("servers.bare_loop")),
+        "libmodbus (C)": Contender(lambda: bench.program("libmodbus_server"), SELECT_LIMIT),
+        "pymodbus": Contender(lambda: bench.peer("peers.pymodbus_server"), PEER_LIMIT),
+        OURS: Contender(lambda: bench.ours("servers.busway_server"), traced=True),
+    }
     if bench.uvloop:
-        contenders.append(("busway, uvloop", lambda: bench.ours("servers.busway_server", "--uvloop"), True))
+        contenders[OURS_UVLOOP] = Contender(lambda: bench.ours("servers.busway_server", "--uvloop"))
     return contenders
 
 
-def _cost(bench: Bench, command: Command, measure: Callable[[Server], float]) -> float:
-    """KB per connection between FIRST and FIRST + CONNECTIONS connections."""
-    with (
-        children.server(command, bench.server_core) as server,
-        _idle(server.port, FIRST),
-    ):
+def _cost(bench: Bench, command: Command, sizes: Sequence[int], measure: Callable[[Server], float]) -> dict[int, float]:
+    """KB per connection above FIRST, for each number of connections; they stay while others come."""
+    with children.server(command, bench.server_core) as server, _links() as links:
+        _dial(links, server.port, FIRST)
         before = measure(server)
-        with _idle(server.port, CONNECTIONS):
-            return (measure(server) - before) / CONNECTIONS / 1024
+        cost = {}
+        for size in sizes:
+            _dial(links, server.port, FIRST + size - len(links))
+            cost[size] = (measure(server) - before) / size / 1024
+        _all_stand(links)
+        return cost
 
 
 @contextmanager
-def _idle(port: int, count: int) -> Iterator[None]:
+def _links() -> Iterator[list[socket.socket]]:
     links: list[socket.socket] = []
     try:
-        for _ in range(count):
-            link = socket.create_connection(("127.0.0.1", port), timeout=5)
-            links.append(link)
-            link.sendall(REQUEST)
-            reply = b""
-            while len(reply) < REPLY_SIZE:
-                part = link.recv(REPLY_SIZE - len(reply))
-                if not part:
-                    raise ChildFailed(f"the server closed connection {len(links)} of {count}")
-                reply += part
-        yield
-        for number, link in enumerate(links, 1):  # a server that made room for newer ones did not hold them all
-            link.settimeout(0)
-            try:
-                link.recv(1)
-            except BlockingIOError:
-                continue
-            raise ChildFailed(f"the server closed connection {number} of {count} while it was idle")
+        yield links
     finally:
         for link in links:
             link.close()
+
+
+def _dial(links: list[socket.socket], port: int, count: int) -> None:
+    for _ in range(count):
+        link = socket.create_connection(("127.0.0.1", port), timeout=5)
+        links.append(link)
+        link.sendall(REQUEST)
+        reply = b""
+        while len(reply) < REPLY_SIZE:
+            part = link.recv(REPLY_SIZE - len(reply))
+            if not part:
+                raise ChildFailed(f"the server closed connection {len(links)}")
+            reply += part
+
+
+def _all_stand(links: list[socket.socket]) -> None:
+    """A server that made room for newer connections did not hold them all."""
+    for number, link in enumerate(links, 1):
+        link.settimeout(0)
+        try:
+            link.recv(1)
+        except BlockingIOError:
+            continue
+        raise ChildFailed(f"the server closed connection {number} of {len(links)} while it was idle")
 
 
 def _resident(server: Server) -> float:
