@@ -318,3 +318,18 @@ def test_personality_strikes_only_where_it_can_be_met(name: str, framing: str) -
     assert said.talk.deadline(0) is None
     (applied,) = said.faults
     assert applied.struck == 0
+
+
+def test_fault_has_struck_what_went_otherwise_because_of_it() -> None:
+    said = Said("max-block", items=10)
+    for pdu in (READ, "03 0000 000B", READ, "10 0000 000B 16" + 11 * "0001"):
+        said.at(0, pdu)
+    (applied,) = said.faults
+    assert applied.struck == 2
+    late = Said("late", delay=0.0)
+    late.at(0, READ)
+    assert [one.struck for one in late.faults] == [0]  # a delay of nothing is no difference
+    assert [one.struck for one in Said("single-client", others=1).faults] == [1]
+    silent = Said("close-if-silent", seconds=1)
+    silent.talk.tick(1)
+    assert [one.struck for one in silent.faults] == [1]

@@ -17,9 +17,9 @@ from typing import Final
 from ..framing.ascii import encode_ascii
 from ..framing.mbap import HEAD
 from ..framing.rtu import encode_rtu
-from .faults import SAME_MOMENT, Contact, Emission, Exchange, Fault, Faults
+from .faults import SAME_MOMENT, AppliedFault, Contact, Emission, Exchange, Faults
 
-Struck = Sequence[tuple[Fault, Exchange]]
+Struck = Sequence[tuple[AppliedFault, Exchange]]
 """The faults that a request meets, each with what it is to see."""
 
 
@@ -86,9 +86,11 @@ class FaultyConversation:
     @staticmethod
     def asked(struck: Struck) -> bytes | None:
         """The PDU that answers instead of the device, `SILENCE` for none; None if the device is to be asked."""
-        for fault, seen in struck:
-            answer = fault.asked(seen) if fault.asked is not None else None
+        for applied, seen in struck:
+            asked = applied.fault.asked
+            answer = asked(seen) if asked is not None else None
             if answer is not None:
+                applied.struck += 1
                 return answer
         return None
 
@@ -103,9 +105,12 @@ class FaultyConversation:
         """
         is_said = answer and not exchange.is_broadcast
         emissions = [Emission(exchange.transaction, exchange.unit, answer)] if is_said else []
-        for fault, seen in struck:
-            if fault.answered is not None:
-                emissions = fault.answered(seen, emissions)
+        for applied, seen in struck:
+            if applied.fault.answered is not None:
+                made = applied.fault.answered(seen, emissions)
+                if made != emissions:
+                    applied.struck += 1
+                emissions = made
         for emission in emissions:
             self._plan(emission, now)
 

@@ -8,7 +8,8 @@ simulator.
    met: one of connections on connections, one of lines on lines.
 2. An `AppliedFault` is a fault that somebody has put on: chosen by unit, function, address range, probability and
    schedule, and switched while everything runs, from any thread.
-3. Whether a fault strikes a request is decided once, before any of them acts.
+3. Whether a fault is to strike a request is decided once, before any of them acts. It counts as struck when it has made
+   a difference: who refuses blocks of more than 50 has not struck a request for 2.
 4. Chance comes from the seed alone: the same requests meet the same faults.
 """
 
@@ -259,7 +260,7 @@ class AppliedFault:
         fault: what it does.
         selection: which requests it is for.
         enabled: the switch, as it stands.
-        struck: requests that it has struck, connections that it has refused, and those that it has closed.
+        struck: requests that went otherwise because of it, connections that it has refused or closed.
     """
 
     __slots__ = ("_changed", "_chosen", "_random", "_since", "enabled", "fault", "label", "selection", "struck")
@@ -310,7 +311,7 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """The exchange as this fault is to see it, if it strikes."""
+        """The exchange as this fault is to see it, if it is to strike."""
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):
@@ -320,7 +321,6 @@ class AppliedFault:
             return None
         if self.selection.probability < 1 and self._random.random() >= self.selection.probability:
             return None
-        self.struck += 1
         return replace(exchange, random=self._random)
 
 
@@ -431,13 +431,13 @@ class Faults:
                 return False
         return True
 
-    def strike(self, exchange: Exchange) -> list[tuple[Fault, Exchange]]:
-        """The faults that strike a request, each with what it is to see."""
+    def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
+        """The faults that are to strike a request, each with what it is to see."""
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)
             if seen is not None:
-                found.append((one.fault, seen))
+                found.append((one, seen))
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:

@@ -1,0 +1,91 @@
+"""The pytest plugin: devices, lines and a clock as fixtures.
+
+Knows pytest and the names of what it makes; imports the rest when a test asks for it, so that runs without Modbus pay
+next to nothing.
+
+================  ======================================================================================
+fixture           gives
+================  ======================================================================================
+``simulator``     a function that serves a device until the test ends: ``simulator({"4x1": 42})``
+``paced_line``    a function that makes a serial line of pseudo-terminals: ``paced_line(ports=2)``
+``busway_clock``  time that the test moves by hand, for ``simulator(…, clock=busway_clock)``
+================  ======================================================================================
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+
+if TYPE_CHECKING:
+    from .clock import Clock, FakeClock
+    from .line import PacedLine
+    from .simulated import Content, SimulatedDevice
+
+
+class Simulator(Protocol):
+    """What the fixture ``simulator`` gives."""
+
+    def __call__(
+        self,
+        content: "Content",
+        *,
+        unit: int | None = None,
+        url: str = "tcp://127.0.0.1:0",
+        seed: int | None = None,
+        speed: float = 1.0,
+        clock: "Clock | None" = None,
+    ) -> "SimulatedDevice":
+        """Serve a device until the test ends; arguments and errors as of `busway.testing.simulated_device`."""
+
+
+class MakePacedLine(Protocol):
+    """What the fixture ``paced_line`` gives."""
+
+    def __call__(self, ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
+        """A line until the test ends; arguments as of `busway.testing.line.PacedLine`."""
+
+
+@pytest.fixture
+def simulator() -> Iterator[Simulator]:
+    """A function that serves a device until the test ends, in a thread of its own: ``simulator({"4x1": 42})``.
+
+    Its result has ``endpoint``, ``host`` and ``port``; values by address or name, ``device["4x1"]``; ``fault(…)`` as a
+    context manager; ``reads`` and ``writes`` of clients.
+    """
+    from contextlib import ExitStack
+
+    with ExitStack() as stack:
+
+        def serve(content: "Content", **options: Any) -> "SimulatedDevice":  # Any: as `Simulator` says
+            from .simulated import simulated_device
+
+            return stack.enter_context(simulated_device(content, **options))
+
+        yield serve
+
+
+@pytest.fixture
+def paced_line() -> Iterator[MakePacedLine]:
+    """A function that makes a serial line of pseudo-terminals in real time, until the test ends: ``paced_line()``.
+
+    Its ``paths`` are the ports: one for the program under test, one for ``simulator(…, url=f"rtu://{path}")``.
+    """
+    from contextlib import ExitStack
+
+    with ExitStack() as stack:
+
+        def make(ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
+            from .line import PacedLine
+
+            return stack.enter_context(PacedLine(ports, baud, parity, **options))
+
+        yield make
+
+
+@pytest.fixture
+def busway_clock() -> "FakeClock":
+    """Time that stands still until the test moves it: ``busway_clock.advance(60.0)``."""
+    from .clock import FakeClock
+
+    return FakeClock()

@@ -1,0 +1,369 @@
+"""A device for somebody's test: a few values or a file, served in a thread of its own, with faults as context managers.
+
+Knows simulations and threads; knows no test framework (`busway.testing.plugin` does).
+
+::
+
+    with simulated_device({"4x1": 42, "4x11": 21.5, "0x1": True}) as device:
+        talk_to(device.endpoint)
+        with device.fault("late", delay=2.0):
+            talk_to(device.endpoint)
+        assert device["4x1"] == 43
+
+1. The server lives in a thread: a test may block, sleep or run an event loop of its own, and the device answers.
+2. What the test reads and sets is not seen as Modbus: ``reads`` and ``writes`` have what clients did, in order.
+"""
+
+import asyncio
+import contextlib
+import os
+import threading
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from ..codes import Table
+from ..errors import ConfigError, InvalidRequest
+from ..values import Address, format_address, parse_address
+from ..values.refusal import shown
+
+if TYPE_CHECKING:
+    from ..server.hooks import Access, Change
+    from ..simulator.includes import SimulationDeclaration
+    from ..simulator.simulation import Simulation
+    from .clock import Clock
+    from .faults import AppliedFault
+
+FREE_PORT: Final = "tcp://127.0.0.1:0"
+Content = Mapping[str, Any] | str | os.PathLike[str]
+"""Values by address, or a file: a simulation file, a register map in CSV, or ``device:NAME``."""
+
+
+@contextlib.contextmanager
+def simulated_device(
+    content: Content,
+    *,
+    unit: int | None = None,
+    url: str = FREE_PORT,
+    seed: int | None = None,
+    speed: float = 1.0,
+    clock: "Clock | None" = None,
+) -> "Iterator[SimulatedDevice]":
+    """A device that is served while the block runs.
+
+    Args:
+        content: what it holds. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to values: ``bool`` for
+            bits; an ``int`` is one register, a ``float`` is float32, a text is a string; ``(value, type)`` or ``(value,
+            type, order)`` say another type; a list goes on from its address. Exactly these items exist. Or the path of
+            a simulation file (``.toml``), the path of a register map (``.csv``), or ``"device:meter"``.
+        unit: the unit of values and of a map, 0…255; None for unit 1 that answers whatever unit is asked.
+        url: where to listen; a free port of 127.0.0.1 by default. Files with listeners of their own listen here too.
+        seed: of noise and chance; None for that of the file, or 0.
+        speed: seconds of the device in one second.
+        clock: what delays and behaviours are measured by, such as a `FakeClock`; the real time by default.
+
+    Raises:
+        ConfigError: the content, a value or the URL can not be.
+        LinkDown: the URL can not be listened on.
+    """
+    from ..simulator.simulation import Simulation
+
+    simulation = Simulation(_declared(content, unit), clock=clock, seed=seed, speed=speed)
+    thread = _Thread(simulation, url)
+    thread.start()
+    try:
+        yield SimulatedDevice(simulation, thread.endpoints)
+    finally:
+        thread.stop()
+
+
+class SimulatedDevice:
+    """A device that is being served, as `simulated_device` gives it. Everything may be called from any thread.
+
+    Attributes:
+        endpoints: URLs of its listeners as they are bound.
+        simulation: the simulation behind it.
+        reads: reads by clients that were answered, in order (`Access`): ``unit``, ``table``, ``address``, ``count``,
+            ``values``, ``function``.
+        writes: writes by clients that were executed, in order (`Change`): the same with ``old`` and ``new``.
+    """
+
+    def __init__(self, simulation: "Simulation", endpoints: Sequence[str]) -> None:
+        self.endpoints = list(endpoints)
+        self.simulation = simulation
+        self.reads: list[Access] = []
+        self.writes: list[Change] = []
+        self._changed = threading.Condition()
+        for unit in simulation.units.values():
+            for table in Table:
+                unit.device.on_read(table, self._was_read, when="after")
+                if table.is_writable:
+                    unit.device.on_write(table, self._was_written, when="after")
+
+    @property
+    def endpoint(self) -> str:
+        """URL of its first listener: ``tcp://127.0.0.1:40123``."""
+        return self.endpoints[0]
+
+    @property
+    def host(self) -> str:
+        """Host of the first listener, for programs that take no URL."""
+        from ..config.endpoints import parse_endpoint
+
+        return parse_endpoint(self.endpoint).host
+
+    @property
+    def port(self) -> int:
+        """Port of the first listener. Raises `ConfigError` for a serial port, which has none."""
+        from ..config.endpoints import parse_endpoint
+
+        port = parse_endpoint(self.endpoint).port
+        if port is None:
+            raise ConfigError(f"{self.endpoint} has no port number", key="port")
+        return port
+
+    def __getitem__(self, key: str) -> Any:  # what its type says
+        """The value of a point (``"tank.level"``, ``"3/voltage"``, an address that was given), or of a single item.
+
+        Raises:
+            InvalidRequest: there is no such point and no such item.
+        """
+        name = self._key(key)
+        if name is not None:
+            return self.simulation.points[name].value
+        return self._only_device(key).read(parse_address(key))
+
+    def __setitem__(self, key: str, value: Any) -> None:  # what its type says
+        """Set a value, whether clients may write it or not. Raises `InvalidRequest` as `__getitem__`, or if it
+        does not fit."""
+        name = self._key(key)
+        if name is not None:
+            self.simulation.set(name, value, "test")
+        else:
+            self._only_device(key).write(parse_address(key), value)
+
+    @contextlib.contextmanager
+    def fault(
+        self,
+        personality: str,
+        *,
+        units: Collection[int] | None = None,
+        functions: Collection[int] | None = None,
+        addresses: range | str | Collection[str] | None = None,
+        probability: float = 1.0,
+        skip: int = 0,
+        times: int | None = None,
+        **parameters: Any,  # Any: what the personality takes
+    ) -> "Iterator[AppliedFault]":
+        """A fault that is on while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
+
+        Args:
+            personality: its name (`busway.testing.PERSONALITIES`).
+            units: unit identifiers that it strikes, 0…255; None for all, here and below.
+            functions: function codes, 1…127.
+            addresses: items: an address, several, or a ``range`` of offsets in any table.
+            probability: 0…1, the part of those requests that it strikes.
+            skip: requests, of those, that pass first.
+            times: requests that it strikes; None for any number.
+            parameters: of the personality.
+
+        Returns:
+            The fault: ``struck`` counts, ``off()`` and ``on()`` switch it within the block.
+
+        Raises:
+            ConfigError: a name, a parameter or a choice that can not be.
+        """
+        from .faults import Schedule
+
+        board = self.simulation.board
+        name = board.add(
+            personality,
+            units=units,
+            functions=functions,
+            addresses=addresses if isinstance(addresses, range) else None,
+            items=None if isinstance(addresses, range) else _items(addresses),
+            probability=probability,
+            schedule=Schedule(skip=skip, times=times),
+            parameters=parameters,
+        )
+        try:
+            yield board.faults.find(name)
+        finally:
+            board.remove(name)
+
+    def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
+        """Wait until a client has written an item that it had not written before this call; its value.
+
+        Args:
+            address: the item, or the name of a point.
+            timeout: seconds.
+
+        Raises:
+            TimeoutError: nobody did in time.
+        """
+        name = self._key(address)
+        place = self.simulation.points[name].section.place if name is not None else parse_address(address)
+        seen = len(self.writes)
+
+        def is_written() -> bool:
+            return any(_touches(each, place) for each in self.writes[seen:])
+
+        with self._changed:
+            if not self._changed.wait_for(is_written, timeout):
+                raise TimeoutError(f"nobody wrote {address} within {timeout:g} s")
+        return self[address]
+
+    def _was_read(self, access: "Access") -> None:
+        self.reads.append(access)
+
+    def _was_written(self, change: "Change") -> None:
+        with self._changed:
+            self.writes.append(change)
+            self._changed.notify_all()
+
+    def _key(self, key: str) -> str | None:
+        """The point ``UNIT/NAME`` that a key means; None if it is an item without a name."""
+        points = self.simulation.points
+        if key in points:
+            return key
+        own = [f"{unit}/{key}" for unit in self.simulation.units]
+        found = [each for each in own if each in points] or self._standing_at(key)
+        if len(found) > 1:
+            raise InvalidRequest(f"several units have {shown(key)}; name one, {' or '.join(map(repr, found[:3]))}")
+        return found[0] if found else None
+
+    def _standing_at(self, key: str) -> list[str]:
+        """The points that stand at an address, however it is written."""
+        try:
+            place = parse_address(key)
+        except InvalidRequest:
+            return []
+        return [name for name, point in self.simulation.points.items() if point.section.place == place]
+
+    def _only_device(self, key: str) -> Any:  # a `busway.Device`
+        units = list(self.simulation.units.values())
+        if len(units) > 1:
+            raise InvalidRequest(f"there are several units; name a point, UNIT/NAME, instead of {shown(key)}")
+        return units[0].device
+
+
+class _Thread:
+    """The thread that the server lives in."""
+
+    def __init__(self, simulation: "Simulation", url: str) -> None:
+        self._simulation = simulation
+        self._url = url
+        self._started = threading.Event()
+        self._stop: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="busway device", daemon=True)
+        self.endpoints: list[str] = []
+
+    def start(self) -> None:
+        """Listen; raises what listening raises."""
+        self._thread.start()
+        self._started.wait()
+        if self._failure is not None:
+            self._thread.join()
+            raise self._failure
+
+    def stop(self) -> None:
+        """End, and wait for it."""
+        if self._stop is not None:
+            loop, event = self._stop
+            loop.call_soon_threadsafe(event.set)
+        self._thread.join()
+
+    async def _run(self) -> None:
+        try:
+            async with self._simulation.running(self._url) as simulation:
+                self.endpoints = simulation.server.endpoints
+                stop = asyncio.Event()
+                self._stop = asyncio.get_running_loop(), stop
+                self._started.set()
+                await stop.wait()
+        except BaseException as error:
+            if self._started.is_set():
+                raise
+            self._failure = error
+        finally:
+            self._started.set()
+
+
+def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
+    """What a content declares."""
+    from ..simulator.includes import load_declaration, parse_declaration
+
+    if isinstance(content, Mapping):
+        points: list[Any] = [point for address, value in content.items() for point in _points(address, value)]
+        if not points:
+            raise ConfigError("a device needs a value at least", key="content")
+        return parse_declaration(_text(points, unit), "the values of the device")
+    name = os.fspath(content)
+    if Path(name).suffix.lower() == ".csv":
+        from ..simulator.register_map import read_register_map
+
+        return parse_declaration(_text(read_register_map(name), unit), name)
+    if unit is not None:
+        raise ConfigError("stands in the file", key="unit")
+    return load_declaration(name)
+
+
+def _text(points: Sequence[Any], unit: int | None) -> str:
+    """A device file with one unit. Without a number, the unit answers whatever it is asked."""
+    from ..config.files.simulation import SimulatedUnitSection
+    from ..simulator.device_text import device_text
+
+    section = SimulatedUnitSection.model_validate({"unit": 1 if unit is None else unit, "point": list(points)})
+    return ('[server]\nunit_policy = "any"\n\n' if unit is None else "") + device_text([section])
+
+
+def _points(address: str, value: Any) -> Iterator[Any]:
+    """The points that a value at an address makes: keys of sections."""
+    from ..config.files.simulation import SimulatedPointSection
+
+    place = parse_address(address)
+    if place.table is None:
+        raise ConfigError(f"{address} does not say which table; write 4x1 or holding:0", key=address)
+    several = value if isinstance(value, list) else [value]
+    for each in several:
+        keys = {"name": address if not isinstance(value, list) else format_address(place), **_kind(address, each)}
+        if each is several[0]:
+            keys["name"] = address
+        point = SimulatedPointSection.model_validate({**keys, "address": format_address(place)})
+        yield point
+        place = Address(place.table, place.offset + point.size) if each is not several[-1] else place
+
+
+def _kind(address: str, value: Any) -> dict[str, Any]:
+    """The keys of a point for a value: what type it has."""
+    if isinstance(value, tuple) and 2 <= len(value) <= 3:
+        return dict(zip(("value", "type", "order"), value, strict=False))
+    if isinstance(value, bool):
+        return {"value": value}
+    if isinstance(value, int):
+        return {"value": value, "type": "int16"} if value < 0 else {"value": value}
+    if isinstance(value, float):
+        return {"value": value, "type": "float32"}
+    if isinstance(value, str):
+        return {"value": value, "type": f"string:{max(2, len(value.encode()))}:utf-8"}
+    raise ConfigError(
+        f"a value is a number, a text, a bool, a tuple (value, type) or a list, not {shown(value)}", key=address
+    )
+
+
+def _items(addresses: str | Collection[str] | None) -> dict[Table, list[tuple[int, int]]] | None:
+    """Addresses → ranges by table."""
+    if addresses is None:
+        return None
+    found: dict[Table, list[tuple[int, int]]] = {}
+    for text in [addresses] if isinstance(addresses, str) else addresses:
+        place = parse_address(text)
+        if place.table is None:
+            raise ConfigError(f"{text} does not say which table; write 4x1 or holding:0", key="addresses")
+        found.setdefault(place.table, []).append((place.offset, place.offset + 1))
+    return found
+
+
+def _touches(change: "Change", place: Address) -> bool:
+    return change.table is place.table and change.address <= place.offset < change.address + change.count

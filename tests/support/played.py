@@ -1,0 +1,41 @@
+"""Simulated units that misbehave, served in a thread by the real server on any transport."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import busway
+from busway.server.server import Server
+from busway.simulator.faults.board import FaultBoard
+from busway.testing import known_device
+
+
+@contextlib.contextmanager
+def played(board: FaultBoard, url: str, **options: Any) -> Iterator[str]:
+    """Units 1 and 2, each a `known_device`, with the faults of a board. Gives the endpoint; options as of `serve`."""
+    units = {1: known_device(), 2: known_device()}
+    ready = threading.Event()
+    loops: list[asyncio.AbstractEventLoop] = []
+    ends: list[asyncio.Event] = []
+    servers: list[Server] = []
+
+    async def serve() -> None:
+        server = busway.serve(url, units=units, **options)
+        board.attach(server)
+        async with server:
+            loops.append(asyncio.get_running_loop())
+            ends.append(asyncio.Event())
+            servers.append(server)
+            ready.set()
+            await ends[0].wait()
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()), name="played faults", daemon=True)
+    thread.start()
+    assert ready.wait(10.0), "the server did not start"
+    try:
+        yield servers[0].endpoints[0]
+    finally:
+        loops[0].call_soon_threadsafe(ends[0].set)
+        thread.join()
