@@ -95,6 +95,12 @@ class LocalHandler:
             return self._sole
         return device
 
+    def listed_unit(self, unit: int) -> int:
+        """The unit as which the device is listed that answers for ``unit``, the first of several."""
+        if unit in self._units or self.find(unit) is None:
+            return unit
+        return next(iter(self._units))
+
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
         """The compiled answers of the unit's device, by function code; the same for every connection."""
         answers = self._answers.get(context.unit)

@@ -184,11 +184,23 @@ class UnitHolder(Protocol):
         """The units 1…247 that are its own; a live view is welcome."""
 
 
+@runtime_checkable
+class ListedUnits(Protocol):
+    """A handler whose devices may answer to other units than those they are listed as."""
+
+    def listed_unit(self, unit: int) -> int:
+        """The unit as which the device is listed that answers for ``unit``; ``unit`` itself where that is so.
+
+        Rights are asked for both: whoever may not write to unit 1 shall not do it by another name of the same device.
+        """
+
+
 __all__ = [
     "LATER",
     "SILENCE",
     "Deferral",
     "Handler",
+    "ListedUnits",
     "Outcome",
     "ReadPlanner",
     "Refusal",

@@ -14,7 +14,7 @@ from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import LocalHandler, UnitPolicy
 from busway.server.policy.audit import AuditLog
 from busway.server.policy.handler import PolicyHandler
 from busway.session.diagnostics import CommunicationState
@@ -393,3 +393,30 @@ def test_rates_of_a_replaced_policy_are_those_of_the_new_one(device):
     shared.update(kept)  # as another thread might have left it behind
     answers = [handler.handle(context(3), read) for _ in range(4)]
     assert [isinstance(one, ExceptionResponse) for one in answers] == [False, False, False, True]
+
+
+@pytest.mark.clause("M6", "T24")
+@pytest.mark.parametrize("audited", [False, True])
+@pytest.mark.parametrize(
+    ("unit_policy", "units"), [(UnitPolicy.LISTED, (3, 0, 255)), (UnitPolicy.ANY, (3, 0, 255, 77))]
+)
+def test_what_is_denied_of_a_unit_is_denied_by_every_name_of_its_device(device, log, audited, unit_policy, units):
+    inner = LocalHandler({3: device}, unit_policy=unit_policy)
+    policy = Policy.of(Rule.of(name="closed", action="deny", units="3", addresses="4x1-4x5"), default="allow")
+    one = session(PolicyHandler(inner, policy, log if audited else None))
+    for unit in units:
+        read = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 0, 2)
+        write = struct.pack(">HHHBBHH", 1, 0, 6, unit, 6, 0, 99)
+        elsewhere = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 8, 1)
+        for adu in (read, read, write):  # the second time a plan would answer
+            assert ask(one, adu) == [bytes((adu[7] | 0x80, 1))]
+        assert ask(one, elsewhere) == [bytes.fromhex("03 02 0008")]
+    assert device.holding_registers[0] == 0
+
+
+@pytest.mark.clause("M6")
+def test_a_rule_may_also_name_the_unit_that_was_asked(device):
+    policy = Policy.of(Rule.of(name="gate", action="deny", units="255"), default="allow")
+    one = session(PolicyHandler(LocalHandler({3: device}), policy))
+    for unit, answer in ((3, "03 02 0008"), (255, "83 01"), (0, "03 02 0008")):
+        assert ask(one, struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 8, 1)) == [bytes.fromhex(answer)]

@@ -73,6 +73,8 @@ class Question:
     Attributes:
         asker: who asks.
         unit: the unit asked, 0…255.
+        listed: the unit as which its device is listed, where that is another one: a sole device answers to 0 and 255
+            too, and is the same device by every name.
         function: the function code.
         sub_function: of 08 and 43; None for the others, and where it is cut off.
         pieces: what it touches.
@@ -88,6 +90,7 @@ class Question:
     pieces: tuple[Piece, ...]
     written: tuple[int, ...] | None = None
     masks: tuple[int, int] | None = None
+    listed: int | None = None
 
     @classmethod
     def of(
@@ -95,6 +98,7 @@ class Question:
         request: AnyRequest,
         *,
         unit: int,
+        listed: int | None = None,
         peer: str = "",
         role: str | None = None,
         listener: str = "",
@@ -105,6 +109,7 @@ class Question:
         Args:
             request: what was decoded.
             unit: the unit asked, 0…255.
+            listed: the unit as which its device is listed; None for ``unit``.
             peer: ``host:port`` or host of the client; with ``role`` and ``listener``, who asks.
             role: role of its certificate; None without one.
             listener: URL of the listener.
@@ -113,10 +118,11 @@ class Question:
         asker = asker or Asker(host_of_peer(peer), role, listener)
         if isinstance(request, MalformedRequest):
             sub_function = _sub_function(request.function, request.data[1:])
-            return cls(asker, unit, request.function, sub_function, _pieces_of_malformed(request, sub_function))
+            pieces = _pieces_of_malformed(request, sub_function)
+            return cls(asker, unit, request.function, sub_function, pieces, listed=listed)
         if isinstance(request, OpaqueRequest):
             sub_function = _sub_function(request.function, request.data)
-            return cls(asker, unit, request.function, sub_function, _UNKNOWN_WRITE)
+            return cls(asker, unit, request.function, sub_function, _UNKNOWN_WRITE, listed=listed)
         masks = (request.and_mask, request.or_mask) if isinstance(request, MaskWriteRegister) else None
         written = _WRITTEN.get(type(request))
         return cls(
@@ -127,6 +133,7 @@ class Question:
             _pieces(request),
             None if written is None else written(request),
             masks,
+            listed,
         )
 
     @property

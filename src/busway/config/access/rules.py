@@ -237,9 +237,9 @@ class Rule:
             and (not self.listeners or any(_is_listener(each, asker.listener) for each in self.listeners))
         )
 
-    def is_about(self, unit: int, function: int, sub_function: int | None) -> bool:
-        """Whether it is about this function of this unit."""
-        if self.units is not None and unit not in self.units:
+    def is_about(self, unit: int, function: int, sub_function: int | None, *, listed: int | None = None) -> bool:
+        """Whether it is about this function of this unit, by the number asked or as which its device is listed."""
+        if self.units is not None and unit not in self.units and listed not in self.units:
             return False
         if self.functions is None:
             return True
@@ -341,7 +341,8 @@ class Policy:
         relevant = [
             rule
             for rule in self.rules
-            if rule.is_about(question.unit, question.function, question.sub_function) and rule.is_for(question.asker)
+            if rule.is_about(question.unit, question.function, question.sub_function, listed=question.listed)
+            and rule.is_for(question.asker)
         ]
         rates: list[Rule] = []
         first_rule: Rule | None = None
@@ -364,7 +365,9 @@ class Policy:
                         return Decision(False, _code(rule), rule, reason, needs_current=question.masks is not None)
         return Decision(True, rule=first_rule, rates=tuple(rates))
 
-    def windows(self, unit: int, function: int, space: Space, *, writes: bool) -> tuple[tuple[Window, ...], bool]:
+    def windows(
+        self, unit: int, function: int, space: Space, *, writes: bool, listed: int | None = None
+    ) -> tuple[tuple[Window, ...], bool]:
         """Where one kind of access of a function is plainly permitted, and whether that is everywhere.
 
         Of a policy `for_asker`: who asks is not looked at.
@@ -374,8 +377,9 @@ class Policy:
             function: the function code, of a function without sub-functions.
             space: what is touched.
             writes: whether it is written.
+            listed: the unit as which the device is listed, where that is another one.
         """
-        relevant = [rule for rule in self.rules if rule.is_about(unit, function, None)]
+        relevant = [rule for rule in self.rules if rule.is_about(unit, function, None, listed=listed)]
         plain = []
         for rule, first, end in self._parts(relevant, Piece(space, 0, END, writes)):
             action = self.default if rule is None else rule.action

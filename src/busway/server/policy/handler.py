@@ -33,6 +33,7 @@ from ...session.handler import (
     SILENCE,
     Deferral,
     Handler,
+    ListedUnits,
     Outcome,
     ReadPlanner,
     Refusal,
@@ -139,6 +140,7 @@ class PolicyHandler:
         self._replaced_policies = 0
         self._planner = inner if isinstance(inner, ReadPlanner) else None
         self._observer = inner if isinstance(inner, WriteObserver) else None
+        self._names = inner if isinstance(inner, ListedUnits) else None
         # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
@@ -175,7 +177,14 @@ class PolicyHandler:
         if not answers:
             return answers
         policy = self._known(context).rights.policy
-        return permitted_answers(policy, context.unit, self.inner.functions, answers, audited=self.audit is not None)
+        return permitted_answers(
+            policy,
+            context.unit,
+            self.inner.functions,
+            answers,
+            audited=self.audit is not None,
+            listed=self._listed(context),
+        )
 
     def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
         """Plans of reads, shared by those who have the same rights."""
@@ -192,7 +201,8 @@ class PolicyHandler:
         if self._planner is None:
             return None
         known = self._known(context)
-        question = Question.of(self.functions.decode_request(pdu), unit=context.unit, asker=known.asker)
+        request = self.functions.decode_request(pdu)
+        question = Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
         decision = known.rights.policy.decide(question)
         if not decision.allowed or decision.rates or question.writes:
             return None
@@ -203,7 +213,7 @@ class PolicyHandler:
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Decide, and let the handler inside answer what is permitted."""
         known = self._known(context)
-        question = Question.of(request, unit=context.unit, asker=known.asker)
+        question = Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
         decision = known.rights.policy.decide(question)
         if decision.needs_current and self._observer is not None and isinstance(request, Request):
             return self._write(context, request, question, known, decision)
@@ -332,7 +342,11 @@ class PolicyHandler:
             entry.is_noted = True
             self.audit.append(entry.line(self._time(), outcome, None if code is None else int(code)))
 
-    # ---- who asks
+    # ---- who asks, and whom
+
+    def _listed(self, context: RequestContext) -> int | None:
+        """The unit as which the device asked is listed, where the handler inside knows of such."""
+        return None if self._names is None else self._names.listed_unit(context.unit)
 
     def _known(self, context: RequestContext) -> _Known:
         in_force = self._in_force

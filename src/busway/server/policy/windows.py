@@ -24,7 +24,13 @@ _unpack_two = struct.Struct(">HH").unpack_from
 
 
 def permitted_answers(
-    policy: Policy, unit: int, functions: FunctionTable, answers: Mapping[int, Answer], *, audited: bool
+    policy: Policy,
+    unit: int,
+    functions: FunctionTable,
+    answers: Mapping[int, Answer],
+    *,
+    audited: bool,
+    listed: int | None = None,
 ) -> dict[int, Answer]:
     """The answers that a policy leaves of those that a handler offers.
 
@@ -34,26 +40,27 @@ def permitted_answers(
         functions: what the handler decodes.
         answers: what it offers, by function code.
         audited: whether every write has to be seen, so that none takes the short road.
+        listed: the unit as which the device is listed, where that is another one.
     """
     found = {}
     for code, answer in answers.items():
         kind = functions.find(bytes((code,)), 0, 1)
         if kind is None or (audited and counts_as_write(kind)):
             continue
-        permitted = _permitted(policy, unit, kind, answer)
+        permitted = _permitted(policy, unit, listed, kind, answer)
         if permitted is not None:
             found[code] = permitted
     return found
 
 
-def _permitted(policy: Policy, unit: int, kind: type[Request], answer: Answer) -> Answer | None:
+def _permitted(policy: Policy, unit: int, listed: int | None, kind: type[Request], answer: Answer) -> Answer | None:
     if kind.spans is not Request.spans:
         return None  # it says for itself what it touches: only a request can tell
     touches = [(touch, writes) for touch, writes in ((kind.writes, True), (kind.reads, False)) if touch is not None]
     nowhere = not touches or (counts_as_write(kind) and kind.writes is None)
-    if nowhere and not policy.windows(unit, kind.code, None, writes=counts_as_write(kind))[1]:
+    if nowhere and not policy.windows(unit, kind.code, None, writes=counts_as_write(kind), listed=listed)[1]:
         return None
-    found = [policy.windows(unit, kind.code, touch.table, writes=writes) for touch, writes in touches]
+    found = [policy.windows(unit, kind.code, touch.table, writes=writes, listed=listed) for touch, writes in touches]
     if all(everywhere for _, everywhere in found):
         return answer
     if len(found) != 1 or not found[0][0] or not _is_plain(kind, touches[0][0]):
