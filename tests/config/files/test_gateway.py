@@ -86,6 +86,7 @@ def test_a_listener_without_a_name_is_called_by_its_url() -> None:
             FRONT + LINE + "[server]\nunlisted = 'silence'\n",
             ["x.toml:7: server.unlisted: has no effect: a gateway has"],
         ),
+        (FRONT + LINE + "[server]\nshared_places = true\n", ["x.toml:7: server.shared_places: has no effect: each"]),
         (FRONT + LINE + "[[unit]]\nunit = 1\n", ["x.toml:6: unit: a gateway has no units of its own"]),
         (
             '[[listener]]\nurl = "rtu:///dev/x"\nname = "plc"\nsilent_broadcasts = true\n' + LINE,
