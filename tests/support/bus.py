@@ -214,6 +214,11 @@ class MasterEnd:
         self._pump(now)
         return call
 
+    def begin(self, demand: Demand) -> None:
+        """Give it a demand of somebody else: its owner's ``set_result`` is called when it has ended."""
+        self.session.submit(demand, self.bus.now)
+        self._pump(self.bus.now)
+
     def get(self, unit: int, request: Request, **options: object) -> object:
         """Ask, and let time pass until the outcome is there."""
         call = self.ask(unit, request, **options)  # type: ignore[arg-type]
@@ -241,6 +246,9 @@ class MasterEnd:
         finished = self.session.finished[:]
         self.session.finished.clear()
         for demand in finished:
+            if demand.owner is not None:
+                demand.owner.set_result(None)
+                continue
             call = self._calls.pop(id(demand))
             call.ended_at = now
             if call.then is not None:

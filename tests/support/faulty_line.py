@@ -92,7 +92,7 @@ async def faulty_line(
             base = route or Route(line="line", units=frozenset(range(1, 248)))
             patient = replace(
                 base, units=frozenset({2}), timeout=PATIENCE
-            )  # who behaves has time, on a busy machine too
+            )  # who behaves has time
             plan = GatewayPlan(
                 fronts=(Front("front", Listener(front)),),
                 lines=(LineSettings.of("line", dial or server.endpoints[0], **options),),
