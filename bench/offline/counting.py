@@ -1,0 +1,142 @@
+"""The work of a script, counted and not timed, so that it is the same on a busy machine as on a quiet one.
+
+Three figures per transaction:
+
+* ``calls``: functions of busway that are entered, and functions in C that busway's own code calls;
+* ``instructions``: bytecode instructions of busway's own code;
+* ``bytes``: the most memory that a turn held at a time above what it found, as `tracemalloc` counts it.
+
+1. Only code of the package counts, without `busway.testing`: neither the script nor the event loop.
+2. An instruction of bytecode differs between versions of Python, so the figures of each are kept apart.
+"""
+
+import gc
+import sys
+import tracemalloc
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import busway
+from offline.layers import layer_of
+from offline.scripts import TRANSACTIONS, Script, Turn
+from offline.wire import MemoryLoop
+
+HOUSE = f"{Path(busway.__file__).parent}/"
+TESTING = f"{HOUSE}testing/"
+WARMING = 3
+"""Turns before those that count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What one transaction of a script takes.
+
+    Attributes:
+        calls, instructions, bytes: as the module says.
+        layers: instructions by layer.
+    """
+
+    calls: float
+    instructions: float
+    bytes: float
+    layers: dict[str, float]
+
+
+def count(script: Script) -> Work:
+    """Count a script on a loop of its own."""
+    loop = MemoryLoop()
+    try:
+        return loop.run_until_complete(_counted(loop, script))
+    finally:
+        loop.close()
+
+
+async def _counted(loop: MemoryLoop, script: Script) -> Work:
+    async with script(loop) as turn:
+        for _ in range(WARMING):
+            await turn()
+        calls = await _calls(turn)
+        layers = await _instructions(turn)
+        most = await _bytes(turn)
+    return Work(
+        calls / TRANSACTIONS,
+        sum(layers.values()) / TRANSACTIONS,
+        most / TRANSACTIONS,
+        {name: number / TRANSACTIONS for name, number in sorted(layers.items())},
+    )
+
+
+def _is_ours(frame: FrameType | None) -> bool:
+    if frame is None:
+        return False
+    name = frame.f_code.co_filename
+    return name.startswith(HOUSE) and not name.startswith(TESTING)
+
+
+async def _calls(turn: Turn) -> int:
+    calls = 0
+
+    def profile(frame: FrameType, event: str, argument: Any) -> None:
+        nonlocal calls
+        if event in ("call", "c_call") and _is_ours(frame):
+            calls += 1
+
+    gc.collect()
+    gc.disable()
+    sys.setprofile(profile)
+    try:
+        await turn()
+    finally:
+        sys.setprofile(None)
+        gc.enable()
+    return calls
+
+
+async def _instructions(turn: Turn) -> Counter[str]:
+    found: Counter[str] = Counter()
+    layers: dict[str, str] = {}
+
+    def trace(frame: FrameType, event: str, argument: Any) -> Any:
+        name = frame.f_code.co_filename
+        if not _is_ours(frame):
+            return None
+        if name not in layers:
+            layers[name] = layer_of(name.removeprefix(HOUSE))
+        frame.f_trace_opcodes = True
+        frame.f_trace_lines = False
+        return step
+
+    def step(frame: FrameType, event: str, argument: Any) -> Any:
+        if event == "opcode":
+            found[layers[frame.f_code.co_filename]] += 1
+        return step
+
+    gc.collect()
+    gc.disable()
+    sys.settrace(trace)
+    try:
+        await turn()
+    finally:
+        sys.settrace(None)
+        gc.enable()
+    return found
+
+
+async def _bytes(turn: Turn) -> int:
+    gc.collect()
+    gc.disable()
+    tracemalloc.start(1)
+    try:
+        await turn()  # what is made once and kept is there now
+        gc.collect()
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        await turn()
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    return most - before

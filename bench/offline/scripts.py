@@ -1,0 +1,215 @@
+"""The scripts: what is done, in fixed bytes, always the same.
+
+Each script is an asynchronous context manager on a `MemoryLoop` that gives its turn: a coroutine function that makes
+`TRANSACTIONS` transactions, from the bytes of the requests to the bytes of the replies (or the other way round).
+
+1. A script uses busway as its users do, by `busway.serve`, `busway.open` and gateways, so that what is counted is what
+   runs in earnest, drivers included.
+2. It is warm before it is counted: the first turns fill memos and plans.
+"""
+
+import asyncio
+import struct
+import tempfile
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import busway
+from busway.framing.rtu import encode_rtu
+from busway.gateway.gateway import Gateway, simple_plan
+from offline.wire import NUMBERS, Canned, Device, MemoryLoop
+
+TRANSACTIONS = 64
+IN_FLIGHT = 16
+REGISTERS = 10
+Turn = Callable[[], Awaitable[None]]
+Script = Callable[[MemoryLoop], AbstractAsyncContextManager[Turn]]
+TCP = "tcp://127.0.0.1:0"
+PLANS = 4096
+"""So many reads a connection remembers; those that come later take the short road."""
+READ_AREA = 8000
+"""Where reads are made that are not remembered."""
+
+
+def read(transaction: int, address: int, count: int = REGISTERS) -> bytes:
+    return struct.pack(">HHHBBHH", transaction, 0, 6, 1, 3, address, count)
+
+
+def write(transaction: int, address: int) -> bytes:
+    values = bytes(2 * REGISTERS)
+    return struct.pack(">HHHBBHHB", transaction, 0, 7 + len(values), 1, 16, address, REGISTERS, len(values)) + values
+
+
+def in_batches(requests: Sequence[bytes]) -> list[bytes]:
+    """What arrives together."""
+    return [b"".join(requests[at : at + IN_FLIGHT]) for at in range(0, len(requests), IN_FLIGHT)]
+
+
+def port_of(endpoint: str) -> int:
+    return urlsplit(endpoint).port or 0
+
+
+def device() -> busway.Device:
+    return busway.Device(holding_registers=list(range(10_000)))
+
+
+def policy() -> busway.Policy:
+    """Twelve rules; the one that fits is the eleventh, and a window of registers."""
+    others = [busway.Rule.of(units=unit, peers=["10.0.0.0/8"], name=f"unit {unit}") for unit in range(2, 12)]
+    mine = busway.Rule.of(units=1, peers=["127.0.0.0/8"], table="holding", addresses="0-9999", name="mine")
+    return busway.Policy.of(*others, mine, busway.Rule.of(action="read-only", files="1-4", name="files"))
+
+
+@asynccontextmanager
+async def _asked(
+    loop: MemoryLoop, server: busway.Server, batches: Sequence[bytes], *first: bytes
+) -> AsyncIterator[Turn]:
+    async with server:
+        wire = loop.newcomer(port_of(server.endpoints[0]))
+        for one in first:
+            wire.feed(one)
+
+        async def turn() -> None:
+            for batch in batches:
+                wire.feed(batch)
+
+        yield turn
+
+
+READS = in_batches([read(number, number % IN_FLIGHT * REGISTERS) for number in range(TRANSACTIONS)])
+UNPLANNED = in_batches([read(number, READ_AREA + number) for number in range(TRANSACTIONS)])
+WRITES = in_batches([write(number, number) for number in range(TRANSACTIONS)])
+ALL_PLANS = in_batches([read(number, number, 1) for number in range(PLANS)])
+
+
+def server_planned_read(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """A poller: the same reads again and again."""
+    return _asked(loop, busway.serve(TCP, units={1: device()}), READS)
+
+
+def server_short_road(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Reads that are not remembered."""
+    return _asked(loop, busway.serve(TCP, units={1: device()}), UNPLANNED, *ALL_PLANS)
+
+
+def server_policy_window(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """The same behind a policy."""
+    return _asked(loop, busway.serve(TCP, units={1: device()}, policy=policy()), UNPLANNED, *ALL_PLANS)
+
+
+def server_short_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Writes that nobody looks at."""
+    return _asked(loop, busway.serve(TCP, units={1: device()}), WRITES)
+
+
+def server_long_road(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Writes that a program is told of: decode, handler, encode."""
+    watched = device()
+
+    @watched.on_write("holding_registers")
+    def written(change: busway.Change) -> None:
+        pass
+
+    return _asked(loop, busway.serve(TCP, units={1: watched}), WRITES)
+
+
+@asynccontextmanager
+async def server_audited_write(loop: MemoryLoop) -> AsyncIterator[Turn]:
+    """Writes behind a policy that are written down."""
+    with tempfile.TemporaryDirectory() as folder, busway.AuditLog(Path(folder) / "audit") as audit:
+        server = busway.serve(TCP, units={1: device()}, policy=policy(), audit=audit)
+        async with _asked(loop, server, WRITES) as turn:
+            yield turn
+
+
+@asynccontextmanager
+async def client_execute_many(loop: MemoryLoop) -> AsyncIterator[Turn]:
+    """One batch, one future."""
+    loop.listeners[1] = Device
+    batch = [busway.ReadHoldingRegisters(number * REGISTERS, REGISTERS) for number in range(TRANSACTIONS)]
+    async with busway.open("tcp://127.0.0.1:1", max_transactions=IN_FLIGHT) as link:
+        unit = link.unit(1)
+
+        async def turn() -> None:
+            await unit.execute_many(batch)
+
+        yield turn
+
+
+@asynccontextmanager
+async def client_await(loop: MemoryLoop) -> AsyncIterator[Turn]:
+    """Sixteen tasks that each await one read after the other."""
+    loop.listeners[1] = Device
+    async with busway.open("tcp://127.0.0.1:1", max_transactions=IN_FLIGHT) as link:
+        unit = link.unit(1)
+
+        async def task() -> None:
+            for _ in range(TRANSACTIONS // IN_FLIGHT):
+                await unit.read_holding_registers(0, count=REGISTERS)
+
+        async def turn() -> None:
+            await asyncio.gather(*(task() for _ in range(IN_FLIGHT)))
+
+        yield turn
+
+
+@asynccontextmanager
+async def gateway_forward(loop: MemoryLoop) -> AsyncIterator[Turn]:
+    """Reads of one client through a gateway to a server behind it."""
+    loop.listeners[1] = Device
+    plan = simple_plan([TCP], "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
+    async with Gateway(plan) as gateway:
+        wire = loop.newcomer(port_of(gateway.endpoints[0]))
+        reply = 9 + 2 * REGISTERS
+
+        async def turn() -> None:
+            for batch in READS:
+                wanted = wire.sent + reply * IN_FLIGHT
+                wire.feed(batch)
+                for _ in range(100):
+                    if wire.sent == wanted:
+                        break
+                    await asyncio.sleep(0)
+                else:
+                    raise RuntimeError("a gateway has not answered")
+
+        yield turn
+
+
+def rtu_server(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Reads in RTU, one after the other."""
+    frames = [encode_rtu(1, read(0, number * REGISTERS)[7:]) for number in range(TRANSACTIONS)]
+    return _asked(loop, busway.serve("rtu+tcp://127.0.0.1:0", units={1: device()}), frames)
+
+
+@asynccontextmanager
+async def rtu_client(loop: MemoryLoop) -> AsyncIterator[Turn]:
+    """A master in RTU, lock-step."""
+    request = encode_rtu(1, read(0, 0)[7:])
+    reply = encode_rtu(1, bytes((3, 2 * REGISTERS)) + NUMBERS[: 2 * REGISTERS])
+    loop.listeners[1] = lambda: Canned({request: reply})
+    async with busway.open("rtu+tcp://127.0.0.1:1") as link:
+        unit = link.unit(1)
+
+        async def turn() -> None:
+            for _ in range(TRANSACTIONS):
+                await unit.read_holding_registers(0, count=REGISTERS)
+
+        yield turn
+
+
+SCRIPTS: dict[str, Script] = {
+    "server, planned read": server_planned_read,
+    "server, short road": server_short_road,
+    "server, policy window": server_policy_window,
+    "server, short write": server_short_write,
+    "server, long road": server_long_road,
+    "server, audited write": server_audited_write,
+    "client, execute_many": client_execute_many,
+    "client, await": client_await,
+    "gateway, forward": gateway_forward,
+    "rtu, server": rtu_server,
+    "rtu, client": rtu_client,
+}
