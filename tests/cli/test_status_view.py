@@ -58,7 +58,7 @@ def test_lamps_are_words_and_colours() -> None:
 
 
 def test_a_column_that_says_nothing_is_left_out_and_an_unknown_one_is_shown() -> None:
-    sections = sections_of(told(listeners=[listener(foreign=0, damaged=3, novelty=7, interfaces=[{"name": "eth0"}])]))
+    sections = sections_of(told(listeners=[listener(foreign=0, damaged=3, novelty=7, interfaces=[])]))
     columns = sections[-1].columns
     assert {"damaged", "novelty"} <= set(columns)
     assert not {"foreign", "interfaces", "counters", "security"} & set(columns)
@@ -82,6 +82,18 @@ def test_places_and_refusals_are_told() -> None:
     )
     assert sections[1].title == "3 remote connections of 64 supported, 1 local"
     assert sections[2].rows == [["no writes", "4"]]
+
+
+@pytest.mark.clause("T20")
+def test_the_interfaces_of_a_listener_are_told_with_netmask_and_gateway_but_loopback() -> None:
+    interfaces = [
+        {"name": "lo", "address": "127.0.0.1", "netmask": "255.0.0.0", "gateway": ""},
+        {"name": "eth0", "address": "10.0.0.5", "netmask": "255.255.255.0", "gateway": "10.0.0.1"},
+    ]
+    section = sections_of(told(listeners=[listener(interfaces=interfaces)]))[-1]
+    assert section.columns == ("listener", "interface", "address", "netmask", "gateway")
+    assert section.rows == [["tls://10.0.0.1:802", "eth0", "10.0.0.5", "255.255.255.0", "10.0.0.1"]]
+    assert len(sections_of(told(listeners=[listener(interfaces=interfaces[:1])]))) == 2
 
 
 @pytest.mark.parametrize(

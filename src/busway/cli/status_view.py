@@ -103,6 +103,9 @@ def server_sections(state: JsonObject) -> list[Section]:
         sections.append(Section(places))
     if state.get("listeners"):
         sections.append(_table([_flat(one) for one in state["listeners"]], _LISTENER_COLUMNS, ""))
+    interfaces = [row for one in state.get("listeners") or () for row in interface_rows(one)]
+    if interfaces:
+        sections.append(Section("", ("listener", "interface", "address", "netmask", "gateway"), interfaces))
     certificates = [line for one in state.get("listeners") or () for line in certificate_lines(one)]
     if certificates:
         sections.append(Section("certificates", (), certificates))
@@ -177,6 +180,13 @@ def places_line(state: JsonObject) -> str:
     remote = state.get("remote_connections", len(_connections(state)))
     line = f"{remote} remote connection{'' if remote == 1 else 's'} of {state['supported_connections']} supported"
     return f"{line}, {state['local_connections']} local" if "local_connections" in state else line
+
+
+def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
+    """The interfaces beyond loopback by which a listener is reached; what they are set to is the system's business."""
+    for one in listener.get("interfaces") or ():
+        if not (one["address"].startswith("127.") or one["address"] == "::1"):
+            yield [listener["endpoint"], one["name"], one["address"], one["netmask"], one["gateway"]]
 
 
 def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
