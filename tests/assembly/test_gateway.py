@@ -13,6 +13,7 @@ from busway.gateway.gateway import Gateway
 from busway.gateway.routes import Action, AddressRange
 from busway.server.parameters import ListenerParameters
 from busway.session.parameters import Scope
+from busway.testing.line import PacedLine
 
 GOOD = Path(__file__).parents[1] / "config" / "files" / "gateway.toml"
 ANY_PORT = "tcp://127.0.0.1:0"
@@ -164,6 +165,46 @@ async def test_a_front_that_is_renamed_changed_or_added_leaves_the_others_alone(
                 assert await read_from(other, 1) == [100]
             assert await read_from(link, 2) == [200]
             assert link.counters.connections == 1
+
+
+async def test_what_a_front_tells_its_requests_changes_without_its_connections() -> None:
+    async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
+        files = Files(one.endpoints[0], one.endpoints[0])
+        files.text = FRONT + ROUTES
+        async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
+            assert await read_from(link, 1) == [100]
+            files.text = FRONT + "client_deadline = 4.5\n" + ROUTES
+            assert await service.reload() == ["front front changed"]
+            gateway = service.server
+            assert isinstance(gateway, Gateway)
+            assert gateway.plan.fronts[0].deadline == 4.5
+            assert await read_from(link, 2) == [200]
+            assert link.counters.connections == 1
+
+
+async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_request() -> None:
+    with PacedLine(ports=2, baud=115_200) as wire:
+        near, far = (f"rtu://{path}?baud=115200" for path in wire.paths)
+        async with busway.serve(far, units={1: device(100), 2: device(200)}):
+            options = ["timeout = 0.3\n"]
+            text = FRONT + f'[[line]]\nname = "a"\nurl = "{near}"\n'
+            service = Service(
+                lambda: parse_gateway(text + options[0], "x.toml"), Wishes(control="off", can_reload=True)
+            )
+            async with service, busway.open(service.server.endpoints[0]) as link:
+                assert await read_from(link, 1) == [100]
+                options[0] = "timeout = 0.4\n"
+                assert await service.reload() == ["line a changed"]
+                assert await read_from(link, 2) == [200]
+                # The front that is added can not be had: the line has its port, and its options, again.
+                options[0] = "timeout = 0.5\n" + FRONT.replace("front", "x").replace("127.0.0.1:0", "192.0.2.1:5020")
+                with pytest.raises(busway.LinkDown, match="can not listen"):
+                    await service.reload()
+                gateway = service.server
+                assert isinstance(gateway, Gateway)
+                assert gateway.plan.lines[0].link.parameters.timeout == 0.4
+                assert await read_from(link, 1) == [100]
+                assert link.counters.connections == 1
 
 
 async def test_what_can_not_be_had_changes_nothing_neither_routes_nor_policy() -> None:

@@ -79,7 +79,7 @@ def test_show_prints_every_value_that_holds_in_the_words_of_the_file(run: Callab
 
 
 @pytest.mark.clause("T33")
-@pytest.mark.parametrize(("arguments", "permitted"), [((), True), (("--device",), False)])
+@pytest.mark.parametrize(("arguments", "permitted"), [((), True), (("--device",), False), (("--gateway",), True)])
 def test_the_schema_is_json_and_judges_files(
     run: Callable[..., Any], arguments: tuple[str, ...], permitted: bool
 ) -> None:

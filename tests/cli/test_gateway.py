@@ -393,3 +393,11 @@ def test_the_unit_file_for_systemd_starts_what_the_same_words_start(tmp_path: Pa
     (start,) = re.findall(r"^ExecStart=(.*)$", out, re.MULTILINE)
     assert start.endswith(f"gateway {file} --policy read-only --audit /var/a.jsonl --control /run/busway/plant.sock")
     assert "ReadWritePaths=/var\n" in out
+
+
+def test_what_the_policy_of_a_gateway_file_permits_is_asked_like_any_other() -> None:
+    file = Path(__file__).parents[1] / "config" / "files" / "gateway.toml"
+    with Busway("policy", "test", str(file), "--peer", "10.0.0.7", "--request", "write 4x1 5") as program:
+        out, said = program.end()
+    assert (program.process.returncode, said) == (0, "")
+    assert "allowed" in out

@@ -28,15 +28,17 @@ def config(
     file: str | None = typer.Argument(None, metavar="[FILE]", help="The configuration file, for check and show."),
     device: bool = typer.Option(False, "--device", help="schema: of device files alone."),
     simulation: bool = typer.Option(False, "--simulation", help="schema: of simulation files."),
+    gateway: bool = typer.Option(False, "--gateway", help="schema: of gateway files."),
 ) -> int:
     """Check and explain configuration files."""
     actions: dict[str, Callable[[str], None]] = {"check": _check, "show": _show}
+    kinds = {"--device": device, "--simulation": simulation, "--gateway": gateway}
     if action == "schema":
         if file is not None:
             raise ConfigError("schema takes no file", key=file)
-        _print_schema(device, simulation)
+        _print_schema([name for name, is_given in kinds.items() if is_given])
     elif action in actions:
-        for is_given, name in ((device, "--device"), (simulation, "--simulation")):
+        for name, is_given in kinds.items():
             if is_given:
                 raise ConfigError("is for schema", key=name)
         if file is None:
@@ -65,19 +67,17 @@ def _show(file: str) -> None:
         print(line)
 
 
-def _print_schema(device: bool, simulation: bool) -> None:
-    from ..config.files.device import DeviceFile
-    from ..config.files.schema import json_schema
-    from ..config.files.system import SystemFile
+def _print_schema(kinds: list[str]) -> None:
+    from ..config.files import device, gateway, simulation, system
+    from ..config.files.schema import Section, json_schema
 
-    if device and simulation:
-        raise ConfigError("goes without --device", key="--simulation")
-    if simulation:
-        from ..config.files.simulation import SimulationFile
-
-        made = json_schema(SimulationFile, "busway simulation file")
-    elif device:
-        made = json_schema(DeviceFile, "busway device file")
-    else:
-        made = json_schema(SystemFile, "busway configuration")
-    print(json.dumps(made, indent=2, ensure_ascii=False))
+    schemas: dict[str, type[Section]] = {
+        "--device": device.DeviceFile,
+        "--simulation": simulation.SimulationFile,
+        "--gateway": gateway.GatewayFile,
+    }
+    if len(kinds) > 1:
+        raise ConfigError(f"goes without {kinds[0]}", key=kinds[1])
+    schema = schemas[kinds[0]] if kinds else system.SystemFile
+    title = f"busway {kinds[0].removeprefix('--')} file" if kinds else "busway configuration"
+    print(json.dumps(json_schema(schema, title), indent=2, ensure_ascii=False))

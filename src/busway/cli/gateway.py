@@ -210,18 +210,14 @@ async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, man
     """Let what was asked be answered, unless somebody is in a hurry."""
     waiting = gateway.open_requests
     manager.stopping(f"{waiting} requests to answer")
-    if not waiting:
-        return
-    say(f"{waiting} requests are answered before it ends, within {seconds:g} s; another signal ends it at once")
+    if waiting:
+        say(f"{waiting} requests are answered before it ends, within {seconds:g} s; another signal ends it at once")
     draining = asyncio.ensure_future(gateway.drain(seconds))
     hurried = asyncio.ensure_future(at_once.wait())
     await asyncio.wait({draining, hurried}, return_when=asyncio.FIRST_COMPLETED)
+    left = draining.result() if draining.done() else gateway.open_requests
+    draining.cancel()
     hurried.cancel()
-    if draining.done():
-        left = draining.result()
-    else:
-        left = gateway.open_requests
-        draining.cancel()
     await asyncio.gather(draining, hurried, return_exceptions=True)
     if left:
         say(f"{left} requests were left unanswered")

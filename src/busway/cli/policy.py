@@ -3,7 +3,7 @@
 1. ``test`` asks what a server would ask: first whether the host may connect, then the rules. A request that depends on
    what stands in a register (function 22 under limits) is judged as a gateway judges it, which can not look.
 2. Exit code 0: allowed; 4: refused.
-3. The file is a policy file, or a configuration file that has a policy.
+3. The file is a policy file, or a configuration or gateway file that has a policy.
 """
 
 import re
@@ -90,11 +90,17 @@ def _access_rules(file: str) -> "AccessRules":
     from ..config.files.policy import parse_policy_file
     from ..config.files.schema import read_source
 
-    if set(read_source(text, file).data) <= {"policy"}:
+    sections = set(read_source(text, file).data)
+    if sections <= {"policy"}:
         return parse_policy_file(text, file)
-    from ..assembly.configuration import parse_configuration
+    if "line" in sections:
+        from ..assembly.gateway import parse_gateway
 
-    access = parse_configuration(text, file).access
+        access = parse_gateway(text, file).access
+    else:
+        from ..assembly.configuration import parse_configuration
+
+        access = parse_configuration(text, file).access
     if access is None:
         raise ConfigError("there is no policy in it", file=file)
     return access

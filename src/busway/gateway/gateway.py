@@ -13,7 +13,7 @@ Knows servers, routes and lines; knows no file.
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -179,6 +179,12 @@ class _RunningFront:
     guard: PolicyHandler | None
     server: Server
 
+    def follow(self, front: Front) -> None:
+        """Take on what differs beside the listener; connections stay."""
+        self.front = front
+        self.handler.deadline = front.deadline
+        self.handler.silent_broadcasts = front.silent_broadcasts
+
 
 @dataclass(frozen=True)
 class GatewayPlan:
@@ -331,39 +337,49 @@ class Gateway:
             )
         old_lines = {one.name: one for one in self.plan.lines}
         old_fronts = {one.name: one for one in self.plan.fronts}
-        new_lines = {one.name: _opened(one) for one in plan.lines if old_lines.get(one.name) != one}
-        lines = {one.name: new_lines.get(one.name) or self._lines[one.name] for one in plan.lines}
-        fresh = {one.name: one for one in plan.fronts if old_fronts.get(one.name) != one}
-        kept = {one.name for one in plan.fronts if one.name not in fresh}
-        started: dict[str, _RunningFront] = {}
-        going = [each for name, each in self._fronts.items() if name not in kept]
+        same_lines = {one.name: self._lines[one.name] for one in plan.lines if old_lines.get(one.name) == one}
+        same_fronts = {
+            one.name: self._fronts[one.name]
+            for one in plan.fronts
+            if one.name in self._fronts and old_fronts[one.name].listener == one.listener
+        }
+        closing = [line for name, line in self._lines.items() if name not in same_lines]
+        ports = [line for line in closing if line.settings.endpoint.carrier == "serial"]
+        going = [each for name, each in self._fronts.items() if name not in same_fronts]
+        lines, fronts = dict(same_lines), dict(same_fronts)
         try:
+            # They may hold the very ports that new ones want.
             for each in going:
-                await each.server.stop()  # it may hold the very port that a new one wants
-            for name, front in fresh.items():
-                started[name] = self._made(front, plan, lines, policy or self._policy)
-                await started[name].server.start()
-        except BaseException:
-            for each in started.values():
                 await each.server.stop()
+            for line in ports:
+                await line.close()
+            for settings in plan.lines:
+                if settings.name not in lines:
+                    lines[settings.name] = _opened(settings)
+            for front in plan.fronts:
+                if front.name not in fronts:
+                    fronts[front.name] = made = self._made(front, plan, lines, policy or self._policy)
+                    await made.server.start()
+        except BaseException:
+            for name in fronts.keys() - same_fronts.keys():
+                await fronts[name].server.stop()
+            for name in lines.keys() - same_lines.keys():
+                await lines[name].close()
+            for line in ports:
+                _open(line, old_lines[line.name])
             for each in going:
                 await each.server.start()
-            for line in new_lines.values():
-                await line.close()
             raise
-        closing = [line for name, line in self._lines.items() if lines.get(name) is not line]
-        said = [
-            *(f"front {name} {'changed' if name in old_fronts else 'added'}" for name in fresh),
-            *(f"front {name} closed" for name in old_fronts if name not in fresh and name not in kept),
-            *(f"line {name} {'changed' if name in old_lines else 'added'}" for name in new_lines),
-            *(f"line {line.name} closed" for line in closing if line.name not in lines),
-        ]
+        said = [*_changes("front", old_fronts, plan.fronts), *_changes("line", old_lines, plan.lines)]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
-        fronts = {one.name: started.get(one.name) or self._fronts[one.name] for one in plan.fronts}
-        self.plan, self._lines, self._fronts = plan, lines, fronts
-        self._running = dict(fronts)
-        self._follow(fronts.values())
+        self.plan = plan
+        self._lines = {one.name: lines[one.name] for one in plan.lines}
+        self._fronts = {one.name: fronts[one.name] for one in plan.fronts}
+        self._running = dict(self._fronts)
+        for front in plan.fronts:
+            fronts[front.name].follow(front)
+        self._follow(self._fronts.values())
         for line in closing:
             await line.close()
         return said
@@ -519,9 +535,23 @@ def _opened(settings: LineSettings) -> Line:
         share_reads=settings.share_reads,
         broadcast=settings.broadcast,
     )
+    _open(line, settings)
+    return line
+
+
+def _open(line: Line, settings: LineSettings) -> None:
     line.open()
     line.leave_alone(settings.unit_gaps)
-    return line
+
+
+def _changes(what: str, old: Mapping[str, Front | LineSettings], new: Iterable[Front | LineSettings]) -> Iterator[str]:
+    """What there is to say of fronts, or of lines."""
+    names = set()
+    for one in new:
+        names.add(one.name)
+        if old.get(one.name) != one:
+            yield f"{what} {one.name} {'changed' if one.name in old else 'added'}"
+    yield from (f"{what} {name} closed" for name in old if name not in names)
 
 
 def _line_numbers(line: LineStatus) -> list[int]:
