@@ -113,7 +113,11 @@ def test_parameters_keep_their_type_where_nothing_stands_around_them() -> None:
         (including(), "listen = []\n" + METER, "meter.toml:1: listen: there is no such key"),
         (including(), "[[", "meter.toml:1:"),
         (including('"1-3, 3"'), METER, "plant.toml:3: include[0].units: unit 3 is there twice"),
-        ("[[unit]]\nunit = 3\ncoils = 1\n" + including('"1-3"'), METER, "meter.toml:7: unit[0]: unit 3 is there already"),
+        (
+            "[[unit]]\nunit = 3\ncoils = 1\n" + including('"1-3"'),
+            METER,
+            "meter.toml:7: unit[0]: unit 3 is there already",
+        ),
         ('required = ["a"]\n[[unit]]\nunit = 1\n', METER, "plant.toml:1: required: can only be given by who includes"),
         ('[[unit]]\nunit = [1, 2]\nname = "${unit}"\n', METER, "plant.toml:3: unit[0].name: there is no parameter"),
         ('[[include]]\nfile = "away.toml"\n', METER, "plant.toml:2: include[0].file: away.toml: can not be read"),
@@ -156,7 +160,22 @@ def _mutations(text: str, count: int, seed: int) -> list[str]:
     """Texts that differ from one in some place, as slips of a hand and of a program do."""
     chance = random.Random(seed)
     lines = text.splitlines()
-    values = ["", "-1", "1e400", '"x"', "[]", "{}", "true", "65536", "0.5", '"${base"', '"${x}"', "nan", '"1/0"', "[[1]]"]
+    values = [
+        "",
+        "-1",
+        "1e400",
+        '"x"',
+        "[]",
+        "{}",
+        "true",
+        "65536",
+        "0.5",
+        '"${base"',
+        '"${x}"',
+        "nan",
+        '"1/0"',
+        "[[1]]",
+    ]
     found = []
     while len(found) < count:
         fresh = list(lines)

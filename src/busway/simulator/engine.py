@@ -178,43 +178,53 @@ class Engine:
         Returns:
             Whether all of it is done.
         """
+        if skip:
+            self._leave_out(until)
         while self._heap and self._heap[0][0] <= until:
             due, rank, unit, _, task = heapq.heappop(self._heap)
             if isinstance(task, _Release):
                 self._released(task, due)
                 continue
-            tasks = [task]
+            groups = [task]
             while self._heap and self._heap[0][:3] == (due, rank, unit):
                 other = heapq.heappop(self._heap)[4]
                 assert isinstance(other, _Group)  # releases have a rank of their own
-                tasks.append(other)
-            time = self._run(tasks, rank, due, until if skip else due)
-            for each in tasks:
-                each.step = max(each.step, math.floor(time / each.every + _ROUNDING)) + 1
-                self._push(each.due(), rank, unit, each)
+                groups.append(other)
+            self._run(groups, rank, due)
+            for group in groups:
+                group.step += 1
+                self._push(group.due(), rank, unit, group)
             if pause():
                 break
         return not self._heap or self._heap[0][0] > until
 
-    def _run(self, tasks: list[_Group], rank: int, due: float, until: float) -> float:
-        """Do what some groups do at a moment, and say at which: a later one where those between are left out."""
-        time = due
-        if until > due:
-            time = max(due, *(math.floor(until / each.every) * each.every for each in tasks))
+    def _leave_out(self, until: float) -> None:
+        """Let what has several moments behind it begin with the last of them."""
+        first = self._heap[0][4] if self._heap else None
+        if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
+            return
+        old, self._heap = self._heap, []
+        for due, rank, unit, _, task in old:
+            if isinstance(task, _Group):
+                task.step = max(task.step, math.floor(until / task.every + _ROUNDING))
+                due = task.due()
+            self._push(due, rank, unit, task)
+
+    def _run(self, groups: list[_Group], rank: int, time: float) -> None:
+        """Do what some groups of one unit do at a moment."""
         if rank == _LAST:
-            for group in tasks:
+            for group in groups:
                 for driven in group.driven:
                     assert is_observer(driven.behaviour)
                     driven.behaviour.observe(time)
-            return time
-        key = tuple(tasks)
+            return
+        key = tuple(groups)
         batch = self._batches.get(key)
         if batch is None:
-            batch = self._batches[key] = _Batch(tasks)
+            batch = self._batches[key] = _Batch(groups)
         changed = batch.run(time)
         if changed:
             self._changed(changed, time)
-        return time
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
         """Let a point stay as it was set by hand at a time; for as long as its behaviour says, or until `release`."""

@@ -38,7 +38,10 @@ def test_device_and_configuration_files_are_simulation_files(name: str) -> None:
         ("minimum = 5\nmaximum = 4", "x.toml:7: unit[0].point[0].maximum: must be at least the minimum, 5, not 4"),
         ("minimum = 5\nvalue = 4", "x.toml:7: unit[0].point[0].value: must be at least 5, not 4"),
         ("minimum = 1\nmaximum = 3\nvalue = 4", "x.toml:8: unit[0].point[0].value: must be 1…3, not 4"),
-        ('type = "string:4"\nmaximum = 4', "x.toml:7: unit[0].point[0].maximum: 'a' holds no number and has no maximum"),
+        (
+            'type = "string:4"\nmaximum = 4',
+            "x.toml:7: unit[0].point[0].maximum: 'a' holds no number and has no maximum",
+        ),
         ('value = "on"\nenumeration = { off = 0 }', "unit[0].point[0].value: there is no 'on'; there are off"),
         ("value = 3\nenumeration = { off = 0, on = 1 }", "point[0].value: must be off (0), on (1), not 3"),
         ("enumeration = { off = 0, on = 0 }", "unit[0].point[0].enumeration.on: 0 is 'off' already"),

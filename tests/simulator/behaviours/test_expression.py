@@ -38,7 +38,9 @@ def test_what_is_written_is_computed(text: str, value: float) -> None:
     assert computed(text, 10.5) == pytest.approx(value)
 
 
-@pytest.mark.parametrize("text", ["1 / (a - 2)", "sqrt(-1)", "log(0)", "exp(1e9)", "(-8) ** 0.5", "1 % 0", "10.0 ** 400"])
+@pytest.mark.parametrize(
+    "text", ["1 / (a - 2)", "sqrt(-1)", "log(0)", "exp(1e9)", "(-8) ** 0.5", "1 % 0", "10.0 ** 400"]
+)
 def test_what_can_not_be_computed_is_no_number(text: str) -> None:
     assert math.isnan(computed(text))
 

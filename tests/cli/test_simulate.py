@@ -1,0 +1,142 @@
+"""`busway simulate`: as a process of its own, on several listeners, for a time or until a signal."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import busway
+
+PROGRAM = [sys.executable, "-m", "busway", "simulate"]
+
+FILE = """\
+listen = ["tcp://127.0.0.1:0"]
+
+[simulation]
+keep = "state.json"
+
+[[unit]]
+unit = 3
+name = "tank"
+
+[[unit.point]]
+name = "level"
+address = "4x1"
+type = "float32"
+value = 2.5
+
+[[unit.point]]
+name = "pulses"
+address = "3x1"
+type = "uint32"
+behaviour = { kind = "counter", rate = 1, every = 0.1 }
+
+[[unit.point]]
+name = "noise"
+address = "3x3"
+type = "float32"
+behaviour = { kind = "noise", spread = 1, every = 1000 }
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A simulation file."""
+    path = tmp_path / "tank.toml"
+    path.write_text(FILE)
+    return path
+
+
+@contextmanager
+def simulating(*arguments: str, listeners: int = 1) -> Iterator[tuple["subprocess.Popen[str]", Sequence[str]]]:
+    """The running process, and the endpoints that it printed."""
+    process = subprocess.Popen([*PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    with process:
+        try:
+            yield process, [process.stdout.readline().strip() for _ in range(listeners)]
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_points_behave_on_every_listener_until_a_signal_and_are_kept(number: signal.Signals, file: Path) -> None:
+    urls = ["tcp://127.0.0.1:0", "udp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0"]
+    options = [word for url in urls for word in ("--listen", url)]
+    with simulating(str(file), "--speed", "1000", *options, listeners=3) as (process, endpoints):
+        found = []
+        for endpoint in endpoints:
+            with busway.connect(endpoint) as link:
+                link.unit(3).write("4x1", 1.25, "float32")
+                found.append(link.unit(3).read("3x1", "uint32"))
+        deadline = time.monotonic() + 20
+        with busway.connect(endpoints[0]) as link:
+            while link.unit(3).read("3x1", "uint32") <= found[0]:
+                assert time.monotonic() < deadline
+        process.send_signal(number)
+        _, said = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "Traceback" not in said
+    state = json.loads((file.parent / "state.json").read_text())
+    assert state["points"]["3/level"]["value"] == 1.25
+    assert state["points"]["3/pulses"]["behaviour"] >= found[-1]
+
+
+def test_it_ends_by_itself_after_the_time_it_is_given(file: Path) -> None:
+    with simulating(str(file), "--for", "50ms") as (process, (endpoint,)):
+        assert endpoint.startswith("tcp://127.0.0.1:")
+        assert process.wait(timeout=20) == 0
+
+
+def test_the_seed_decides_what_chance_gives(file: Path) -> None:
+    values = []
+    for seed in ("1", "1", "2"):
+        (file.parent / "state.json").unlink(missing_ok=True)
+        with simulating(str(file), "--seed", seed) as (_, (endpoint,)), busway.connect(endpoint) as link:
+            values.append(link.unit(3).read("3x3", "float32"))
+    assert values[0] == values[1] != values[2]
+
+
+def test_check_says_what_the_file_comes_to_and_serves_nothing(run: Callable[..., Any], file: Path) -> None:
+    result = run("simulate", str(file), "--check")
+    assert (result.code, result.out, result.err) == (0, "unit 3: tank: 3 points, 2 with a behaviour\n", "")
+
+
+def test_a_bad_file_is_refused_with_file_and_line(run: Callable[..., Any], file: Path) -> None:
+    file.write_text(FILE.replace("rate = 1", 'rate = "x + 1"'))
+    result = run("simulate", str(file))
+    assert result.code == 2
+    assert result.out == ""
+    assert result.err.startswith(f"{file}:20: unit[0].point[1].behaviour.rate: there is no point 'x'")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--speed", "0"), ("--speed", "fast"), ("--seed", "-1"), ("--seed", "x"), ("--for", "0")]
+)
+def test_an_option_that_can_not_be_is_refused_by_its_name(
+    run: Callable[..., Any], file: Path, option: str, value: str
+) -> None:
+    result = run("simulate", str(file), f"{option}={value}")
+    assert result.code == 2
+    assert option in result.err
+
+
+def test_a_state_that_can_not_be_read_is_said(file: Path) -> None:
+    (file.parent / "state.json").write_text("{")
+    with simulating(str(file), "--for", "10ms") as (process, _):
+        _, said = process.communicate(timeout=20)
+    assert "begins anew" in said
+    assert process.returncode == 0
+
+
+def test_the_schema_of_simulation_files_can_be_had(run: Callable[..., Any]) -> None:
+    result = run("config", "schema", "--simulation")
+    assert result.code == 0
+    assert "random-walk" in json.dumps(json.loads(result.out))
