@@ -3,6 +3,7 @@
 1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
 2. Units and behaviours are those of the start: what is read again is policy, lists and certificates.
+3. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if it has one.
 """
 
 import asyncio
@@ -10,6 +11,7 @@ import math
 import re
 from collections.abc import Callable
 from contextlib import AsyncExitStack, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -17,7 +19,7 @@ import typer
 from ..errors import ConfigError
 from .arguments import CAPTURE, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
-from .files import capturing
+from .files import capturing, read_text
 from .output import say
 from .running import (
     ALLOW,
@@ -40,12 +42,14 @@ from .signals import stop_event
 if TYPE_CHECKING:
     from ..assembly.service import Declared, Service
     from ..simulator.simulation import Simulation
+    from ..web.hosting import ControlPage
 
 EXAMPLES = """\b
 Examples:
   busway simulate plant.toml
   busway simulate plant.toml --listen tcp://127.0.0.1:1502 --listen rtu:///dev/ttyUSB0?baud=9600
   busway simulate plant.toml --seed 7 --speed 60 --for 1m
+  busway simulate plant.toml --api 127.0.0.1:8502
   busway simulate plant.toml --check
 
 The same file and seed give the same values. A listener that the network reaches is read-only without a policy;
@@ -65,6 +69,12 @@ def simulate(
     speed: str = typer.Option("1", "--speed", metavar="X", help="Seconds of the simulation in a second: 60."),
     duration: str | None = typer.Option(None, "--for", metavar="TIME", help="End after this time: 10s, 5m."),
     check: bool = typer.Option(False, "--check", help="Say what the file comes to, or what is wrong with it; no more."),
+    api: str | None = typer.Option(
+        None, "--api", metavar="HOST:PORT", help="Offer the control API and its page here: 127.0.0.1:8502."
+    ),
+    api_token: str | None = typer.Option(
+        None, "--api-token", metavar="FILE", help="The token of the API, in a file; without, one is made where needed."
+    ),
     no_standard_port: bool = NO_STANDARD_PORT,
     policy: str | None = POLICY,
     allow_writes: bool = ALLOW_WRITES,
@@ -106,9 +116,10 @@ def simulate(
         name="simulator",
     )
     service = Service(_reader(simulation, file, changes), wishes)
+    page = None if api is None else _page(simulation, api, api_token, file)
     show_traffic(verbose)
     with capturing(capture):
-        run(_simulate(simulation, service, limit))
+        run(_simulate(simulation, service, page, limit))
     return ExitCode.DONE
 
 
@@ -127,6 +138,18 @@ def _reader(simulation: "Simulation", file: str, changes: dict[str, Any]) -> "Ca
     return lambda: first.pop() if first else load_declaration(file, changes=changes).configuration
 
 
+def _page(simulation: "Simulation", api: str, token_file: str | None, file: str) -> "ControlPage":
+    try:
+        from ..web.hosting import ControlPage
+    except ImportError as error:
+        raise ConfigError(
+            f"{error.name} is not installed; it comes with: pip install 'busway[web]'", key="--api"
+        ) from error
+
+    token = None if token_file is None else read_text(token_file).strip()
+    return ControlPage(simulation, api, token=token, name=Path(file).stem)
+
+
 def _print_units(simulation: "Simulation") -> None:
     for unit in simulation.units.values():
         moving = sum(point.behaviour != "" for point in unit.points.values())
@@ -134,12 +157,17 @@ def _print_units(simulation: "Simulation") -> None:
         print(f"unit {unit.unit}:{name} {len(unit.points)} points, {moving} with a behaviour")
 
 
-async def _simulate(simulation: "Simulation", service: "Service", limit: float | None) -> None:
+async def _simulate(
+    simulation: "Simulation", service: "Service", page: "ControlPage | None", limit: float | None
+) -> None:
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(read_again_on_hangup(service))
             await stack.enter_async_context(service)
             await stack.enter_async_context(simulation.driven(service.server))
+            if page is not None:
+                await stack.enter_async_context(page)
+                say(f"control API and page on {page.page_url}")
             for sentence in simulation.warnings:
                 say(sentence)
             announce(service)

@@ -16,7 +16,7 @@ from ..control.plain import plain
 from ..errors import ModbusError
 from ..values.refusal import shown
 from ..version import __version__
-from .faults import Board, all_faults, all_personalities, fault_named, put_on
+from .faults import all_faults, all_personalities, fault_named, put_on
 from .messages import (
     Answer,
     Connections,
@@ -44,7 +44,7 @@ from .messages import (
     plain_value,
 )
 from .operations import Call, Operation, Problem
-from .subject import Paced, Pausable, Point, Served, Subject
+from .subject import Board, Paced, Pausable, Point, Served, Subject
 from .traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
@@ -63,14 +63,12 @@ class Api:
         subject: the simulation.
         traffic: the frames that passed.
         name: what the simulation is called.
-        board: its faults; None where nothing goes wrong on purpose.
         order: its points in their order, as the stream numbers them.
         places: the number of each point by its key.
     """
 
     subject: Subject
     traffic: TrafficTail
-    board: Board | None = None
     name: str = "simulation"
     order: list[Point] = field(init=False)
     places: dict[str, int] = field(init=False)
@@ -142,7 +140,6 @@ class Api:
                 self.add_fault,
                 body=NewFault,
                 status=HTTPStatus.CREATED,
-                failures={HTTPStatus.CONFLICT: "This simulation plays no faults."},
             ),
             Operation(
                 "PATCH",
@@ -313,37 +310,39 @@ class Api:
 
     # Faults.
 
+    @property
+    def board(self) -> Board:
+        """What goes wrong on purpose."""
+        return self.subject.board
+
     def faults(self) -> list[FaultAnswer]:
         """All that were put on."""
-        return [] if self.board is None else all_faults(self.board)
+        return all_faults(self.board)
 
     async def list_faults(self, call: Call) -> Answer:
         """Faults and personalities."""
-        return Faults(faults=self.faults(), personalities=[] if self.board is None else all_personalities(self.board))
+        return Faults(faults=self.faults(), personalities=all_personalities(self.board))
 
     async def add_fault(self, call: Call) -> Answer:
         """Put one on."""
-        if self.board is None:
-            raise Problem(HTTPStatus.CONFLICT, "this simulation plays no faults")
         return put_on(self.board, call.body)
 
     async def switch_fault(self, call: Call) -> Answer:
         """Switch one."""
-        board, name = self._fault(call)
-        board.switch(name, on=call.body.on)
-        return fault_named(board, name)
+        name = self._fault(call)
+        self.board.switch(name, on=call.body.on)
+        return fault_named(self.board, name)
 
     async def remove_fault(self, call: Call) -> Answer:
         """Take one off."""
-        board, name = self._fault(call)
-        board.remove(name)
+        self.board.remove(self._fault(call))
         return Nothing()
 
-    def _fault(self, call: Call) -> tuple[Board, str]:
+    def _fault(self, call: Call) -> str:
         name = call.path["name"]
-        if self.board is None or not any(one.name == name for one in self.board.list()):
+        if not any(one.name == name for one in self.board.list()):
             raise Problem(HTTPStatus.NOT_FOUND, f"there is no fault {shown(name)}")
-        return self.board, name
+        return name
 
     # The server.
 

@@ -3,45 +3,14 @@
 Knows a board of faults and the personalities they are made of; knows no HTTP.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
-from typing import Any, Protocol
+from typing import Any
 
 from ..errors import ConfigError
 from ..testing.faults import Schedule, Selection
-from ..testing.personality import Personality, PersonalityTable
+from ..testing.personality import Personality
 from .messages import FaultAnswer, NewFault, ParameterAnswer, PersonalityAnswer, plain_value, plain_values
-
-
-class Board(Protocol):
-    """Faults by name; `busway.simulator.faults.board.FaultBoard` says what each of these does."""
-
-    @property
-    def personalities(self) -> PersonalityTable: ...
-
-    def add(
-        self,
-        personality: str,
-        *,
-        name: str = "",
-        units: Collection[int] | None = None,
-        functions: Collection[int] | None = None,
-        addresses: range | None = None,
-        probability: float = 1.0,
-        schedule: Schedule | None = None,
-        on: bool = True,
-        parameters: Mapping[str, Any] | None = None,  # Any: as the personality declares them
-    ) -> str: ...
-
-    def switch(self, name: str, *, on: bool) -> None: ...
-
-    def remove(self, name: str) -> None: ...
-
-    def list(self) -> Sequence[Any]: ...  # Any: `FaultStatus`
-
-    def status(self, name: str) -> Any: ...
-
-    def watch(self, changed: Callable[[], None]) -> Callable[[], None]: ...
+from .subject import Board
 
 
 def all_faults(board: Board) -> list[FaultAnswer]:

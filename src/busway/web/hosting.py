@@ -36,7 +36,6 @@ from ..observe.http import bind_tcp, bound_name, parse_host_port
 from ..version import __version__
 from .access import Access, AccessRules, Application, Message, Receive, Refused, Scope, Send
 from .api import Api
-from .faults import Board
 from .operations import failed, openapi
 from .stream import Streams
 from .subject import Subject
@@ -98,7 +97,6 @@ class ControlPage:
     Args:
         subject: the simulation, which runs.
         at: host and port; port 0 takes a free one.
-        faults: what goes wrong on purpose; a `FaultBoard`.
         token: what every request to the API must show. None: none on loopback, and one that is made elsewhere.
         name: of the simulation, for the page.
 
@@ -117,7 +115,6 @@ class ControlPage:
         subject: Subject,
         at: str = DEFAULT_ADDRESS,
         *,
-        faults: Board | None = None,
         token: str | None = None,
         name: str = "simulation",
     ) -> None:
@@ -130,7 +127,7 @@ class ControlPage:
         self.url = ""
         self.token = ""
         self.traffic = Traffic(self._ports)
-        self.api = Api(subject, self.traffic, faults, name)
+        self.api = Api(subject, self.traffic, name)
         self.streams = Streams(self.api)
         self._server: _Server | None = None
         self._task: asyncio.Task[None] | None = None

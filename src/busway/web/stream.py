@@ -249,9 +249,8 @@ class Streams:
             self._unwatch = [
                 self._api.subject.watch(self._changed),
                 self._api.traffic.watch(self._passed),
+                self._api.board.watch(self._switched),
             ]
-            if self._api.board is not None:
-                self._unwatch.append(self._api.board.watch(self._switched))
 
     def _leave(self, client: Client) -> None:
         self._clients.remove(client)

@@ -3,11 +3,13 @@
 Knows the shape of a simulation; knows no implementation. `busway.simulator.simulation` has it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from ..codes import Table
 from ..server.status import ServerStatus
+from ..testing.faults import Schedule
+from ..testing.personality import PersonalityTable
 
 
 class Point(Protocol):
@@ -91,6 +93,37 @@ class Served(Protocol):
 Watcher = Callable[[Sequence[Any]], None]  # Any: `PointChange`
 
 
+class Board(Protocol):
+    """Faults by name; `busway.simulator.faults.board.FaultBoard` says what each of these does."""
+
+    @property
+    def personalities(self) -> PersonalityTable: ...
+
+    def add(
+        self,
+        personality: str,
+        *,
+        name: str = "",
+        units: Collection[int] | None = None,
+        functions: Collection[int] | None = None,
+        addresses: range | None = None,
+        probability: float = 1.0,
+        schedule: Schedule | None = None,
+        on: bool = True,
+        parameters: Mapping[str, Any] | None = None,  # Any: as the personality declares them
+    ) -> str: ...
+
+    def switch(self, name: str, *, on: bool) -> None: ...
+
+    def remove(self, name: str) -> None: ...
+
+    def list(self) -> Sequence[Any]: ...  # Any: `FaultStatus`
+
+    def status(self, name: str) -> Any: ...
+
+    def watch(self, changed: Callable[[], None]) -> Callable[[], None]: ...
+
+
 class Subject(Protocol):
     """A simulation."""
 
@@ -105,6 +138,10 @@ class Subject(Protocol):
     @property
     def server(self) -> Served:
         """What answers by Modbus."""
+
+    @property
+    def board(self) -> Board:
+        """What goes wrong on purpose."""
 
     def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says
         """Give a point a value, which holds against its behaviour until `release`. Raises `InvalidRequest`."""

@@ -30,7 +30,8 @@ export class FaultView {
     byId("faults-empty").hidden = faults.length > 0;
     const on = faults.filter((fault) => fault.on).length;
     byId("faults-on").hidden = on === 0;
-    setText(byId("faults-on"), `${on} on`);
+    setText(byId("faults-on"), String(on));
+    byId("faults-on").title = `${on} on`;
   }
 
   make(fault) {

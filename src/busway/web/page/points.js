@@ -299,17 +299,20 @@ class Row {
     const { course, next } = this.point;
     let low = Infinity;
     let high = -Infinity;
+    let count = 0;
     for (const value of course) {
+      count += value === value;
       if (value < low) low = value;
       if (value > high) high = value;
     }
-    if (low > high) return;
+    if (!count) return;
     const range = high - low || 1;
     const rise = (height - 4 * scale) / range;
     const step = width / (COURSE - 1);
     context.strokeStyle = Row.colour ||= colour("--accent");
     context.lineWidth = 1.5 * scale;
     context.beginPath();
+    if (count === 1) context.moveTo(0, height / 2);
     for (let place = 0; place < COURSE; place++) {
       const value = course[(next + place) % COURSE];
       if (value !== value) continue;

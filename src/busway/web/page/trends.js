@@ -4,7 +4,7 @@
 // 2. It is drawn at most five times a second, and only while it can be seen.
 
 import uPlot from "/uplot/uPlot.esm.js";
-import { byId, colour, element, setText } from "./dom.js";
+import { byId, clockSeconds, colour, element, setText } from "./dom.js";
 
 const MOST_POINTS = 8;
 const MOST_ROWS = 20000;
@@ -159,11 +159,11 @@ export class Trends {
       height: Math.max(place.clientHeight - 40, 160),
       scales: { x: { time: true } },
       axes: [
-        axis,
+        { ...axis, values: (_, moments) => moments.map(clockSeconds), space: 80 },
         ...measures.slice(0, 2).map((measure, at) => ({ ...axis, scale: `y-${measure}`, label: measure || undefined, side: at ? 1 : 3, grid: at ? { show: false } : axis.grid })),
       ],
       series: [
-        {},
+        { label: "Time", value: (_, moment) => (moment === null ? "–" : clockSeconds(moment)) },
         ...this.points.map((point, at) => ({
           label: point.key,
           scale: `y-${point.unit_of_measure}`,
