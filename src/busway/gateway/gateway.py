@@ -97,7 +97,13 @@ class LineSettings:
 
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
-        """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`."""
+        """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`.
+
+        A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once.
+        """
+        endpoint = parse_endpoint(url)
+        if endpoint.carrier == "serial" and "port_wait" not in endpoint.options:
+            options.setdefault("port_wait", 0.0)
         own = {
             key: options.pop(key) for key in ("connections", "share_reads", "broadcast", "unit_gaps") if key in options
         }
