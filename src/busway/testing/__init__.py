@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .personalities import PERSONALITIES
     from .personality import Carrier, Parameter, Personality, PersonalityTable, Says
     from .server import FaultyServer, faulty_server
+    from .simulated import SimulatedDevice, simulated_device
 
 _HOME = {
     "certificates": ("CertificateFiles", "CertificateStore"),
@@ -41,6 +42,7 @@ _HOME = {
     "personalities": ("PERSONALITIES",),
     "personality": ("Carrier", "Parameter", "Personality", "PersonalityTable", "Says"),
     "server": ("FaultyServer", "faulty_server"),
+    "simulated": ("SimulatedDevice", "simulated_device"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
@@ -76,10 +78,12 @@ __all__ = [
     "Says",
     "Schedule",
     "Selection",
+    "SimulatedDevice",
     "faulty_server",
     "golden_adu",
     "known_device",
     "misbehaving_client",
+    "simulated_device",
 ]
 
 

@@ -24,10 +24,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ..codes import Table
 from ..errors import ConfigError, InvalidRequest
-from ..values import Address, format_address, parse_address
+from ..values import Address, format_address, parse_address, value_type
 from ..values.refusal import shown
 
 if TYPE_CHECKING:
+    from ..config.files.simulation import SimulatedPointSection
     from ..server.hooks import Access, Change
     from ..simulator.includes import SimulationDeclaration
     from ..simulator.simulation import Simulation
@@ -295,10 +296,7 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
     from ..simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
-        points: list[Any] = [point for address, value in content.items() for point in _points(address, value)]
-        if not points:
-            raise ConfigError("a device needs a value at least", key="content")
-        return parse_declaration(_text(points, unit), "the values of the device")
+        return parse_declaration(_text(_checked(content), unit), "the values of the device")
     name = os.fspath(content)
     if Path(name).suffix.lower() == ".csv":
         from ..simulator.register_map import read_register_map
@@ -309,30 +307,49 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
     return load_declaration(name)
 
 
-def _text(points: Sequence[Any], unit: int | None) -> str:
+def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
     """A device file with one unit. Without a number, the unit answers whatever it is asked."""
     from ..config.files.simulation import SimulatedUnitSection
     from ..simulator.device_text import device_text
 
+    if unit is not None and not 0 <= unit <= 255:
+        raise ConfigError(f"must be 0…255, not {unit}", key="unit")
     section = SimulatedUnitSection.model_validate({"unit": 1 if unit is None else unit, "point": list(points)})
     return ('[server]\nunit_policy = "any"\n\n' if unit is None else "") + device_text([section])
 
 
-def _points(address: str, value: Any) -> Iterator[Any]:
-    """The points that a value at an address makes: keys of sections."""
-    from ..config.files.simulation import SimulatedPointSection
+def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
+    """The points of some values by address. Raises `ConfigError` that names the address."""
+    from ..config.files.problems import FileError
+    from ..config.files.schema import Source
+    from ..config.files.simulation import SimulatedUnitSection
 
+    keys = [each for address, value in content.items() for each in _points(address, value)]
+    if not keys:
+        raise ConfigError("a device needs a value at least", key="content")
+    lines: dict[tuple[str | int, ...], int] = {
+        ("point", index): index for index in range(len(keys))
+    }  # the line of a problem says whose it is
+    try:
+        return list(Source("", {"unit": 1, "point": keys}, lines).checked(SimulatedUnitSection).point)
+    except FileError as error:
+        raise ConfigError(error.message, key=keys[error.line or 0]["name"]) from None
+
+
+def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
+    """The points that a value at an address makes: keys of sections."""
     place = parse_address(address)
     if place.table is None:
-        raise ConfigError(f"{address} does not say which table; write 4x1 or holding:0", key=address)
-    several = value if isinstance(value, list) else [value]
-    for each in several:
-        keys = {"name": address if not isinstance(value, list) else format_address(place), **_kind(address, each)}
-        if each is several[0]:
-            keys["name"] = address
-        point = SimulatedPointSection.model_validate({**keys, "address": format_address(place)})
-        yield point
-        place = Address(place.table, place.offset + point.size) if each is not several[-1] else place
+        raise ConfigError("does not say which table; write 4x1 or holding:0", key=address)
+    offset = place.offset
+    for index, each in enumerate(value if isinstance(value, list) else [value]):
+        written = format_address(Address(place.table, offset, place.bit))
+        kind = _kind(address, each)
+        yield {"name": address if index == 0 else written, "address": written, **kind}
+        try:
+            offset += value_type(kind.get("type", "uint16"), kind.get("order", "ABCD")).registers
+        except InvalidRequest as error:
+            raise ConfigError(error.message, key=address) from None
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
