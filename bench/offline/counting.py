@@ -14,9 +14,11 @@ import gc
 import sys
 import tracemalloc
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 import busway
@@ -69,11 +71,19 @@ async def _counted(loop: MemoryLoop, script: Script) -> Work:
     )
 
 
-def _is_ours(frame: FrameType | None) -> bool:
-    if frame is None:
-        return False
-    name = frame.f_code.co_filename
+def _is_of_house(name: str) -> bool:
     return name.startswith(HOUSE) and not name.startswith(TESTING)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Garbage collection takes place before, not within."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 async def _calls(turn: Turn) -> int:
@@ -81,62 +91,88 @@ async def _calls(turn: Turn) -> int:
 
     def profile(frame: FrameType, event: str, argument: Any) -> None:
         nonlocal calls
-        if event in ("call", "c_call") and _is_ours(frame):
+        if event in ("call", "c_call") and _is_of_house(frame.f_code.co_filename):
             calls += 1
 
-    gc.collect()
-    gc.disable()
-    sys.setprofile(profile)
-    try:
-        await turn()
-    finally:
-        sys.setprofile(None)
-        gc.enable()
+    with _uncollected():
+        sys.setprofile(profile)
+        try:
+            await turn()
+        finally:
+            sys.setprofile(None)
     return calls
 
 
 async def _instructions(turn: Turn) -> Counter[str]:
+    """By layer."""
     found: Counter[str] = Counter()
-    layers: dict[str, str] = {}
+    with _uncollected():
+        if sys.version_info >= (3, 12):
+            await _monitored(turn, found)
+        else:
+            await _traced(turn, found)
+    return found
 
+
+async def _monitored(turn: Turn, found: Counter[str]) -> None:
+    """Python 3.12 traces the instructions of a function only from its second call on; `sys.monitoring` sees all."""
+    layers: dict[str, str | None] = {}
+    monitoring = sys.monitoring
+    tool = monitoring.PROFILER_ID
+
+    def step(code: CodeType, offset: int) -> object:
+        name = code.co_filename
+        if name not in layers:
+            layers[name] = layer_of(name.removeprefix(HOUSE)) if _is_of_house(name) else None
+        layer = layers[name]
+        if layer is None:
+            return monitoring.DISABLE
+        found[layer] += 1
+        return None
+
+    monitoring.use_tool_id(tool, "busway-bench")
+    try:
+        monitoring.register_callback(tool, monitoring.events.INSTRUCTION, step)
+        monitoring.set_events(tool, monitoring.events.INSTRUCTION)
+        await turn()
+    finally:
+        monitoring.set_events(tool, 0)
+        monitoring.free_tool_id(tool)
+
+
+async def _traced(turn: Turn, found: Counter[str]) -> None:
     def trace(frame: FrameType, event: str, argument: Any) -> Any:
         name = frame.f_code.co_filename
-        if not _is_ours(frame):
+        if not _is_of_house(name):
             return None
-        if name not in layers:
-            layers[name] = layer_of(name.removeprefix(HOUSE))
+        layer = layer_of(name.removeprefix(HOUSE))
         frame.f_trace_opcodes = True
         frame.f_trace_lines = False
+
+        def step(frame: FrameType, event: str, argument: Any) -> Any:
+            if event == "opcode":
+                found[layer] += 1
+            return step
+
         return step
 
-    def step(frame: FrameType, event: str, argument: Any) -> Any:
-        if event == "opcode":
-            found[layers[frame.f_code.co_filename]] += 1
-        return step
-
-    gc.collect()
-    gc.disable()
     sys.settrace(trace)
     try:
         await turn()
     finally:
         sys.settrace(None)
-        gc.enable()
-    return found
 
 
 async def _bytes(turn: Turn) -> int:
-    gc.collect()
-    gc.disable()
-    tracemalloc.start(1)
-    try:
-        await turn()  # what is made once and kept is there now
-        gc.collect()
-        before, _ = tracemalloc.get_traced_memory()
-        tracemalloc.reset_peak()
-        await turn()
-        _, most = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-        gc.enable()
+    with _uncollected():
+        tracemalloc.start(1)
+        try:
+            await turn()  # what is made once and kept is there now
+            gc.collect()
+            before, _ = tracemalloc.get_traced_memory()
+            tracemalloc.reset_peak()
+            await turn()
+            _, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
     return most - before
