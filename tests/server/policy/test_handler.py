@@ -420,3 +420,22 @@ def test_a_rule_may_also_name_the_unit_that_was_asked(device):
     one = session(PolicyHandler(LocalHandler({3: device}), policy))
     for unit, answer in ((3, "03 02 0008"), (255, "83 01"), (0, "03 02 0008")):
         assert ask(one, struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 8, 1)) == [bytes.fromhex(answer)]
+
+
+def test_whom_no_rule_is_about_reaches_the_device_until_another_policy_says_otherwise(device):
+    others = Policy.of(Rule.of(name="guests", action="deny", peers=["10.9.0.0/16"]), default="allow")
+    handler = PolicyHandler(LocalHandler({1: device}), others)
+    write = WriteSingleRegister(0, 5)
+    assert handler.handle(context(), write) == write
+    assert handler.handle(context(peer="10.9.0.1:5"), write) == ExceptionResponse(6, 1)
+    handler.replace_policy(Policy.read_only())
+    assert handler.handle(context(), write) == ExceptionResponse(6, 1)
+
+
+def test_rates_that_are_shared_count_for_all_handlers_together(device):
+    slowly = Policy.of(Rule.of(name="slowly", action="allow", rate=1), default="deny")
+    rates = {}
+    one, two = (PolicyHandler(LocalHandler({1: device}), slowly, rates=rates, clock=lambda: 0.0) for _ in range(2))
+    read = ReadHoldingRegisters(0, 1)
+    assert isinstance(one.handle(context(3), read), ReadHoldingRegisters.Reply)
+    assert two.handle(context(3), read) == ExceptionResponse(3, 6)

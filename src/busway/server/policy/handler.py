@@ -23,7 +23,7 @@ from typing import Final
 from ...codes import ExceptionCode
 from ...config.access.networks import host_of_peer
 from ...config.access.question import Asker, Question
-from ...config.access.rules import Decision, Policy, Rule
+from ...config.access.rules import Action, Decision, Policy, Rule
 from ...pdu.direct import Answer, ReadPlan
 from ...pdu.functions import AnyRequest, FunctionTable
 from ...pdu.general import ExceptionResponse
@@ -58,10 +58,12 @@ _MOST_RIGHTS: Final = 256
 class _Rights:
     """What some askers may do: the rules that are about them, and the plans that they share."""
 
-    __slots__ = ("plans", "policy")
+    __slots__ = ("permits_all", "plans", "policy")
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
+        # Nothing is about them: 9 µs of each request that takes the long road, as all do through a gateway.
+        self.permits_all = not policy.rules and policy.default is Action.ALLOW
         # By the plans of the handler inside, which may tell askers apart by more than the policy does.
         self.plans: dict[int, tuple[object, dict[bytes, ReadPlan]]] = {}
 
@@ -213,6 +215,8 @@ class PolicyHandler:
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Decide, and let the handler inside answer what is permitted."""
         known = self._known(context)
+        if known.rights.permits_all and self.audit is None:
+            return self.inner.handle(context, request)
         question = Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
         decision = known.rights.policy.decide(question)
         if decision.needs_current and self._observer is not None and isinstance(request, Request):
