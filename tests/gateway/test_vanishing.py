@@ -12,6 +12,7 @@ from scripted_peer import ScriptedPeer
 from waiting import until
 
 import busway
+from busway.assembly.gateway import parse_gateway
 from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings, simple_plan
 from busway.gateway.routes import Route, RoutingTable
@@ -314,3 +315,24 @@ async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> 
         gate.opened.set()
         assert made.open_requests == 0
     await until(lambda: open_handles() == before)
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "seconds"),
+    [
+        ("rtu:///dev/not-there", {}, 0.0),
+        ("rtu:///dev/not-there?port_wait=3", {}, 3.0),
+        ("rtu:///dev/not-there", {"port_wait": 2.0}, 2.0),
+        ("rtu:///dev/not-there?port_wait=3", {"port_wait": 2.0}, 2.0),
+    ],
+)
+def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
+    url: str, options: dict[str, Any], seconds: float
+) -> None:
+    opening = LineSettings.of("line", url, **options).link.line.opening  # type: ignore[union-attr]
+    assert opening.port_wait == seconds
+    told = "".join(f"{key} = {value}\n" for key, value in options.items())
+    text = f'listen = ["{ANY_PORT}"]\n[[line]]\nname = "line"\nurl = "{url}"\n{told}'
+    read = parse_gateway(text, "gateway.toml").plan.lines[0].link.line
+    assert read is not None
+    assert read.opening.port_wait == seconds

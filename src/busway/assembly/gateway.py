@@ -22,7 +22,7 @@ from ..config.files.schema import Source
 from ..config.options import build_parameters, option_names
 from ..config.profiles import OPTION, Profile, profile_of
 from ..errors import ConfigError
-from ..gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from ..gateway.gateway import OF_LINES, Front, Gateway, GatewayPlan, LineSettings
 from ..gateway.routes import RoutingTable
 from ..server.listener import Listener
 from ..server.listener_settings import listener_settings
@@ -258,7 +258,7 @@ def _is_silent(file: GatewayFile, place: Place) -> bool:
 
 def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> LineSettings | None:
     general, security = for_all_links(file)
-    link = named_link(section, general, security, lambda options: rooted(options, name), at, judge)
+    link = named_link(section, {**OF_LINES, **general}, security, lambda options: rooted(options, name), at, judge)
     if link is None:
         return None
     return judge.make(

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from ..client.settings import LinkSettings, link_settings
+from ..client.settings import LinkSettings, link_settings, options_of
 from ..codes import DEFAULT_TCP_PORT, TCP_DEVICE_UNIT
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..errors import ConfigError
@@ -47,6 +47,8 @@ if TYPE_CHECKING:
     from ..server.policy.audit import AuditLog
 
 DRAIN_SECONDS = 5.0
+OF_LINES: Mapping[str, Any] = {"port_wait": 0.0}  # Any: values of options
+"""Options of links that have another default behind a gateway: nobody waits for a port that is not there."""
 _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
 
 
@@ -102,8 +104,10 @@ class LineSettings:
         A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once.
         """
         endpoint = parse_endpoint(url)
-        if endpoint.carrier == "serial" and "port_wait" not in endpoint.options:
-            options.setdefault("port_wait", 0.0)
+        offered = options_of(endpoint)
+        for key, value in OF_LINES.items():
+            if key in offered and key not in endpoint.options:
+                options.setdefault(key, value)
         own = {
             key: options.pop(key) for key in ("connections", "share_reads", "broadcast", "unit_gaps") if key in options
         }
