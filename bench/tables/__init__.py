@@ -38,6 +38,7 @@ TABLES = {
     "gateway_line": Entry("tables.gateway_line", 35, rounds=3),
     "line": Entry("tables.line", 60),
     "connections": Entry("tables.connections", 50),
+    "simulator": Entry("tables.simulator", 36, rounds=1),
 }
 QUICK_ROUNDS = 2
 ASKED_BY_NAME_SECONDS = 10.0

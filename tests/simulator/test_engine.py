@@ -58,7 +58,11 @@ def test_points_change_at_their_own_moments_and_those_of_one_moment_together() -
 def test_moments_that_were_missed_can_be_left_out() -> None:
     running = Running()
     running.engine.run(0.0)
+    assert running.engine.left_out == running.engine.changes == 0
     assert running.engine.run(100.3, skip=True)
+    # 199 moments of what changes every half second, and 49 of what does every other.
+    assert running.engine.left_out == 199 + 49
+    assert running.engine.changes == 3
     assert len(running.told) <= 4
     assert running.values() == [100.0, 100.0, 200.0]
     assert running.engine.deadline() == 100.5

@@ -326,16 +326,16 @@ def test_holes_between_points_are_refused_or_read_and_never_written() -> None:
         '[[unit.point]]\nname = "b"\naddress = "4x5"\nvalue = 9\n'
     )
     simulation = simulated(text.format("7"))
-    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: simulation.units[1].device}) as server:
-        with busway.connect(server.endpoints[0]) as link:
-            unit = link.unit(1)
-            assert unit.read_holding_registers(0, count=5) == [0, 7, 7, 7, 9]
-            for address, count in ((2, 1), (0, 5)):
-                with pytest.raises(busway.ExceptionReply) as caught:
-                    unit.write_multiple_registers(address, [1] * count)
-                assert caught.value.code == 2
-            with pytest.raises(busway.ExceptionReply):
-                unit.read_holding_registers(5, count=1)
+    served = busway.serve_in_thread("tcp://127.0.0.1:0", units={1: simulation.units[1].device})
+    with served as server, busway.connect(server.endpoints[0]) as link:
+        unit = link.unit(1)
+        assert unit.read_holding_registers(0, count=5) == [0, 7, 7, 7, 9]
+        for address, count in ((2, 1), (0, 5)):
+            with pytest.raises(busway.ExceptionReply) as caught:
+                unit.write_multiple_registers(address, [1] * count)
+            assert caught.value.code == 2
+        with pytest.raises(busway.ExceptionReply):
+            unit.read_holding_registers(5, count=1)
     assert simulated(text.format('"refuse"')).units[1].device.holding_registers.ranges == ((0, 1), (4, 1))
 
 

@@ -137,9 +137,15 @@ class Engine:
     Args:
         driven: them.
         changed: told of the points that have a new value, and of the moment.
+
+    Attributes:
+        changes: new values so far.
+        left_out: moments of units that were left out so far, because the program could not keep up.
     """
 
     def __init__(self, driven: Iterable[Driven], changed: Callable[[list[SimulatedPoint], float], None]) -> None:
+        self.changes = 0
+        self.left_out = 0
         self._changed = changed
         self._driven = {each.point: each for each in driven}
         self._heap: list[tuple[float, int, int, int, _Group | _Release]] = []
@@ -206,7 +212,9 @@ class Engine:
         old, self._heap = self._heap, []
         for due, rank, unit, _, task in old:
             if isinstance(task, _Group):
-                task.step = max(task.step, math.floor(until / task.every + _ROUNDING))
+                last = max(task.step, math.floor(until / task.every + _ROUNDING))
+                self.left_out += last - task.step if rank != _LAST else 0
+                task.step = last
                 due = task.due()
             self._push(due, rank, unit, task)
 
@@ -224,6 +232,7 @@ class Engine:
             batch = self._batches[key] = _Batch(groups)
         changed = batch.run(time)
         if changed:
+            self.changes += len(changed)
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
