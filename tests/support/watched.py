@@ -2,9 +2,13 @@
 
 import asyncio
 import contextlib
+import http.client
+import json
 import threading
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
 
 from busway.simulator.includes import parse_declaration
 from busway.simulator.simulation import Simulation
@@ -75,9 +79,32 @@ class Watched:
     page: ControlPage
     endpoints: list[str] = field(default_factory=list)
 
+    @property
+    def host(self) -> str:
+        """Host and port of the page."""
+        return urlsplit(self.page.url).netloc
+
+    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
+        """Ask the API; status and content of the answer. Underscores in the names of headers are dashes."""
+        status, content, _ = self.exchange(method, path, body, **headers)
+        return status, json.loads(content)
+
+    def exchange(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, bytes, dict[str, str]]:
+        """The same, with the bytes and the headers of the answer; a body of bytes goes as it is."""
+        data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
+        given = {"Content-Type": "application/json"} if data is not None else {}
+        connection = http.client.HTTPConnection(self.host, timeout=10)
+        try:
+            given |= {name.replace("_", "-"): value for name, value in headers.items()}
+            connection.request(method, path, data, given)
+            answer = connection.getresponse()
+            return answer.status, answer.read(), {name.lower(): value for name, value in answer.getheaders()}
+        finally:
+            connection.close()
+
 
 @contextlib.asynccontextmanager
-async def watching(text: str = PLANT, at: str = "127.0.0.1:0", *, token: str | None = None):  # type: ignore[no-untyped-def]
+async def watching(text: str = PLANT, at: str = "127.0.0.1:0", *, token: str | None = None) -> AsyncIterator[Watched]:
     """A plant and its page, in the running event loop."""
     simulation = Simulation(parse_declaration(text, "plant.toml"))
     server = simulation.serve(["tcp://127.0.0.1:0"])
@@ -87,7 +114,7 @@ async def watching(text: str = PLANT, at: str = "127.0.0.1:0", *, token: str | N
 
 
 @contextlib.contextmanager
-def watched(text: str = PLANT) -> Iterator[Watched]:
+def watched(text: str = PLANT, at: str = "127.0.0.1:0", *, token: str | None = None) -> Iterator[Watched]:
     """A plant and its page in a thread of their own, while the block runs."""
     ready: threading.Event = threading.Event()
     found: list[Watched] = []
@@ -97,7 +124,7 @@ def watched(text: str = PLANT) -> Iterator[Watched]:
     async def serve() -> None:
         ending = asyncio.Event()
         stop.append((asyncio.get_running_loop(), ending))
-        async with watching(text) as one:
+        async with watching(text, at, token=token) as one:
             found.append(one)
             ready.set()
             await ending.wait()

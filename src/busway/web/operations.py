@@ -105,7 +105,8 @@ class Operation:
         except Problem as error:
             return failed(error.status, str(error))
         except ModbusError as error:
-            return failed(HTTPStatus.UNPROCESSABLE_ENTITY, error.message)
+            key = getattr(error, "key", None)
+            return failed(HTTPStatus.UNPROCESSABLE_ENTITY, f"{key}: {error.message}" if key else error.message)
         return Response(answer.model_dump_json(), self.status, media_type=_JSON)
 
 

@@ -127,11 +127,12 @@ class Traffic:
 
     def stop(self) -> None:
         """See nothing more; what is kept stays."""
-        if self._is_on:
-            self._is_on = False
-            if TRACE.capture is self:
-                TRACE.capture_into(self._before)
-            self._before = None
+        self._is_on = False
+        if TRACE.capture is self:
+            below = self._before
+            while isinstance(below, Traffic) and not below._is_on:  # it was stopped while this one stood on it
+                below = below._before
+            TRACE.capture_into(below)
 
     def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
         """Have ``passed`` called after each frame; calling what is given back ends that."""
@@ -177,7 +178,10 @@ class Traffic:
 
     def line(self, name: str) -> "LineRecorder":
         """A serial line, or a connection with its framing."""
-        return _Line(self, name, None if self._before is None else self._before.line(name))
+        onward = None if self._before is None else self._before.line(name)
+        if not self._is_on:
+            return onward if onward is not None else _NOTHING
+        return _Line(self, name, onward)
 
     def add(
         self,
@@ -346,5 +350,8 @@ class _Nothing:
     def sent(self, data: bytes) -> None:
         """Bytes that went out."""
 
+    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+        """A frame or damaged chunk."""
 
-_NOTHING: Final[Any] = _Nothing()
+
+_NOTHING: Final = _Nothing()
