@@ -1,7 +1,7 @@
-"""500 simulated units × 100 points that change once a second, on one core, while 5000 single reads a second are answered.
+"""500 simulated units × 100 points that change once a second, on one core that answers 5000 single reads a second.
 
-The share of the core is CPU time of the simulating process by time on the clock, so what else the machine does meanwhile
-does not count. The first row has no reads, the second has them; the difference is what reads cost.
+The share of the core is CPU time of the simulating process by time on the clock, so what else the machine does
+meanwhile does not count. The first row has no reads, the second has them; the difference is what reads cost.
 """
 
 import time

@@ -138,6 +138,16 @@ class Simulation:
         """Seconds of the simulation since its beginning."""
         return self._time if self._clock is None else self._time_at(self._clock.now())
 
+    @property
+    def changes(self) -> int:
+        """New values that behaviours gave so far."""
+        return self._engine.changes
+
+    @property
+    def left_out(self) -> int:
+        """Moments of units that were left out so far, because the program could not keep up."""
+        return self._engine.left_out
+
     def point(self, key: str) -> SimulatedPoint:
         """The point of a key ``UNIT/NAME``. Raises `InvalidRequest` if there is none."""
         point = self.points.get(key)
