@@ -387,12 +387,17 @@ def test_metrics_tell_of_fronts_and_lines_and_count_the_requests_of_all_fronts()
 def test_the_unit_file_for_systemd_starts_what_the_same_words_start(tmp_path: Path) -> None:
     file = tmp_path / "plant.toml"
     file.write_text(FILE.format(front=LOOPBACK, line="rtu:///dev/not-there", units="1"))
-    with Busway("gateway", "--systemd-unit", str(file), "--policy", "read-only", "--audit", "/var/a.jsonl") as program:
+    options = ["--policy", "read-only", "--audit=a.jsonl", "--control", "off"]
+    with Busway("gateway", "--systemd-unit", str(file), *options) as program:
         out, said = program.end()
     assert (program.process.returncode, said) == (0, "")
     (start,) = re.findall(r"^ExecStart=(.*)$", out, re.MULTILINE)
-    assert start.endswith(f"gateway {file} --policy read-only --audit /var/a.jsonl --control /run/busway/plant.sock")
-    assert "ReadWritePaths=/var\n" in out
+    log = Path("a.jsonl").absolute()
+    assert start.endswith(f"gateway {file} --policy read-only --audit {log} --control off")
+    assert f"ReadWritePaths={log.parent}\n" in out
+    with Busway("gateway", LOOPBACK, "tcp://10.0.0.5", "--systemd-unit") as program:
+        out, _ = program.end()
+    assert f"gateway {LOOPBACK} tcp://10.0.0.5 --control /run/busway/gateway.sock\n" in out
 
 
 def test_what_the_policy_of_a_gateway_file_permits_is_asked_like_any_other() -> None:

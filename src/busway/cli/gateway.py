@@ -60,7 +60,7 @@ A listener that the network reaches is read-only without a policy; --allow-write
 """
 
 CHECK = "check"
-_PATHS = frozenset({"--policy", "--audit", "--capture", "--control"})
+_PATHS = frozenset({"--policy", "--audit", "--capture"})
 """Options whose values are paths, which a service starts elsewhere."""
 
 
@@ -159,7 +159,7 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
 
     is_file = configuration.name in words
     kept: list[str] = []
-    for word in words:
+    for word in _separate(words):
         if word != "--systemd-unit":
             is_path = (is_file and word == configuration.name) or (bool(kept) and kept[-1] in _PATHS)
             kept.append(str(Path(word).absolute()) if is_path and word != READ_ONLY else word)
@@ -172,6 +172,12 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
         name=Path(configuration.name).stem if is_file else "gateway",
     )
     sys.stdout.write(unit.text())
+
+
+def _separate(words: list[str]) -> list[str]:
+    """The words, with options and their paths apart: ``--audit=log`` is ``--audit log``."""
+    pairs = [(word, *word.partition("=")) for word in words]
+    return [each for word, name, _, path in pairs for each in ((name, path) if name in _PATHS and path else (word,))]
 
 
 async def _serve(service: "Service", drain: Callable[[], float]) -> None:
