@@ -423,6 +423,39 @@ async def test_beyond_the_limit_the_oldest_handshake_makes_room(
             await writer.wait_closed()
 
 
+@pytest.mark.clause("T13")
+async def test_strangers_take_no_marked_device_its_handshake(
+    server_files: CertificateFiles, operator: CertificateFiles
+) -> None:
+    url = f"tls://127.0.0.1:0?{server_files.query()}&max_handshakes=2"
+    async with busway.serve(url, units=device(), priority=["127.0.0.2"]) as server:
+        newcomers = []
+
+        async def come(host: str, handshakes: int) -> asyncio.StreamReader:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port_of(server), local_addr=(host, 0))
+            newcomers.append(writer)
+            await until(lambda: security_of(server).handshakes == handshakes)
+            return reader
+
+        marked = [await come("127.0.0.2", 1)]
+        strangers = [await come("127.0.0.3", 2), await come("127.0.0.4", 2)]
+        assert await strangers[0].read() == b""  # the second took its place, and not that of the marked one
+        marked.append(await come("127.0.0.2", 2))
+        assert await strangers[1].read() == b""
+        with contextlib.suppress(ConnectionResetError):
+            assert await (await come("127.0.0.3", 2)).read() == b""  # nobody is left to make room for it
+        assert security_of(server).refused == {"crowded out": 3}
+        own = f"{server.endpoints[0]}?{operator.query()}"
+        async with busway.open(own, local_address="127.0.0.2") as link:  # the oldest of its own makes room
+            assert await link.unit(1).read_holding_registers(0, count=1) == [REGISTER]
+        assert await marked[0].read() == b""
+        assert security_of(server).handshakes == 1
+        for writer in newcomers:
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+
 async def test_clients_that_all_come_back_at_once_are_all_let_in(
     server_files: CertificateFiles, operator: CertificateFiles
 ) -> None:

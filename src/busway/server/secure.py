@@ -8,7 +8,8 @@ Knows connections that are not admitted yet; knows no request. What a role may d
 2. The context is taken when a connection is accepted: certificates and authorities that have changed hold from the
    next connection on, and those that stand are not disturbed.
 3. At most ``max_handshakes`` are under way; a newcomer takes the place of the oldest of them, so that clients who begin
-   and fall silent keep nobody out.
+   and fall silent keep nobody out. That of a marked device is taken by another marked device alone: who it is, is known
+   before, and strangers shall not keep it from its place.
 4. A resumed session brings the certificate it was made with; it is looked at again, because its time may be over.
 """
 
@@ -26,7 +27,7 @@ from ..transport.tls_context import WatchedContext, server_context
 from ..transport.tls_failures import FailureKind, TlsFailure
 from ..transport.tls_layer import TlsLayer, TlsState
 from .connection import ServerConnection
-from .peers import peer_name
+from .peers import host_of, peer_name
 
 if TYPE_CHECKING:
     from .connections import ConnectionManagement
@@ -85,6 +86,7 @@ class Gate:
         self._own_of = -1
         self._warned = 0.0
         self._waiting: dict[TlsLayer, str] = {}  # handshakes under way, in the order they came, and whose they are
+        self._strangers: dict[TlsLayer, None] = {}  # of these, those of devices that are not marked
         self._leaving: dict[TlsLayer, None] = {}  # refused, and given a moment to read why
         self._refused: Counter[str] = Counter()
         self._established = 0
@@ -155,9 +157,15 @@ class Gate:
         if not management.accept(transport):
             transport.abort()
             return
-        while len(self._waiting) >= self._parameters.max_handshakes:
-            oldest = next(iter(self._waiting))
-            limit = self._parameters.max_handshakes
+        address = transport.get_extra_info("peername")
+        peer, marked = peer_name(address), management.reception.is_marked(host_of(address))
+        limit = self._parameters.max_handshakes
+        while len(self._waiting) >= limit:
+            oldest = next(iter(self._strangers), next(iter(self._waiting)) if marked else None)
+            if oldest is None:
+                self._refuse(peer, TlsFailure(FailureKind.CROWDED_OUT, f"all {limit} handshakes are marked devices'"))
+                transport.abort()
+                return
             oldest.refuse(
                 TlsFailure(FailureKind.CROWDED_OUT, f"{limit} handshakes are the limit, and it was the oldest")
             )
@@ -173,7 +181,9 @@ class Gate:
             failed=self._failed,
             gone=self._gone,
         )
-        self._waiting[layer] = peer_name(transport.get_extra_info("peername"))
+        self._waiting[layer] = peer
+        if not marked:
+            self._strangers[layer] = None
         transport.set_protocol(layer)
         layer.connection_made(transport)
 
@@ -187,6 +197,7 @@ class Gate:
             layer.refuse(failure)
             return None
         del self._waiting[layer]
+        self._strangers.pop(layer, None)
         self._established += 1
         self._resumed += bool(tls.session_reused)
         self._without_role += role is None
@@ -212,16 +223,20 @@ class Gate:
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
         """A newcomer is not let in, or has gone."""
-        peer = self._waiting.pop(layer, "?")
-        self._refused[failure.kind.value] += 1
-        about = f"{_host_of(peer)} {failure.kind.value}"
-        self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
+        self._strangers.pop(layer, None)
+        self._refuse(self._waiting.pop(layer, "?"), failure)
         if layer.state is TlsState.REFUSED:
             while len(self._leaving) >= self._parameters.max_handshakes:
                 oldest = next(iter(self._leaving))
                 del self._leaving[oldest]
                 oldest.abort()
             self._leaving[layer] = None
+
+    def _refuse(self, peer: str, failure: TlsFailure) -> None:
+        """Count a refusal, and say it."""
+        self._refused[failure.kind.value] += 1
+        about = f"{_host_of(peer)} {failure.kind.value}"
+        self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
 
     def _say(self, about: str, message: str, *arguments: object) -> None:
         self._management.reception.say(logging.WARNING, about, message, *arguments)
