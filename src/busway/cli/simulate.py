@@ -3,7 +3,8 @@
 1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
 2. Units and behaviours are those of the start: what is read again is policy, lists and certificates.
-3. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if it has one.
+3. ``--fault`` switches on a fault that the file has, or puts a personality on; what it does goes to stderr.
+4. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if it has one.
 """
 
 import asyncio
@@ -18,6 +19,7 @@ import typer
 
 from ..errors import ConfigError
 from .arguments import CAPTURE, VERBOSE, seconds, show_traffic, whole_number
+from .cloning import CloneWishes, clone_device, refuse_without_clone
 from .exits import ExitCode
 from .files import capturing, read_text
 from .output import say
@@ -38,6 +40,20 @@ from .running import (
     read_again_on_hangup,
 )
 from .signals import stop_event
+from .sources import (
+    CLONE,
+    DEVICE,
+    FILE_HELP,
+    LIST_DEVICES,
+    MAP,
+    OUT,
+    RANGE,
+    THOROUGH,
+    UNIT,
+    WATCH,
+    Chosen,
+    chosen_source,
+)
 
 if TYPE_CHECKING:
     from ..assembly.service import Declared, Service
@@ -50,7 +66,11 @@ Examples:
   busway simulate plant.toml --listen tcp://127.0.0.1:1502 --listen rtu:///dev/ttyUSB0?baud=9600
   busway simulate plant.toml --seed 7 --speed 60 --for 1m
   busway simulate plant.toml --api 127.0.0.1:8502
+  busway simulate plant.toml --fault late --fault wedged:units=3,from=60,for=10
   busway simulate plant.toml --check
+  busway simulate --device meter
+  busway simulate --map points.csv
+  busway simulate --clone tcp://10.0.0.5 --map points.csv --out plant.toml
 
 The same file and seed give the same values. A listener that the network reaches is read-only without a policy;
 --allow-writes lifts that.
@@ -60,14 +80,44 @@ _SPEED = re.compile(r"\d{1,7}(\.\d{1,6})?|\.\d{1,6}", re.ASCII)
 _FASTEST = 100_000.0
 
 
+def _list_faults(wanted: bool) -> None:
+    if wanted:
+        from ..simulator.faults.reading import personality_lines
+
+        print("\n".join(personality_lines()))
+        raise typer.Exit(ExitCode.DONE)
+
+
 def simulate(
-    file: str = typer.Argument(..., metavar="FILE", help="A simulation file, in TOML; every device file is one."),
+    file: str | None = typer.Argument(None, metavar="[FILE]", help=FILE_HELP),
+    device: str | None = DEVICE,
+    list_devices: bool = LIST_DEVICES,
+    map_file: str | None = MAP,
+    clone: str | None = CLONE,
+    unit: str | None = UNIT,
+    out: str | None = OUT,
+    watch: str | None = WATCH,
+    ranges: str | None = RANGE,
+    thorough: bool = THOROUGH,
     listen: list[str] | None = typer.Option(
         None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
     ),
     seed: str | None = typer.Option(None, "--seed", metavar="N", help="Of noise and chance, instead of the file's."),
     speed: str = typer.Option("1", "--speed", metavar="X", help="Seconds of the simulation in a second: 60."),
     duration: str | None = typer.Option(None, "--for", metavar="TIME", help="End after this time: 10s, 5m."),
+    fault: list[str] | None = typer.Option(
+        None,
+        "--fault",
+        metavar="NAME[:KEY=VALUE,…]",
+        help="Switch on a fault of the file, or put on a personality: late, late:delay=2,units=1-3,probability=0.1.",
+    ),
+    list_faults: bool = typer.Option(
+        False,
+        "--list-faults",
+        help="List the personalities with their parameters.",
+        is_eager=True,
+        callback=_list_faults,
+    ),
     check: bool = typer.Option(False, "--check", help="Say what the file comes to, or what is wrong with it; no more."),
     api: str | None = typer.Option(
         None, "--api", metavar="HOST:PORT", help="Offer the control API and its page here: 127.0.0.1:8502."
@@ -88,6 +138,13 @@ def simulate(
     verbose: int = VERBOSE,
 ) -> int:
     """Be devices that behave."""
+    wanted = CloneWishes(clone or "", unit, map_file, out, watch, ranges, thorough, verbose=verbose)
+    if clone is not None:
+        if file is not None or device is not None:
+            raise ConfigError("names what is recorded; there is nothing else to simulate", key="--clone")
+        with capturing(capture):
+            return clone_device(wanted)
+    refuse_without_clone(wanted)
     limit = None if duration is None else seconds(duration, "--for", high=366 * 86_400)
     options: dict[str, Any] = {  # of different types
         "seed": None if seed is None else whole_number(seed, "--seed", 0, 2**31 - 1),
@@ -95,11 +152,16 @@ def simulate(
     }
     from ..assembly.service import Service, Wishes
     from ..server.loops import run
-    from ..simulator.includes import load_declaration
+    from ..simulator.faults.reading import put_on_by_words
     from ..simulator.simulation import Simulation
 
-    changes = listener_changes(priority)
-    simulation = Simulation(load_declaration(file, changes=changes), **options)
+    source = chosen_source(file, device, map_file, unit, listener_changes(priority))
+    simulation = Simulation(source.load(), **options)
+    for words in fault or ():
+        try:
+            put_on_by_words(simulation.board, words)
+        except ConfigError as error:
+            raise ConfigError(str(error), key=f"--fault {words}") from error
     if check:
         _print_units(simulation)
         return ExitCode.DONE
@@ -115,8 +177,8 @@ def simulate(
         can_reload=True,
         name="simulator",
     )
-    service = Service(_reader(simulation, file, changes), wishes)
-    page = None if api is None else _page(simulation, api, api_token, file)
+    service = Service(_reader(simulation, source), wishes)
+    page = None if api is None else _page(simulation, api, api_token, source.name)
     show_traffic(verbose)
     with capturing(capture):
         run(_simulate(simulation, service, page, limit))
@@ -130,12 +192,10 @@ def _speed(text: str) -> float:
     return value
 
 
-def _reader(simulation: "Simulation", file: str, changes: dict[str, Any]) -> "Callable[[], Declared]":
-    """What gives the simulation first, and what the file says whenever it is read again."""
-    from ..simulator.includes import load_declaration
-
+def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], Declared]":
+    """What gives the simulation first, and what its source says whenever it is read again."""
     first: list[Declared] = [simulation]
-    return lambda: first.pop() if first else load_declaration(file, changes=changes).configuration
+    return lambda: first.pop() if first else source.load().configuration
 
 
 def _page(simulation: "Simulation", api: str, token_file: str | None, file: str) -> "ControlPage":
@@ -155,6 +215,8 @@ def _print_units(simulation: "Simulation") -> None:
         moving = sum(point.behaviour != "" for point in unit.points.values())
         name = f" {unit.name}:" if unit.name else ""
         print(f"unit {unit.unit}:{name} {len(unit.points)} points, {moving} with a behaviour")
+    for each in simulation.board:
+        print(f"fault {each.name}: {each.personality}, {'on' if each.is_on else 'off'}")
 
 
 async def _simulate(
@@ -170,6 +232,9 @@ async def _simulate(
                 say(f"control API and page on {page.page_url}")
             for sentence in simulation.warnings:
                 say(sentence)
+            for each in simulation.board:
+                if each.is_on:
+                    say(f"fault {each.name}: {each.happens}")
             announce(service)
             with suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), limit)

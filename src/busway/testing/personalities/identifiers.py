@@ -44,7 +44,10 @@ def _unit(number: int) -> Callable[[], Fault]:
 _POLICY = (
     "drops it, or takes it by `transaction_policy`: automatic only with one request in flight and all else fitting"
 )
-_UNIT_POLICY = "ends with `BadReply`, or takes it by `unit_policy`: automatic only with one request in flight"
+_UNIT_POLICY = (
+    "ends with `BadReply` (on a line, where others talk too, with `NoReply`), or takes it by `unit_policy`: automatic "
+    "only with one request in flight"
+)
 
 FOREIGN_TRANSACTION = Personality(
     "foreign-transaction",

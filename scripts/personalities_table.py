@@ -1,0 +1,66 @@
+"""Writes the table of personalities in docs/simulator.md from the code. With ``--check``: only compares.
+
+Knows the personalities and the page; no word in the table is written by hand.
+"""
+
+from marked import ROOT, replaced, update
+
+from busway.testing import PERSONALITIES, Carrier, Parameter, Personality
+from busway.testing.personalities.elsewhere import ELSEWHERE
+
+PAGE = ROOT / "docs" / "simulator.md"
+
+MET_ON = {
+    frozenset(Carrier): "everything",
+    frozenset({Carrier.TCP}): "Modbus TCP, TLS, UDP",
+    frozenset({Carrier.SERIAL}): "RTU, ASCII; on a line or over a network",
+    frozenset({Carrier.CONNECTION}): "connections: TCP, TLS, RTU and ASCII over TCP",
+}
+
+
+def render() -> str:
+    """The tables: of what a server can play, and of what somebody else does."""
+    lines = [
+        "| personality | what happens | parameters | met on | seen in | a client that is up to it |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for one in PERSONALITIES.values():
+        cells = (f"`{one.name}`", one.happens, parameters(one), MET_ON[one.carriers], seen(one.seen_in), one.answer)
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", "These are not faults of a server:", ""]
+    lines += [
+        "| personality | what happens | seen in | who is up to it | played by |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for other in ELSEWHERE.values():
+        row = (f"`{other.name}`", other.happens, seen(other.seen_in), other.answer, other.played_by)
+        lines.append(f"| {' | '.join(row)} |")
+    return "\n".join(lines)
+
+
+def parameters(personality: Personality) -> str:
+    """The parameters of a personality in one cell."""
+    return "<br>".join(parameter(one) for one in personality.parameters.values())
+
+
+def parameter(one: Parameter) -> str:
+    """``delay`` = 1.5: seconds from request to reply (0…86400)."""
+    given = "" if one.default is None else f" = {shown(one.default)}"
+    within = f" ({one.range_text})" if one.range_text else ""
+    return f"`{one.name}{given}`: {one.says.meaning}{within}"
+
+
+def shown(value: object) -> str:
+    """A default as a file has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float | int) else str(value)
+
+
+def seen(places: tuple[str, ...]) -> str:
+    """Where it was reported."""
+    return ", ".join(places) or "–"
+
+
+if __name__ == "__main__":
+    update(PAGE, replaced(PAGE.read_text(encoding="utf-8"), "personalities", render()))

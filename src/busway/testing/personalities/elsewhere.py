@@ -1,0 +1,56 @@
+"""Personalities that no fault of a server can play, and who plays them instead.
+
+Knows names and words; they stand here so that the documentation's table has every personality that there is.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from ..clients import CLIENT_PERSONALITIES
+
+
+@dataclass(frozen=True, slots=True)
+class PlayedElsewhere:
+    """A personality that is not switched on at a server.
+
+    Attributes:
+        name, happens, seen_in, answer: as of `Personality`.
+        played_by: what plays it, and why a server's fault can not.
+    """
+
+    name: str
+    happens: str
+    seen_in: tuple[str, ...]
+    answer: str
+    played_by: str
+
+
+HOT_UNPLUG = PlayedElsewhere(
+    "hot-unplug",
+    "the port vanishes, and comes back under the same or another name",
+    ("mqmgateway#9",),
+    "closes at once, and finds the port again by its path or its USB identity",
+    "the port is the client's, not the device's: `PacedLine.unplug` and `PacedLine.replug`",
+)
+BAD_CERTIFICATE = PlayedElsewhere(
+    "bad-certificate",
+    "a certificate that is expired, of a foreign authority, without a role, with two or with a malformed one",
+    ("pysunspec2#117", "tmodbus#102"),
+    "refuses with the exact reason, and leaves no socket open",
+    "it is shown before any request: a `tls://` listener or client with a certificate of `CertificateStore`",
+)
+
+ELSEWHERE: Final = {
+    one.name: one
+    for one in (
+        HOT_UNPLUG,
+        BAD_CERTIFICATE,
+        *(
+            PlayedElsewhere(
+                one.name, one.happens, one.seen_in, one.answer, "it is one of clients: `misbehaving_client`"
+            )
+            for one in CLIENT_PERSONALITIES.values()
+        ),
+    )
+}
+"""All of them by name."""

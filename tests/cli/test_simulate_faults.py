@@ -1,0 +1,108 @@
+"""`busway simulate --fault`: faults of a file and of the command line, played on what is served."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import busway
+from busway.testing import PERSONALITIES
+
+PROGRAM = [sys.executable, "-m", "busway", "simulate"]
+
+FILE = """\
+listen = ["tcp://127.0.0.1:0"]
+
+[[unit]]
+unit = 3
+
+[[unit.point]]
+name = "level"
+address = "4x1"
+value = 5
+
+[[unit]]
+unit = 4
+
+[[unit.point]]
+name = "level"
+address = "4x1"
+value = 6
+
+[[fault]]
+name = "monday"
+personality = "busy"
+units = 3
+on = false
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A simulation file with a fault that is off."""
+    path = tmp_path / "plant.toml"
+    path.write_text(FILE)
+    return path
+
+
+def _run(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([*PROGRAM, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_faults_of_the_file_and_of_the_command_line_are_played(file: Path) -> None:
+    words = ["--fault", "monday", "--fault", "unit=255:units=4"]
+    with subprocess.Popen(
+        [*PROGRAM, str(file), *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            endpoint = process.stdout.readline().strip()
+            with busway.connect(endpoint, timeout=5, retries=0) as link:
+                with pytest.raises(busway.ExceptionReply) as refused:
+                    link.unit(3).read("4x1")
+                assert refused.value.code == 6
+                with pytest.raises(busway.BadReply) as broken:
+                    link.unit(4).read("4x1")
+                assert broken.value.reason == "unit 255 answered where 4 was asked"
+            process.terminate()
+            _, said = process.communicate(timeout=20)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    assert "fault monday: answers exception 06 for a minute" in said
+    assert "fault unit=255: answers as unit 255" in said
+
+
+def test_check_names_the_faults_and_plays_none(file: Path) -> None:
+    done = _run(str(file), "--check", "--fault", "late:delay=2,units=1-3")
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-2:] == ["fault monday: busy, off", "fault late: late, on"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("lazy", "--fault lazy: lazy: there is no personality 'lazy'; there are late,"),
+        ("late:delay=x", "--fault late:delay=x: delay: must be a number, true or false, not 'x'"),
+        ("late:delay=-1", "--fault late:delay=-1: delay: must be 0…86400, not -1"),
+    ],
+)
+def test_fault_that_there_is_not_is_said_with_its_words(file: Path, words: str, sentence: str) -> None:
+    done = _run(str(file), "--check", "--fault", words)
+    assert done.returncode == 2
+    assert f"busway: {sentence}" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_fault_of_a_file_that_can_not_be_is_said_with_its_line(file: Path) -> None:
+    file.write_text(FILE + "parameters = { seconds = -1.0 }\n")
+    done = _run(str(file), "--check")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"{file}:24: fault[0].parameters.seconds: must be 0…86400, not -1.0")
+
+
+def test_list_needs_no_file() -> None:
+    done = _run("--list-faults")
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines() if not line.startswith(" ")] == list(PERSONALITIES)
