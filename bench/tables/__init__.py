@@ -25,19 +25,19 @@ class Entry:
 
 
 TABLES = {
-    "server": Entry("tables.server", 125, 13),
-    "client": Entry("tables.client", 95, 12, rounds=3),
-    "policy": Entry("tables.policy", 25, 5),
-    "tls": Entry("tables.tls", 25, 6),
-    "gateway": Entry("tables.gateway", 30, 4),
-    "poll": Entry("tables.poll", 30, 6),
+    "server": Entry("tables.server", 100, 13),
+    "client": Entry("tables.client", 85, 12, rounds=3),
+    "policy": Entry("tables.policy", 22, 5),
+    "tls": Entry("tables.tls", 24, 6),
+    "gateway": Entry("tables.gateway", 26, 4),
+    "poll": Entry("tables.poll", 45, 6, rounds=1),
     "growth": Entry("tables.growth", 20, 4),
-    "codec": Entry("tables.codec", 12, 3),
+    "codec": Entry("tables.codec", 10, 3),
     "startup": Entry("tables.startup", 18, 4),
-    "memory": Entry("tables.memory", 60),
-    "gateway_line": Entry("tables.gateway_line", 35, rounds=3),
-    "line": Entry("tables.line", 60),
-    "connections": Entry("tables.connections", 50),
+    "memory": Entry("tables.memory", 55, rounds=1),
+    "gateway_line": Entry("tables.gateway_line", 30, rounds=3),
+    "line": Entry("tables.line", 65, rounds=2),
+    "connections": Entry("tables.connections", 45),
     "simulator": Entry("tables.simulator", 36, rounds=1),
 }
 QUICK_ROUNDS = 2

@@ -32,11 +32,14 @@ holding_registers = 1000
 """
 
 OURS = "busway serve"
-SECONDS_QUICK, SECONDS = 3.0, 10.0
+OUR_ROUNDS = 2
+LEAST, LONGEST = 3.0, 10.0
+"""Seconds of one round."""
 
 
 def run(bench: Bench) -> Table:
-    seconds = SECONDS_QUICK if bench.quick else SECONDS
+    turns = 3 + (1 if bench.quick else OUR_ROUNDS)
+    seconds = min(max(bench.budget / turns - PERIOD - SETTLE, LEAST), LONGEST)
     table = Table(f"A crowd: {CONNECTIONS} connections, a request each {PERIOD:g} s", COLUMNS)
     ours: list[Mapping[str, float]] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -45,7 +48,7 @@ def run(bench: Bench) -> Table:
         for name, command in _contenders(bench, plant).items():
             rounds: list[Mapping[str, float]] = []
             try:
-                for _ in range(1 if bench.quick or name != OURS else 3):
+                for _ in range(1 if bench.quick or name != OURS else OUR_ROUNDS):
                     rounds.append(_round(bench, command(), seconds))
             except ChildFailed as failure:
                 bench.say(f"connections: {name} is left out. {failure}")

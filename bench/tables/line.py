@@ -1,8 +1,8 @@
 """A serial line: how close reads come to what its characters and silences allow.
 
-100 reads of 10 registers by RTU, 8E1, from one server of ours, on a paced line. Line, server and client are processes
-of their own; the line has one core, the other two, which are never busy at the same time, share the other one. All have
-real-time priority where that is allowed, so that what else the machine does is not measured.
+Reads of 10 registers (100 of them, if there is time) by RTU, 8E1, from one server of ours, on a paced line. Line, server
+and client are processes of their own; the line has one core, the other two, which are never busy at the same time, share
+the other one. All have real-time priority where that is allowed, so that what else the machine does is not measured.
 
 The least that a read can take is its 8 + 25 characters and two silences of t3.5, one before the request and one before
 the reply; the server gets no time of its own on top. The table shows the silences as the line saw them. A client whose
@@ -23,7 +23,9 @@ from harness.bench import Bench, Command
 from harness.children import ChildFailed
 from harness.report import Bar, Table
 
-READS = 100
+READS, LEAST_READS = 100, 12
+STARTING = 1.0
+"""Seconds that line, server and client of one turn take to start."""
 REGISTERS = 10
 CHARACTERS = 8 + 5 + 2 * REGISTERS
 CHARACTER_BITS = 11
@@ -60,12 +62,12 @@ class Contender:
 
 
 def run(bench: Bench) -> Table:
-    reads = READS // 4 if bench.quick else READS
+    reads = _reads(bench)
     table = Table(f"A serial line: {reads} x FC03 x {REGISTERS} registers, RTU 8E1", COLUMNS)
     excess: dict[tuple[int, str], float | None] = {}
     for baud in RATES:
         contenders = _contenders(bench, baud, reads)
-        for number in range(1 if bench.quick else 3):
+        for number in range(bench.rounds):
             for name, contender in contenders.items():
                 _measure(bench, baud, reads, name, contender, number)
         for name, contender in contenders.items():
@@ -75,6 +77,13 @@ def run(bench: Bench) -> Table:
         for baud, name, limit in _limits()
     ]
     return table
+
+
+def _reads(bench: Bench) -> int:
+    """So many reads of each contender as the budget allows."""
+    contenders = {baud: len(_contenders(bench, baud, 0)) for baud in RATES}
+    left = bench.budget / bench.rounds - STARTING * sum(contenders.values())
+    return min(max(int(left / sum(count * least(baud) for baud, count in contenders.items())), LEAST_READS), READS)
 
 
 def _limits() -> list[tuple[int, str, float]]:

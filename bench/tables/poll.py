@@ -25,12 +25,11 @@ def run(bench: Bench) -> Table:
     devices = QUICK_DEVICES if bench.quick else DEVICES
     table = Table(f"One process polls {devices:,} devices, {READS} reads each, every {PERIOD:g} s", COLUMNS)
     variants = {"busway": (), "busway, uvloop": ("--uvloop",)} if bench.uvloop else {"busway": ()}
-    rounds = 1 if bench.quick else 2
-    apart = (devices * DIALLING + PERIOD + 1.0) * (len(variants) + 1) * rounds
-    left = (bench.budget - apart) / ((len(variants) + 1) * rounds)
+    apart = (devices * DIALLING + PERIOD + 1.0) * (len(variants) + 1) * bench.rounds
+    left = (bench.budget - apart) / ((len(variants) + 1) * bench.rounds)
     seconds = bench.asked_seconds or max(min(left, 5.0), 1.0)
     found: dict[str, list[Mapping[str, float]]] = {name: [] for name in (FLOOR, *variants)}
-    for _ in range(rounds):
+    for _ in range(bench.rounds):
         _floor(bench, devices, seconds, found[FLOOR])
         for name, options in variants.items():
             _ours(bench, name, options, devices, seconds, found[name])

@@ -1,0 +1,163 @@
+"""Times a transaction against what there is of everything else; prints JSON: ``{what: {size: nanoseconds}}``.
+
+Run from `bench/`: python -m offline.growth SECONDS [--quick]
+--quick: three sizes of each.
+
+Each size is a script of its own on a loop without a network: the same requests, arriving in the same bunches, with more
+or less around them. Connections take turns, one bunch each; units, addresses and routes are asked one after the other.
+"""
+
+import asyncio
+import json
+import random
+import sys
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import busway
+from busway.codes import Table
+from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.gateway.routes import AddressRange, Route, RoutingTable
+from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read
+from offline.timing import quickest
+from offline.wire import Device, MemoryLoop, Wire
+
+CONNECTIONS = (1, 10, 100, 1000)
+UNITS = (1, 4, 16, 64, 247)
+TABLE_SIZES = (100, 1000, 10_000, 65_536)
+ROUTES = (1, 4, 16, 64, 247)
+ADDRESS_ROUTES = (1, 4, 16, 64)
+READS = 256
+"""Requests of a step."""
+WARMING = 2
+Step = Callable[[], object]
+
+
+def to_unit(request: bytes, unit: int) -> bytes:
+    return request[:6] + bytes([unit]) + request[7:]
+
+
+def turns(wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
+    """Each call feeds all batches, to one connection after the other, and goes on there the next time."""
+    at = 0
+
+    def step() -> None:
+        nonlocal at
+        for batch in batches:
+            wires[at].feed(batch)
+            at = (at + 1) % len(wires)
+
+    for _ in range(WARMING * max(1, len(wires) // len(batches))):
+        step()
+    return step
+
+
+@asynccontextmanager
+async def connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Reads of a server with so many connections, all of them busy."""
+    device = busway.Device(holding_registers=1000)
+    async with busway.serve(TCP, units={1: device}, max_connections=size + 10) as server:
+        wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
+        yield turns(wires, in_batches([read(number, number * REGISTERS % 900) for number in range(READS)]))
+
+
+@asynccontextmanager
+async def units(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Reads of so many units of a server."""
+    devices = {unit: busway.Device(holding_registers=1000) for unit in range(1, size + 1)}
+    async with busway.serve(TCP, units=devices) as server:
+        asked = [to_unit(read(number, 0), 1 + number % size) for number in range(READS)]
+        yield turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+
+
+@asynccontextmanager
+async def table_size(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Reads anywhere in a table of that size."""
+    chance = random.Random(1)
+    async with busway.serve(TCP, units={1: busway.Device(holding_registers=size)}) as server:
+        asked = [read(number, chance.randrange(size - REGISTERS)) for number in range(READS)]
+        yield turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+
+
+async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes], running: AsyncExitStack) -> Step:
+    """Reads through a gateway; a step runs the loop until all are answered."""
+    gateway = await running.enter_async_context(Gateway(plan))
+    wire = loop.newcomer(port_of(gateway.endpoints[0]))
+    batches = in_batches(asked)
+
+    async def turn() -> None:
+        for batch in batches:
+            wanted = wire.sent + (9 + 2 * REGISTERS) * IN_FLIGHT
+            wire.feed(batch)
+            for _ in range(100):
+                if wire.sent == wanted:
+                    break
+                await asyncio.sleep(0)
+            else:
+                raise RuntimeError("a gateway has not answered")
+
+    for _ in range(WARMING):
+        await turn()
+    return lambda: loop.run_until_complete(turn())
+
+
+def plan(routes: Sequence[Route]) -> GatewayPlan:
+    line = LineSettings.of("line", "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
+    return GatewayPlan((Front("front", busway.Listener(TCP)),), (line,), RoutingTable(tuple(routes)), own_unit=None)
+
+
+@asynccontextmanager
+async def routes(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Reads through a gateway with so many routes, one for each unit, which is renumbered."""
+    loop.listeners[1] = Device
+    table = [Route(line="line", units=frozenset({unit}), unit=1) for unit in range(1, size + 1)]
+    asked = [to_unit(read(number, number), 1 + number % size) for number in range(READS)]
+    async with AsyncExitStack() as running:
+        yield await forwarding(loop, plan(table), asked, running)
+
+
+@asynccontextmanager
+async def address_routes(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """The same where all routes are about one unit, each about a range of its registers."""
+    loop.listeners[1] = Device
+    holding, width = Table.HOLDING_REGISTERS, 32
+    table = [
+        Route(line="line", units=frozenset({1}), addresses=AddressRange(holding, width * one, width * (one + 1)))
+        for one in range(size)
+    ]
+    asked = [read(number, width * (number % size)) for number in range(READS)]
+    async with AsyncExitStack() as running:
+        yield await forwarding(loop, plan(table), asked, running)
+
+
+SETTINGS: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
+    "connections of a server": (connections, CONNECTIONS),
+    "units of a server": (units, UNITS),
+    "registers of a table": (table_size, TABLE_SIZES),
+    "routes of a gateway, by unit": (routes, ROUTES),
+    "routes of a gateway, by address of one unit": (address_routes, ADDRESS_ROUTES),
+}
+
+
+def measured(setting: str, seconds: float, *, quick: bool) -> dict[int, float]:
+    """Nanoseconds of a transaction for each size; the sizes take turns."""
+    make, sizes = SETTINGS[setting]
+    if quick:
+        sizes = (sizes[0], sizes[len(sizes) // 2], sizes[-1])
+    loop = MemoryLoop()
+    asyncio.set_event_loop(loop)
+    running = AsyncExitStack()
+    try:
+        steps = {str(size): loop.run_until_complete(running.enter_async_context(make(loop, size))) for size in sizes}
+        found = quickest(steps, seconds)
+        loop.run_until_complete(running.aclose())
+    finally:
+        loop.close()
+    return {int(size): nanoseconds / READS for size, nanoseconds in found.items()}
+
+
+if __name__ == "__main__":
+    each = float(sys.argv[1]) / len(SETTINGS)
+    few = "--quick" in sys.argv
+    print(json.dumps({setting: measured(setting, each, quick=few) for setting in SETTINGS}))
