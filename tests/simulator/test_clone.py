@@ -10,12 +10,13 @@ import pytest
 import busway
 import busway.testing
 from busway.codes import Table
+from busway.config.files.behaviours import CounterSection, RandomWalkSection
 from busway.config.files.schema import read_source
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
 from busway.errors import BadReply, ExceptionReply, LinkDown, NoReply
 from busway.server.cells import Cells
 from busway.simulator.build import build_device
-from busway.simulator.clone import Clone, clone_points, clone_tables
+from busway.simulator.clone import Clone, clone_points, clone_tables, watch_points
 from busway.simulator.device_text import device_text
 from busway.simulator.register_map import parse_register_map
 from busway.testing import known_device
@@ -276,3 +277,39 @@ def test_nothing_but_reading_functions_is_ever_sent() -> None:
         clone_points(link.unit(1), points())
         clone_tables(link.unit(1), ranges=(range(300),))
         assert {request.function for request in server.requests}.isdisjoint(WRITES)
+
+
+def test_numbers_that_change_while_they_are_watched_are_given_behaviours() -> None:
+    text = (
+        "name,address,type,scale,min,max,enumeration\n"
+        "total,4x1,uint32,,,,\nlevel,4x3,float32,,0,3,\nfixed,4x5,,0.1,,,\nmode,4x6,,,,,0=off|1=on\nrun,0x1,,,,,\n"
+    )
+    device = busway.Device(holding_registers=6, coils=1)
+    device.write("4x3", 2.0, "float32")
+    with asked(device) as (unit, _):
+        clone = clone_points(unit, parse_register_map(text, "map.csv"))
+
+        def moments() -> Iterator[float]:
+            for second in (1, 2, 3, 4):
+                device.write("4x1", 10 * second, "uint32")
+                device.write("4x3", 2.0 + second * (-1) ** second, "float32")
+                device.write("4x6", second % 2)
+                device.write("0x1", second % 2 == 0)
+                yield float(second)
+
+        learnt = watch_points(unit, clone, moments())
+    total, level, fixed, mode, run = learnt.section.point
+    assert total.behaviour == CounterSection(kind="counter", rate=10.0)
+    assert level.behaviour == RandomWalkSection(kind="random-walk", step=7.0, low=-1.0, high=6.0, every=1.0)
+    assert (level.value, level.minimum, level.maximum) == (2.0, -1.0, 6.0)
+    assert fixed.behaviour is mode.behaviour is run.behaviour is None
+    built_again(learnt)
+
+
+def test_a_point_that_fails_while_it_is_watched_is_named() -> None:
+    device = busway.Device(holding_registers=2)
+    with asked(device) as (unit, _):
+        clone = clone_points(unit, parse_register_map("name,address\na,4x1\nb,4x2\n", "map.csv"))
+        device.functions = [6]
+        with pytest.raises(ExceptionReply, match="point a at 4x1: "):
+            watch_points(unit, clone, [1.0])

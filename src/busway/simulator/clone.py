@@ -9,11 +9,13 @@ to the device.
    tables cost little. ``thorough`` divides every block.
 3. A value is kept in its unit of measure if writing it gives the same registers again, and as registers otherwise:
    the clone answers what the device did.
-4. A point that the device refuses is left out, as it is on the device, and said. A device that does not answer ends
+4. Where a device is watched for a while, numbers that changed get a behaviour: what only grew in whole steps counts at
+   the rate that was seen, everything else walks within the range that was seen. Bits and numbers with names stay.
+5. A point that the device refuses is left out, as it is on the device, and said. A device that does not answer ends
    the cloning; the error names the point or range that was asked for.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
@@ -23,6 +25,7 @@ from pydantic import ValidationError
 
 from ..client.blocking import Unit
 from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, Table
+from ..config.files.behaviours import FASTEST, SLOWEST
 from ..config.files.device import OBJECT_NUMBERS
 from ..config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ..errors import BadReply, ExceptionReply, InvalidRequest, ModbusError
@@ -143,6 +146,94 @@ def clone_tables(
     if points:
         keys["point"] = points
     return Clone(SimulatedUnitSection.model_validate(keys), remarks)
+
+
+def watch_points(
+    unit: Unit, clone: Clone, moments: Iterable[float], *, progress: Progress = lambda line: None
+) -> Clone:
+    """The clone with behaviours, learnt by reading its points again and again.
+
+    Args:
+        unit: whom to read.
+        clone: with points, as `clone_points` gave it just now.
+        moments: seconds since then, ascending; each is asked for when the one before it is done.
+        progress: takes a line for people, now and then.
+
+    Raises:
+        ModbusError: the device did not answer, or no longer has a point; the error names the point.
+    """
+    watched = [_Watched(point, point.value) for point in clone.section.point if point.is_number]
+    watched = [each for each in watched if not each.point.enumeration]
+    for moment in moments:
+        for each in watched:
+            each.see(_read_again(unit, each.point), moment)
+    progress(f"{sum(each.has_changed for each in watched)} of {len(watched)} numbers changed")
+    learnt = {each.point.name: each.learnt() for each in watched}
+    points = [learnt.get(point.name, point) for point in clone.section.point]
+    keys = {key: getattr(clone.section, key) for key in clone.section.model_fields_set}
+    return Clone(clone.section.model_copy(update={**keys, "point": points}), clone.remarks)
+
+
+def _read_again(unit: Unit, point: SimulatedPointSection) -> float:
+    try:
+        return float(point.physical(unit.read(point.place, point.form)))
+    except ModbusError as error:
+        error.message = f"point {point.name} at {point.place}: {error.message}"
+        raise
+
+
+class _Watched:
+    """What a number did while it was watched.
+
+    Args:
+        point: it.
+        value: what it held at 0 s.
+    """
+
+    def __init__(self, point: SimulatedPointSection, value: float) -> None:
+        self.point = point
+        self._first = self._last = self._low = self._high = float(value)
+        self._step = self._time = 0.0
+        self._moments = 0
+        self._fell = False
+
+    @property
+    def has_changed(self) -> bool:
+        """Whether it held more than one value."""
+        return self._low < self._high
+
+    def see(self, value: float, time: float) -> None:
+        """It holds a value at a time."""
+        if value != value:  # not a number
+            return
+        self._step = max(self._step, abs(value - self._last))
+        self._fell = self._fell or value < self._last
+        self._low, self._high = min(self._low, value), max(self._high, value)
+        self._last, self._time = value, time
+        self._moments += 1
+
+    def learnt(self) -> SimulatedPointSection:
+        """The point with the behaviour that it seems to have."""
+        if not self.has_changed or self._time <= 0:
+            return self.point
+        is_whole = self.point.form is not None and not self.point.form.name.startswith("float")
+        if is_whole and not self._fell:
+            behaviour: dict[str, Any] = {"kind": "counter", "rate": _short((self._last - self._first) / self._time)}
+        else:
+            every = max(_short(self._time / self._moments), FASTEST)
+            behaviour = {"kind": "random-walk", "step": _short(self._step), "low": self._low, "high": self._high}
+            behaviour["every"] = min(every, SLOWEST)
+        wider: dict[str, Any] = {}
+        if self.point.minimum is not None and self._low < self.point.minimum:
+            wider["minimum"] = self._low
+        if self.point.maximum is not None and self._high > self.point.maximum:
+            wider["maximum"] = self._high
+        return _with(self.point, behaviour=behaviour, **wider)
+
+
+def _short(number: float) -> float:
+    """A number as people write it, to six digits."""
+    return float(f"{number:.6g}")
 
 
 class _Recorder:

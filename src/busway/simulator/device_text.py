@@ -107,7 +107,8 @@ def written(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        # What a file means as a parameter is written twice as dollars, if it only looks like one.
+        return json.dumps(value.replace("${", "$${"), ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_key(key)} = {written(each)}" for key, each in value.items() if each is not None)
         return f"{{ {inner} }}" if inner else "{}"

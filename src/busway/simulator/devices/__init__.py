@@ -17,7 +17,7 @@ PREFIX: Final = "device:"
 DEVICES: Final = {
     "meter": "An energy meter for three phases: float32 values, uint32 counters.",
     "inverter": "A three-phase photovoltaic inverter with SunSpec models 1, 103 and 120.",
-    "drive": "A variable-speed drive: control and status word, speed set point with ramp, faults.",
+    "drive": "A variable-speed drive: control and status word, speed set point with lag, faults.",
     "io": "An IO block of a PLC: coils, inputs, counters, a watchdog.",
     "thermostat": "A temperature controller on a serial line: set point, process value, alarms.",
 }

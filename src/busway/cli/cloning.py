@@ -1,0 +1,131 @@
+"""``busway simulate --clone``: record a live device into a simulation file.
+
+1. The device is only read. With ``--map`` each point of the map is read once, without it the tables are searched.
+2. The file goes to stdout, or with ``--out`` into a file; progress and what could not be recorded go to stderr.
+"""
+
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import ConfigError
+from .arguments import opened_unit, seconds
+from .exits import ExitCode
+from .output import say
+
+if TYPE_CHECKING:
+    from ..client.blocking import Unit
+    from ..simulator.clone import Clone
+
+BETWEEN_LOOKS = 1.0
+"""Seconds between two readings of a device that is being watched."""
+_RANGE = re.compile(r"(\d{1,5})(?:-(\d{1,5}))?")
+_LAST = 65_535
+
+
+@dataclass(frozen=True, slots=True)
+class CloneWishes:
+    """What the options ask for, as they were written.
+
+    Attributes:
+        url: the device.
+        unit: unit identifier.
+        map: a register map in CSV.
+        out: where the file goes; stdout without it.
+        watch: how long to learn how values change.
+        ranges: offsets to search without a map: ``0-999,40000-40199``.
+        thorough: whether to search blocks that seem empty too.
+        timeout, retries: of the link.
+        verbose: level of the trace.
+    """
+
+    url: str
+    unit: str | None = None
+    map: str | None = None
+    out: str | None = None
+    watch: str | None = None
+    ranges: str | None = None
+    thorough: bool = False
+    timeout: str | None = None
+    retries: str | None = None
+    verbose: int = 0
+
+
+def refuse_without_clone(wishes: CloneWishes) -> None:
+    """Refuse options that would have no effect without ``--clone``. Raises `ConfigError` that names the first."""
+    given = {"--out": wishes.out, "--watch": wishes.watch, "--range": wishes.ranges, "--thorough": wishes.thorough}
+    for option, value in given.items():
+        if value:
+            raise ConfigError("goes with --clone only", key=option)
+
+
+def clone_device(wishes: CloneWishes) -> int:
+    """Record the device, and write the file."""
+    from ..simulator.device_text import device_text
+
+    duration = None if wishes.watch is None else seconds(wishes.watch, "--watch")
+    if wishes.map is None and duration is not None:
+        raise ConfigError("needs --map: without names there is nothing to watch", key="--watch")
+    if wishes.map is not None and (wishes.ranges is not None or wishes.thorough):
+        raise ConfigError("does not go with --map", key="--thorough" if wishes.ranges is None else "--range")
+    with opened_unit(
+        wishes.url, unit=wishes.unit, timeout=wishes.timeout, retries=wishes.retries, verbose=wishes.verbose
+    ) as unit:
+        clone = _recorded(unit, wishes, duration)
+    for remark in clone.remarks:
+        say(remark)
+    remarks = [f"Recorded from {wishes.url}, unit {unit.number}.", *clone.remarks]
+    _put_out(device_text([clone.section], remarks=remarks, compact=wishes.map is None), wishes.out)
+    return ExitCode.DONE
+
+
+def _recorded(unit: "Unit", wishes: CloneWishes, duration: float | None) -> "Clone":
+    from ..simulator.clone import RANGES, clone_points, clone_tables, watch_points
+    from ..simulator.register_map import read_register_map
+
+    if wishes.map is None:
+        ranges = RANGES if wishes.ranges is None else _ranges(wishes.ranges)
+        return clone_tables(unit, ranges=ranges, thorough=wishes.thorough, progress=say)
+    clone = clone_points(unit, read_register_map(wishes.map), progress=say)
+    if duration is None:
+        return clone
+    say(f"watching for {duration:g} s")
+    return watch_points(unit, clone, _moments(duration), progress=say)
+
+
+def _moments(duration: float) -> Iterator[float]:
+    """Seconds since now, one after the other as they come."""
+    began = time.monotonic()
+    due = 0.0
+    while due < duration:
+        due = min(max(due + BETWEEN_LOOKS, time.monotonic() - began), duration)
+        time.sleep(max(0.0, began + due - time.monotonic()))
+        yield due
+
+
+def _ranges(text: str) -> list[range]:
+    """The ranges of ``0-999,40000``."""
+    found = []
+    for part in text.split(","):
+        match = _RANGE.fullmatch(part.strip())
+        first = -1 if match is None else int(match[1])
+        last = first if match is None or match[2] is None else int(match[2])
+        if not 0 <= first <= last <= _LAST:
+            raise ConfigError(f"offsets 0…{_LAST} such as 0-999,40000-40199 are needed, not {part!r}", key="--range")
+        found.append(range(first, last + 1))
+    return found
+
+
+def _put_out(text: str, out: str | None) -> None:
+    if out is None:
+        print(text, end="")
+        return
+    try:
+        Path(out).write_text(text, encoding="utf-8")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=out) from error
+    say(f"{out} is written")
