@@ -423,6 +423,27 @@ async def test_beyond_the_limit_the_oldest_handshake_makes_room(
             await writer.wait_closed()
 
 
+@pytest.mark.clause("T39")
+def test_over_tls_too_nothing_is_read_from_a_client_that_takes_no_replies(
+    server_files: CertificateFiles, operator: CertificateFiles
+) -> None:
+    url = f"tls://127.0.0.1:0?{server_files.query()}"
+    limits = {"write_buffer": 16_384, "send_buffer": 16_384, "receive_buffer": 16_384, "write_timeout": 0.5}
+    with (
+        busway.serve_in_thread(url, units=busway.Device(holding_registers=125), **limits) as server,
+        foreign_client(port_of(server), foreign_context(operator, operator)) as client,
+    ):
+        client.settimeout(0.2)
+        questions = 100 * bytes.fromhex("0001 0000 0006 01 03 0000 007D")
+        with contextlib.suppress(OSError):  # it takes no more, or has closed
+            while True:
+                client.sendall(questions)
+        wait_for(lambda: server.status().counters.write_timeouts == 1)
+        counters = server.status().counters
+        assert counters.reading_paused == 1
+        assert counters.other.sent < 16 << 20
+
+
 @pytest.mark.clause("T13")
 async def test_strangers_take_no_marked_device_its_handshake(
     server_files: CertificateFiles, operator: CertificateFiles
