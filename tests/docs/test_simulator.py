@@ -1,89 +1,58 @@
-"""The page of the simulator: its table of personalities is that of the code, and lacks none that is known."""
+"""The page on the simulator: its code runs, its files are right, its tables have every key."""
 
-import subprocess
-import sys
-import tomllib
+import re
+from collections.abc import Callable
 from pathlib import Path
 
-from busway.config.files.faults import FaultSection
-from busway.config.files.schema import Section, read_source
-from busway.simulator.faults.reading import fault_problems
-from busway.testing import CLIENT_PERSONALITIES, PERSONALITIES
-from busway.testing.personalities.elsewhere import ELSEWHERE
+import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "simulator.md"
+from busway.config.files.behaviours import KINDS, BehaviourSection
+from busway.config.files.simulation import SimulatedPointSection, SimulationFile
+from busway.simulator.behaviours.expression import FUNCTION_NAMES
+from busway.simulator.includes import parse_declaration
+from busway.simulator.simulation import Simulation
 
-OF_THE_FIELD = [
-    "late",
-    "queue-lag",
-    "foreign-transaction",
-    "transaction+1",
-    "transaction=0",
-    "transaction=random",
-    "unit=255",
-    "unit=0",
-    "unit=1",
-    "mute-after-connect",
-    "close-if-silent",
-    "single-client",
-    "idle-close",
-    "wedged",
-    "min-gap",
-    "unit-switch",
-    "max-block",
-    "hole",
-    "wide-register",
-    "short",
-    "long",
-    "leading-zero",
-    "noise",
-    "dribble",
-    "glue",
-    "echo",
-    "busy",
-    "execute-then-drop",
-    "wrong-echo",
-    "odd-exception",
-    "fc6-only",
-    "fc16-only",
-    "broadcast-reply",
-    "hot-unplug",
-    "bad-certificate",
-    "slow-loris",
-]
-"""How devices, lines, gateways and clients are known to misbehave."""
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "simulator.md"
 
 
-def test_the_table_of_personalities_is_that_of_the_code() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/personalities_table.py", "--check"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+@pytest.fixture(scope="module")
+def text() -> str:
+    return GUIDE.read_text(encoding="utf-8")
 
 
-def test_every_known_personality_can_be_played_or_says_who_plays_it() -> None:
-    assert sorted(OF_THE_FIELD) == sorted([*PERSONALITIES, *ELSEWHERE])
-    assert set(CLIENT_PERSONALITIES) <= set(ELSEWHERE)
-    text = PAGE.read_text(encoding="utf-8")
-    assert [name for name in OF_THE_FIELD if f"| `{name}` |" not in text] == []
-    for one in ELSEWHERE.values():
-        assert one.happens
-        assert one.answer
-        assert one.played_by
+def files_of(text: str) -> list[str]:
+    """The simulation files of the page."""
+    return re.findall(r"^```toml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-class _File(Section):
-    fault: list[FaultSection]
+def test_its_program_runs_and_prints_what_it_says(run_page: Callable[[Path], None]) -> None:
+    run_page(GUIDE)
 
 
-def test_the_section_that_is_shown_can_be_read() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    (shown,) = [part.split("```")[0] for part in text.split("```toml\n")[1:] if "[[fault]]" in part]
-    assert tomllib.loads(shown)["fault"]
-    source = read_source(shown, "shown.toml")
-    assert fault_problems(source.checked(_File).fault, source) == []
+def test_its_files_can_be_simulated(text: str, tmp_path: Path) -> None:
+    plant, kept, including, profile = files_of(text)[:4]
+    first = Simulation(parse_declaration(plant, "plant.toml"))
+    first.tick(0.0)
+    first.tick(600.0)
+    assert first.points["1/energy"].value > 0
+    assert Simulation(parse_declaration(kept, str(tmp_path / "plant.toml"))).points["1/setpoint"].value == 20
+    many = Simulation(parse_declaration(including, "plant.toml", read=lambda name: profile))
+    assert many.units[100].name == "Acme meter 100"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_behaviour_is_explained_with_its_keys(kind: str, text: str) -> None:
+    (row,) = re.findall(rf"^\| `{kind}` \|.*$", text, re.MULTILINE)
+    own = set(KINDS[kind].model_fields) - set(BehaviourSection.model_fields) - {"kind"}
+    assert all(f"`{key}`" in row for key in own)
+
+
+def test_every_key_of_points_and_of_the_simulation_is_explained(text: str) -> None:
+    own = set(SimulatedPointSection.__annotations__)
+    own |= set(BehaviourSection.__annotations__) - {"expressions", "begins"}
+    assert all(f"`{key}`" in text for key in own)
+    assert set(SimulationFile.model_fields) >= {"simulation", "include", "parameters", "required"}
+
+
+def test_every_function_of_expressions_is_named(text: str) -> None:
+    assert all(f"`{name}`" in text for name in FUNCTION_NAMES)

@@ -9,6 +9,8 @@ devices. Imported only where a file is used: it loads pydantic.
 `schema`        how a schema's violations become sentences, and its JSON Schema
 `options`       keys that are options of a component, made from its parameter class
 `device`        the schema of device files, and `parse_device_file`
+`behaviours`    the schema of what makes values change
+`simulation`    the schema of simulation files
 `listeners`     where a file says to listen, and who may connect there
 `policy`        the schema of policies
 `system`        the schema of configuration files: all of it

@@ -64,6 +64,7 @@ _FUNCTIONS: Final[dict[str, tuple[Callable[..., Any], int, int]]] = {
     "log": (math.log, 1, 2),
 }
 """Functions by name: what computes it, and the least and the largest number of arguments."""
+FUNCTION_NAMES: Final = tuple(_FUNCTIONS)
 
 
 @dataclass(frozen=True, slots=True)
