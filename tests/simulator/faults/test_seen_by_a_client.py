@@ -224,6 +224,19 @@ def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> 
     assert board.status("broadcast-reply").struck == 1
 
 
+def test_broadcast_is_not_heard_by_a_unit_that_is_wedged(line: PacedLine) -> None:
+    board = FaultBoard()
+    board.add("wedged", units={2})
+    with (
+        played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
+        busway.connect(f"rtu://{line.paths[0]}?baud={BAUD}", timeout=TIMEOUT, retries=0, shared=False) as link,
+    ):
+        link.unit(0).write_single_register(9, 78)
+        assert link.unit(1).read_holding_registers(9, count=1) == [78]
+        board.switch("wedged", on=False)
+        assert link.unit(2).read_holding_registers(9, count=1) == [9]
+
+
 def test_second_connection_is_closed_by_who_takes_a_single_client() -> None:
     board = FaultBoard()
     board.add("single-client")
