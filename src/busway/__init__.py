@@ -15,6 +15,7 @@ from .version import __version__
 
 if TYPE_CHECKING:
     from .assembly.configuration import Configuration, load_configuration
+    from .assembly.gateway import load_gateway, simple_gateway
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import Link, Unit, connect
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         UnitSuspended,
         WriteOutcomeUnknown,
     )
+    from .gateway.gateway import Gateway
     from .observe.metrics.endpoint import start_metrics
     from .observe.trace import TRACE, TraceLevel
     from .pdu.diagnostics import (
@@ -83,6 +85,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "assembly.configuration": ("Configuration", "load_configuration"),
+    "assembly.gateway": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("Link", "Unit", "connect"),
     "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
@@ -103,6 +106,7 @@ _HOME = {
         "UnitSuspended",
         "WriteOutcomeUnknown",
     ),
+    "gateway.gateway": ("Gateway",),
     "observe.metrics.endpoint": ("start_metrics",),
     "observe.trace": ("TRACE", "TraceLevel"),
     "pdu.diagnostics": (
@@ -177,6 +181,7 @@ __all__ = [
     "FileReference",
     "FunctionCode",
     "FunctionTable",
+    "Gateway",
     "GetCommEventCounter",
     "GetCommEventLog",
     "InvalidRequest",
@@ -229,6 +234,7 @@ __all__ = [
     "connect",
     "limit_local_connections",
     "load_configuration",
+    "load_gateway",
     "local_connections",
     "open",
     "parse_address",
@@ -239,6 +245,7 @@ __all__ = [
     "serve",
     "serve_forever",
     "serve_in_thread",
+    "simple_gateway",
     "start_metrics",
     "u8",
     "u16",
