@@ -5,7 +5,7 @@ import contextlib
 import http.client
 import json
 import threading
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Coroutine, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
@@ -73,11 +73,18 @@ class Watched:
         simulation: the plant.
         page: its API and page.
         endpoints: where it answers Modbus.
+        loop: where it lives.
     """
 
     simulation: Simulation
     page: ControlPage
     endpoints: list[str] = field(default_factory=list)
+    loop: asyncio.AbstractEventLoop | None = None
+
+    def do(self, work: Coroutine[Any, Any, Any]) -> Any:
+        """Do something in its event loop, from another thread."""
+        assert self.loop is not None
+        return asyncio.run_coroutine_threadsafe(work, self.loop).result(20)
 
     @property
     def host(self) -> str:
@@ -110,7 +117,7 @@ async def watching(text: str = PLANT, at: str = "127.0.0.1:0", *, token: str | N
     server = simulation.serve(["tcp://127.0.0.1:0"])
     page = ControlPage(simulation, at, token=token, name="plant")
     async with server, simulation.driven(server), page:
-        yield Watched(simulation, page, list(server.endpoints))
+        yield Watched(simulation, page, list(server.endpoints), asyncio.get_running_loop())
 
 
 @contextlib.contextmanager
