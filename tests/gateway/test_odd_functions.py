@@ -32,7 +32,7 @@ class Serving(ScriptedHandler):
 
 @contextlib.asynccontextmanager
 async def between(
-    front: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, timeout: float = 2.0
+    front: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, patience: float = 2.0
 ) -> AsyncIterator[busway.AsyncUnit]:
     """Unit 3 of ``handler`` on a line, seen through a gateway."""
     with contextlib.ExitStack() as wires:
@@ -47,7 +47,7 @@ async def between(
         async with busway.serve(inner[0], handler=handler) as server:
             plan = GatewayPlan(
                 (Front("front", Listener(outer[0])),),
-                (LineSettings.of("line", inner[1] or server.endpoints[0], timeout=timeout),),
+                (LineSettings.of("line", inner[1] or server.endpoints[0], timeout=patience),),
                 RoutingTable((Route(line="line", units=frozenset({3})),)),
                 functions=functions,
                 own_unit=None,
@@ -89,7 +89,7 @@ async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(front: 
         asked.append(request.encode())
         return busway.SILENCE
 
-    async with between(front, line, Serving(silent), timeout=0.2) as unit:
+    async with between(front, line, Serving(silent), patience=0.2) as unit:
         with pytest.raises((busway.WriteOutcomeUnknown, busway.NoReply)):
             await unit.execute(OpaqueRequest(0x41, b"\1"))
         assert len(asked) == 1

@@ -179,7 +179,8 @@ class Line:
         self._connections = connections
         self._clock = clock
         self._links: list[Link] = []
-        self._link_of: OrderedDict[str, Link] = OrderedDict()
+        self._link_of: OrderedDict[str, Link] = OrderedDict()  # by client; who asked last comes last
+        self._users: dict[Link, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
         self._memory: Memory[_Exchange] = Memory(self._width)
         self._open = 0
@@ -207,6 +208,7 @@ class Line:
         """Close the links. What still waits is answered 0A."""
         links, self._links = self._links, []
         self._link_of.clear()
+        self._users.clear()
         for link in links:
             await link.close()
 
@@ -357,10 +359,13 @@ class Line:
         link = self._link_of.get(client)
         if link is None:
             if len(self._link_of) >= _CLIENTS_REMEMBERED:
-                self._link_of.popitem(last=False)
-            users = [*self._link_of.values()]
-            link = min(links, key=users.count)
+                _, left = self._link_of.popitem(last=False)
+                self._users[left] -= 1
+            link = min(links, key=lambda one: self._users.get(one, 0))
+            self._users[link] = self._users.get(link, 0) + 1
             self._link_of[client] = link
+        else:
+            self._link_of.move_to_end(client)
         return link
 
     # What comes back.
