@@ -48,7 +48,8 @@ with = {{ voltage = 120.0, current = 30.0 }}
 | --- | --- | --- |
 {rows}
 
-Register maps of your own are read from CSV: [columns](csv.md).
+Register maps of your own are read from CSV: [columns](csv.md). A live device is
+[recorded into a file](../../how-to/clone-a-device.md).
 """
 
 COLUMNS_PAGE = """\

@@ -15,6 +15,8 @@ from busway.errors import ConfigError, ExceptionReply
 from busway.simulator.devices import DEVICES, ready_made
 from busway.simulator.includes import load_declaration, parse_declaration
 from busway.simulator.simulation import Simulation
+from busway.testing import simulated_device
+from busway.testing.line import PacedLine
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -310,6 +312,16 @@ def test_the_thermostat_reaches_its_set_point_and_alarms_where_it_should() -> No
         with pytest.raises(ExceptionReply) as caught:
             unit.write("4x11", 7)
         assert caught.value.code == 3
+
+
+def test_the_thermostat_sits_on_a_serial_line() -> None:
+    with PacedLine(ports=2, baud=19_200) as line:
+        near, far = (f"rtu://{path}?baud=19200&parity=even" for path in line.paths)
+        with simulated_device("device:thermostat", url=near), busway.connect(far, timeout=5) as link:
+            unit = link.unit(1)
+            unit.write("4x2", 900, "int16")
+            assert unit.read("4x2", "int16") == 900
+            assert unit.read_device_identification()[1] == b"thermostat"
 
 
 def test_a_hundred_meters_come_of_one_profile_with_parameters(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import re
 import socket
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,10 @@ pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "how-to" / "test-your-own-code.md"
-WITH_PLUGIN = ("-p", "no:asyncio", "-p", "busway.testing.plugin", "-p", "no:cacheprovider", "-W", "error")
+IS_INSTALLED = bool(entry_points(group="pytest11", name="busway"))
+"""Whether pytest finds the plugin by itself; named a second time it would be refused."""
+BY_NAME = () if IS_INSTALLED else ("-p", "busway.testing.plugin")
+WITH_PLUGIN = (*BY_NAME, "-p", "no:asyncio", "-p", "no:cacheprovider", "-W", "error")
 
 
 def files_of_the_page() -> dict[str, str]:
@@ -128,6 +132,15 @@ def test_a_list_goes_on_from_its_address_whatever_its_values_are() -> None:
             assert link.unit(1).read("0x1", count=3) == [True, True, False]
         assert device["4x12"] == 2.5
         assert device["4x14"] == 4
+
+
+def test_sixteen_bits_are_one_value() -> None:
+    bits = [number % 3 == 0 for number in range(16)]
+    with simulated_device({"4x1": (bits, "bits"), "4x2": 7}) as device, busway.connect(device.endpoint) as link:
+        assert list(link.unit(1).read("4x1", "bits")) == bits
+        device["4x1"] = [not bit for bit in bits]
+        assert list(link.unit(1).read("4x1", "bits")) == [not bit for bit in bits]
+        assert link.unit(1).read("4x2") == 7
 
 
 def test_only_what_was_given_exists() -> None:

@@ -204,7 +204,8 @@ class SimulatedPoint:
             stored = self.section.raw(value)
         except InvalidRequest as error:
             raise InvalidRequest(f"{self.key}: {error.message}") from None
-        self.device.write(self.section.place, stored, self.form.form)
+        one = stored if self.form.form is None else [stored]  # sixteen bits are one value
+        self.device.write(self.section.place, one, self.form.form)
         self.look()
 
     def __repr__(self) -> str:
@@ -236,7 +237,7 @@ class PointChange:
 
     Attributes:
         point: which.
-        value: what it holds now, in the unit of measure.
+        value: what it holds now, in the unit of measure; in a float, not yet rounded to the registers.
         at: when, in seconds of the simulation.
         who: ``simulation``, ``api``, or the address of a Modbus client.
     """
