@@ -107,3 +107,22 @@ def test_what_is_remembered_is_bounded() -> None:
         memory.remember(1, (HOLDING, first * 10, 4), bytes(8), since=since, read_at=0.0)
     assert memory.recall(1, (HOLDING, 0, 4), 0.5, for_seconds=1) is None
     assert memory.recall(1, (HOLDING, 10, 4), 0.5, for_seconds=1) is not None
+
+
+def test_the_device_itself_may_be_any_of_its_units() -> None:
+    memory: Memory[str] = Memory()
+    _remembered(memory, unit=2)
+    _remembered(memory, unit=255)
+    memory.read_begins(2, KEY, "meanwhile")
+    memory.write_begins(255)
+    assert memory.reading(2, KEY) is None
+    assert memory.recall(2, (HOLDING, 100, 4), 10.5, for_seconds=1) is None
+    memory.write_ended(255)
+    _remembered(memory, unit=255)
+    memory.write_begins(2)
+    assert memory.recall(255, (HOLDING, 100, 4), 10.5, for_seconds=1) is None
+    memory.read_begins(255, KEY, "meanwhile")
+    assert memory.reading(255, KEY) is None
+    memory.write_ended(2)
+    memory.read_begins(255, KEY, "after")
+    assert memory.reading(255, KEY) == "after"

@@ -12,7 +12,6 @@ Whoever has seen a write end must not be given what was there before it. So:
 3. A value is as old as the moment its read was sent; it is answered until its time to live has passed since.
 """
 
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -36,6 +35,7 @@ BLOCKS_PER_UNIT = 64
 class _Block:
     """Items that were read in one request, and when it was asked."""
 
+    place: Place
     data: bytes
     read_at: float
 
@@ -47,7 +47,7 @@ class _Unit(Generic[Shared]):
     open_writes: int = 0
     changes: int = 0
     reading: dict[Key, Shared] = field(default_factory=dict)
-    blocks: "OrderedDict[Place, _Block]" = field(default_factory=OrderedDict)
+    blocks: dict[Place, _Block] = field(default_factory=dict)  # what was used last comes last
 
     def forget(self) -> None:
         self.changes += 1
@@ -140,10 +140,10 @@ class Memory(Generic[Shared]):
         state = self._unit(unit)
         if state.changes != since or not self._is_quiet(unit):
             return
-        state.blocks[place] = _Block(data, read_at)
-        state.blocks.move_to_end(place)
+        state.blocks.pop(place, None)
+        state.blocks[place] = _Block(place, data, read_at)
         if len(state.blocks) > BLOCKS_PER_UNIT:
-            state.blocks.popitem(last=False)
+            del state.blocks[next(iter(state.blocks))]
 
     def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
         """The items of a range from what is remembered, also out of a larger block; None if nothing so young is."""
@@ -152,13 +152,14 @@ class Memory(Generic[Shared]):
             return None
         same = state.blocks.get(place)  # what pollers ask for, again and again
         if same is not None and now < same.read_at + for_seconds:
-            state.blocks.move_to_end(place)
+            state.blocks[place] = state.blocks.pop(place)
             return same.data
         table, first, count = place
-        for known, block in reversed(state.blocks.items()):
-            at = first - known[1]
-            if known[0] is table and at >= 0 and at + count <= known[2] and now < block.read_at + for_seconds:
-                state.blocks.move_to_end(known)
+        for block in reversed(state.blocks.values()):
+            known_table, known_first, known_count = block.place
+            at = first - known_first
+            if at >= 0 and at + count <= known_count and known_table is table and now < block.read_at + for_seconds:
+                state.blocks[block.place] = state.blocks.pop(block.place)
                 if table.holds_bits:
                     return slice_bits(block.data, at, count)
                 return block.data[self._width * at : self._width * (at + count)]
