@@ -17,7 +17,7 @@ from played import played
 from busway.simulator.faults.board import FaultBoard
 from busway.testing import PERSONALITIES, Carrier
 
-TIMEOUT_MS = 400
+TIMEOUT_MS = 700
 
 NOTHING = "ModbusIOException: Modbus Error: [Input/Output] No response received after 0 retries"
 CLOSED = "ConnectionException: Modbus Error: [Connection] ModbusTcpClient"

@@ -39,6 +39,7 @@ class FaultyWires:
         self._clock = clock
         self._changed = changed
         self._ways: dict[tuple[str, str], Way] = {}
+        self._behind: set[Way] = set()
         self._was_any_on = faults.is_any_on
         self.accepted = self.drained = 0
         faults.watch(self._switched)
@@ -56,7 +57,7 @@ class FaultyWires:
     @property
     def is_any_behind(self) -> bool:
         """Whether something waits to leave by one of them."""
-        return any(way.is_behind for way in self._ways.values())
+        return bool(self._behind)
 
     # What the server tells.
 
@@ -64,7 +65,7 @@ class FaultyWires:
         """As `busway.server.wires.Wires.came`."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
-        way = Way(wire, self._faults, clock, loop, others=len(self._ways), drained=self._is_drained)
+        way = Way(wire, self._faults, clock, loop, others=len(self._ways), moved=self._moved)
         self._ways[wire.listener, wire.peer] = way
         self.accepted += 1
         way.pump()
@@ -83,8 +84,13 @@ class FaultyWires:
             del self._ways[key]
         self._changed()
 
-    def _is_drained(self) -> None:
-        self.drained += 1
+    def _moved(self, way: "Way") -> None:
+        """Something has come to wait at a wire, or waits no more."""
+        if way.is_behind:
+            self._behind.add(way)
+        elif way in self._behind:
+            self._behind.discard(way)
+            self.drained += 1
 
     # What the faults tell, in any thread.
 
@@ -110,7 +116,7 @@ class Way:
         loop: asyncio.AbstractEventLoop,
         *,
         others: int,
-        drained: Callable[[], None],
+        moved: Callable[["Way"], None],
     ) -> None:
         self.wire = wire
         self.clock = clock
@@ -121,15 +127,16 @@ class Way:
         self._is_due = False
         self._has_ended = False
         self._sending = 0
-        self._drained = drained
+        self._moved = moved
 
     @property
     def is_behind(self) -> bool:
         """Whether something waits to leave, so that nothing may overtake it."""
-        return self._sending > 0 or self.conversation.is_behind
+        return not self._has_ended and (self._sending > 0 or self.conversation.is_behind)
 
     def pump_soon(self) -> None:
         """Send what is due at the end of this turn of the event loop, behind what others answer in it."""
+        self._moved(self)
         if not self._is_due:
             self._is_due = True
             self._loop.call_soon(self.pump)
@@ -144,9 +151,10 @@ class Way:
             self.wire.send(data)
             self._sending += 1
             self._loop.call_soon(self._sent)  # behind what the wire does with it
+        self._moved(self)
         self._stop_timer()
         if self.conversation.closed:
-            self._has_ended = True
+            self.end()
             self._loop.call_soon(self.wire.close)  # behind what was sent just now
             return
         deadline = self.conversation.deadline(now)
@@ -167,13 +175,13 @@ class Way:
 
     def _sent(self) -> None:
         self._sending -= 1
-        if not self.is_behind:
-            self._drained()
+        self._moved(self)
 
     def end(self) -> None:
-        """The wire is there no more."""
+        """Nothing leaves any more."""
         self._has_ended = True
         self._stop_timer()
+        self._moved(self)
 
     def _stop_timer(self) -> None:
         timer, self._timer = self._timer, None
