@@ -109,6 +109,12 @@ def test_check_says_what_the_file_comes_to_and_serves_nothing(run: Callable[...,
     assert (result.code, result.out, result.err) == (0, "unit 3: tank: 3 points, 2 with a behaviour\n", "")
 
 
+def test_check_touches_no_kept_values(run: Callable[..., Any], file: Path) -> None:
+    (file.parent / "state.json").write_text("{")
+    assert run("simulate", str(file), "--check").code == 0
+    assert [each.name for each in file.parent.iterdir() if "state" in each.name] == ["state.json"]
+
+
 def test_a_bad_file_is_refused_with_file_and_line(run: Callable[..., Any], file: Path) -> None:
     file.write_text(FILE.replace("rate = 1", 'rate = "x + 1"'))
     result = run("simulate", str(file))

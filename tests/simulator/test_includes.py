@@ -227,7 +227,9 @@ def test_a_bad_file_never_ends_in_a_traceback_and_always_names_file_and_line(see
 def _problems(file: Path) -> Sequence[ConfigError]:
     """What is wrong with a file; nothing of one that can be simulated."""
     try:
-        Simulation(file).tick(1.0)
+        simulation = Simulation(file)
+        simulation.tick(0.0)
+        simulation.tick(10.0)
     except FileError as error:
         return error.problems
     return ()

@@ -188,6 +188,15 @@ def test_a_counter_goes_on_from_what_it_was_set_to() -> None:
     assert simulation.points["1/energy"].value == 1010
 
 
+def test_what_is_no_number_does_not_stay_in_a_counter() -> None:
+    simulation = simulated(PLANT.replace('type = "uint32"\norder = "CDAB"', 'type = "float32"'))
+    simulation.tick(0.0)
+    simulation.set("1/energy", math.nan)
+    assert math.isnan(simulation.points["1/energy"].value)
+    simulation.tick(5.0)
+    assert simulation.points["1/energy"].value == 10.0
+
+
 @pytest.mark.parametrize(
     ("key", "value", "sentence"),
     [

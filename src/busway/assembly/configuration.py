@@ -88,9 +88,8 @@ class Configuration:
 
         if not self.file.unit:
             raise ConfigError("there is no unit to serve", file=self.name, key="unit")
-        return serve(
-            *(tuple(listen) or self.listeners), **{"units": build_units(self.file), **self.served(), **options}
-        )
+        units = options.pop("units", None) or build_units(self.file)
+        return serve(*(tuple(listen) or self.listeners), **{"units": units, **self.served(), **options})
 
     async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Let a running server follow this configuration: but for policy and lists, it needs a new start."""

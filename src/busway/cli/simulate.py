@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable
 from contextlib import AsyncExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -156,7 +157,9 @@ def simulate(
     from ..simulator.simulation import Simulation
 
     source = chosen_source(file, device, map_file, unit, listener_changes(priority))
-    simulation = Simulation(source.load(), **options)
+    declaration = source.load()
+    # Who checks a file wants no other to be read, or put aside.
+    simulation = Simulation(replace(declaration, state=None) if check else declaration, **options)
     for words in fault or ():
         try:
             put_on_by_words(simulation.board, words)
@@ -225,6 +228,7 @@ async def _simulate(
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(read_again_on_hangup(service))
+            stack.callback(simulation.keep)  # what was written until the server had stopped
             await stack.enter_async_context(service)
             await stack.enter_async_context(simulation.driven(service.server))
             if page is not None:

@@ -242,7 +242,7 @@ class Engine:
             return
         section = point.section.behaviour
         assert section is not None  # it is driven by it
-        driven.behaviour.resume(time, point.number)
+        _go_on(driven.behaviour, point, time)
         if section.resume_after == 0:
             return
         point.held = next(self._holds)
@@ -253,7 +253,7 @@ class Engine:
         """Let a point follow its behaviour again; one that goes on from values goes on from what it holds."""
         driven = self._driven.get(point)
         if driven is not None and point.held:
-            driven.behaviour.resume(time, point.number)
+            _go_on(driven.behaviour, point, time)
             point.held = 0
 
     def begin(self, time: float, kept: Mapping[str, float]) -> None:
@@ -283,6 +283,12 @@ class Engine:
 
 _ROUNDING: Final = 1e-9
 """What a quotient of two times may be off."""
+
+
+def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
+    """Let a behaviour go on from what its point holds; from what is no number nothing can."""
+    if math.isfinite(point.number):
+        behaviour.resume(time, point.number)
 
 
 def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class

@@ -301,7 +301,8 @@ class Simulation:
             ConfigError, LinkDown: as of `Server.start`.
         """
         server = self.serve(listen)
-        async with server, self.driven(server):
+        # The server ends first: what it still takes is kept.
+        async with self.driven(server), server:
             yield self
 
     @asynccontextmanager
@@ -320,15 +321,20 @@ class Simulation:
         else:
             owns_clock = False
         self._arm()
-        keeping = None if self.declaration.state is None else asyncio.create_task(self._keep_on(self.declaration.state))
+        ended = asyncio.Event()
+        keeping = (
+            None
+            if self.declaration.state is None
+            else asyncio.create_task(self._keep_on(self.declaration.state, ended))
+        )
         try:
             yield self
         finally:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
+            ended.set()
             if keeping is not None:
-                keeping.cancel()
                 with suppress(asyncio.CancelledError):
                     await keeping
             self._time = self.time
@@ -439,10 +445,13 @@ class Simulation:
         if self.declaration.state is not None:
             self._save(self.declaration.state, self._snapshot())
 
-    async def _keep_on(self, path: str) -> None:
+    async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
         """Keep the values from time to time, and never stop for a full disk."""
         while True:
-            await asyncio.sleep(self.declaration.file.simulation.keep_every)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)
+            if ended.is_set():
+                return
             await asyncio.to_thread(self._save, path, self._snapshot())
 
     def _save(self, path: str, state: KeptState) -> None:

@@ -57,7 +57,7 @@ def test_device_and_configuration_files_are_simulation_files(name: str) -> None:
             "unit[0].point[0].behaviour.periode: there is no such key; is it period?",
         ),
         ('behaviour = { kind = "counter", rate = true }', "behaviour.rate: must be a number, or an expression"),
-        ('behaviour = { kind = "square", period = 0 }', "unit[0].point[0].behaviour.period: must be above 0"),
+        ('behaviour = { kind = "square", period = 0 }', "unit[0].point[0].behaviour.period: must be at least 0.001"),
         ('behaviour = { kind = "constant", value = nan }', "unit[0].point[0].behaviour.value"),
         ('maximum = 4\nbehaviour = { kind = "constant", value = 5 }', "behaviour.value: must be at most 4, not 5"),
         ('behaviour = { kind = "constant", value = -5 }', "behaviour.value: -5 does not fit uint16"),

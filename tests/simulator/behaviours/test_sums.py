@@ -38,6 +38,20 @@ def test_a_rate_that_is_an_expression_holds_from_when_it_was_seen() -> None:
     assert counter.value(5.0) == 3.0
 
 
+def test_before_the_time_at_which_it_was_set_it_is_what_it_was_set_to() -> None:
+    for behaviour in (
+        SteadyCounter(1e300, None, 0.0),
+        SteadyLag(1.0, 0.001, 0.0),
+        Counter(lambda time: 1e300, None, 0.0),
+        Lag(lambda time: 1.0, 0.001, 0.0),
+    ):
+        behaviour.value(0.0)
+        if isinstance(behaviour, Counter | Lag):
+            behaviour.observe(0.0)
+        behaviour.resume(10.7, 5.0)
+        assert behaviour.value(10.0) == pytest.approx(5.0)
+
+
 def test_a_counter_of_an_expression_rolls_over_too() -> None:
     counter = Counter(lambda time: 7.0, 10.0, 0.0)
     counter.observe(0.0)

@@ -26,6 +26,7 @@ kind                value, ``t`` seconds after the beginning
 2. Numbers are in the point's unit of measure. One bit is on where the value is 0.5 or more.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
@@ -39,13 +40,15 @@ FASTEST: Final = 0.01
 SLOWEST: Final = 86_400.0
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
-Seconds = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0.001, le=1e9)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 def _as_expression(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"must be a number, or an expression in a text, not {shown(value)}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"must be a finite number, not {value:g}")
     return value
 
 

@@ -4,6 +4,7 @@
    drifts.
 2. An expression as rate or target is seen after each moment, and holds until the next (`Observer`). Where it has no
    value, a counter stands still and a lag stays where it is.
+3. Who sets a value does so between two moments; before that time, the value is the one that was set.
 """
 
 import math
@@ -30,7 +31,7 @@ class SteadyCounter:
 
     def value(self, time: float) -> float:
         """As `Behaviour.value`."""
-        value = self._start + self._rate * (time - self._since)
+        value = self._start + self._rate * max(time - self._since, 0.0)
         return value if self._rollover is None else value % self._rollover
 
     def resume(self, time: float, value: float) -> None:
@@ -63,9 +64,9 @@ class Counter:
 
     def value(self, time: float) -> float:
         """As `Behaviour.value`."""
-        value = self._value + self._seen * (time - self._time)
+        value = self._value + self._seen * max(time - self._time, 0.0)
         self._value = value if self._rollover is None else value % self._rollover
-        self._time = time
+        self._time = max(time, self._time)
         return self._value
 
     def observe(self, time: float) -> None:
@@ -103,7 +104,7 @@ class SteadyLag:
     def value(self, time: float) -> float:
         """As `Behaviour.value`."""
         way = self._start - self._target
-        return self._target + way * math.exp((self._since - time) / self._time_constant)
+        return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
     def resume(self, time: float, value: float) -> None:
         """As `Behaviour.resume`."""
@@ -137,8 +138,8 @@ class Lag:
         """As `Behaviour.value`."""
         if math.isfinite(self._seen):
             way = self._value - self._seen
-            self._value = self._seen + way * math.exp((self._time - time) / self._time_constant)
-        self._time = time
+            self._value = self._seen + way * math.exp(min(self._time - time, 0.0) / self._time_constant)
+        self._time = max(time, self._time)
         return self._value
 
     def observe(self, time: float) -> None:
