@@ -13,7 +13,7 @@ from busway.codes import Table
 from busway.config.files.behaviours import CounterSection, RandomWalkSection
 from busway.config.files.schema import read_source
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
-from busway.errors import BadReply, ExceptionReply, LinkDown, NoReply
+from busway.errors import ExceptionReply, LinkDown, NoReply
 from busway.server.cells import Cells
 from busway.simulator.build import build_device
 from busway.simulator.clone import Clone, clone_points, clone_tables, watch_points
@@ -251,7 +251,7 @@ def test_single_items_off_the_beaten_track_need_a_thorough_search() -> None:
     ranges = (range(10), range(1000, 1020))
     with asked(device) as (unit, _):
         assert content(built_again(clone_tables(unit, ranges=ranges, thorough=True))) == content(device)
-        with pytest.raises(BadReply, match="nothing to clone"):
+        with pytest.raises(ExceptionReply, match="nothing to clone, everything was refused"):
             clone_tables(unit, ranges=ranges)
 
 
@@ -268,7 +268,10 @@ def test_a_table_that_is_not_offered_costs_one_request_and_is_said() -> None:
 
 
 def test_a_device_without_anything_is_said_to_have_nothing() -> None:
-    with asked(busway.Device()) as (unit, _), pytest.raises(BadReply, match="nothing to clone"):
+    with (
+        asked(busway.Device()) as (unit, _),
+        pytest.raises(ExceptionReply, match="nothing to clone, everything was refused"),
+    ):
         clone_tables(unit, ranges=(range(100),))
 
 

@@ -122,6 +122,7 @@ def clone_tables(
     keys = _identity(unit, progress)
     remarks: list[str] = []
     any_item = False
+    refusal: ExceptionReply | None = None
     points: list[dict[str, Any]] = []
     for table in Table:
         items: dict[int, int] = {}
@@ -132,6 +133,7 @@ def clone_tables(
             if not scanner.offered:
                 remarks.append(f"{table.label}s are not offered")
                 break
+        refusal = scanner.refusal or refusal
         runs = list(_runs(items))
         any_item = any_item or bool(runs)
         progress(f"{len(items)} {table.label}s")
@@ -142,7 +144,10 @@ def clone_tables(
                 _unnamed(table, offset, value) for first, values in runs for offset, value in enumerate(values, first)
             ]
     if not any_item:
-        raise BadReply("nothing to clone: the device refused all that was asked for", unit=unit.number)
+        if refusal is None:
+            raise InvalidRequest("there is nothing to clone in no range at all")
+        refusal.message = f"nothing to clone, everything was refused; the last time {refusal.message}"
+        raise refusal
     if points:
         keys["point"] = points
     return Clone(SimulatedUnitSection.model_validate(keys), remarks)
@@ -325,6 +330,7 @@ class _Scanner:
 
     Attributes:
         offered: whether the device has the function that reads the table.
+        refusal: the last answer that was one.
     """
 
     def __init__(self, unit: Unit, table: Table, *, thorough: bool) -> None:
@@ -333,6 +339,7 @@ class _Scanner:
         self._thorough = thorough
         self._read: Callable[..., Sequence[int]] = getattr(unit, f"read_{table.value}")
         self.offered = True
+        self.refusal: ExceptionReply | None = None
 
     def items(self, part: range) -> dict[int, int]:
         """What the items in a range hold, by offset; without those that are not there."""
@@ -364,6 +371,7 @@ class _Scanner:
         try:
             values = self._read(first, count=count)
         except ExceptionReply as error:
+            self.refusal = error
             if error.code == ExceptionCode.ILLEGAL_FUNCTION:
                 self.offered = False
                 return False
