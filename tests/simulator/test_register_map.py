@@ -5,9 +5,12 @@ from pathlib import Path
 import pytest
 
 from busway.config.files.problems import FileError
+from busway.config.files.schema import read_source
+from busway.config.files.simulation import SimulatedUnitSection, SimulationFile
 from busway.errors import ConfigError
 from busway.simulator.build import build_device
 from busway.simulator.device_text import device_text
+from busway.simulator.includes import parse_declaration
 from busway.simulator.register_map import COLUMNS, parse_register_map, read_register_map
 
 
@@ -181,9 +184,6 @@ def problems_in(text: bytes) -> tuple[ConfigError, ...]:
 
 
 def test_points_of_a_map_make_a_device_file_that_gives_the_same_registers() -> None:
-    from busway.config.files.schema import read_source
-    from busway.config.files.simulation import SimulatedUnitSection, SimulationFile
-
     points = parse_register_map(
         "name,address,type,order,scale,unit,access,value,enumeration\n"
         "level,3x1,float32,CDAB,,m,,2.5,\n"
@@ -203,3 +203,11 @@ def test_points_of_a_map_make_a_device_file_that_gives_the_same_registers() -> N
         for point in unit.point:
             assert after.read(point.place, point.form) == before.read(point.place, point.form)
         assert file.unit[0].point == unit.point
+
+
+def test_a_remark_stays_a_remark_whatever_stands_in_it() -> None:
+    (point,) = parse_register_map('name,address,description\n"a\n[[unit]]",4x1,"${t} costs $${2}"\n', "map.csv")
+    unit = SimulatedUnitSection.model_validate({"unit": 1, "point": [point]})
+    text = device_text([unit], remarks=[f"kept: {point.name}", "\n\x00"])
+    (again,) = parse_declaration(text, "again.toml").units
+    assert again.section.point == [point]

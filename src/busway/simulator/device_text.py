@@ -29,13 +29,18 @@ def device_text(
         remarks: comment lines at its top.
         compact: whether each point takes one line only.
     """
-    lines = [f"# {line}".rstrip() for line in remarks]
+    lines = [f"# {_on_one_line(line)}".rstrip() for line in remarks]
     lines += [""] if lines else []
     if listen:
         lines += [f"listen = {written(list(listen))}", ""]
     for unit in units:
         lines += _unit_lines(unit, compact)
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _on_one_line(text: str) -> str:
+    """Text without what would end a comment, or is not allowed in one."""
+    return " ".join("".join(each if each.isprintable() else " " for each in text).split())
 
 
 def _unit_lines(unit: BaseModel, compact: bool) -> list[str]:
