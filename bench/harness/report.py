@@ -66,6 +66,8 @@ class Table:
         """What goes into the file of results."""
         return {
             "title": self.title,
+            "columns": self.columns,
+            "rows": self.rows,
             "figures": self.figures,
             "bars": [asdict(bar) | {"verdict": bar.verdict} for bar in self.bars],
             "notes": self.notes,

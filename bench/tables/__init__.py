@@ -33,6 +33,7 @@ TABLES = {
     "poll": Entry("tables.poll", 45, 6, rounds=1),
     "growth": Entry("tables.growth", 20, 4),
     "codec": Entry("tables.codec", 10, 3),
+    "layers": Entry("tables.layers", 8, 4, rounds=1),
     "startup": Entry("tables.startup", 18, 4),
     "memory": Entry("tables.memory", 55, rounds=1),
     "gateway_line": Entry("tables.gateway_line", 30, rounds=3),

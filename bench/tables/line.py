@@ -1,7 +1,7 @@
 """A serial line: how close reads come to what its characters and silences allow.
 
-Reads of 10 registers (100 of them, if there is time) by RTU, 8E1, from one server of ours, on a paced line. Line, server
-and client are processes of their own; the line has one core, the other two, which are never busy at the same time, share
+Reads of 10 registers (100, if there is time) by RTU, 8E1, from one server of ours, on a paced line. Line, server
+and client are processes of their own. The line has one core; the other two are never busy at the same time and share
 the other one. All have real-time priority where that is allowed, so that what else the machine does is not measured.
 
 The least that a read can take is its 8 + 25 characters and two silences of t3.5, one before the request and one before

@@ -1,0 +1,64 @@
+"""Medians, spreads, ratios and exponents of the benchmark, and what becomes of a contender that fails."""
+
+import pytest
+from harness.measure import Sample, Series, alternate, ratio, spread
+from harness.report import Bar
+from harness.window import BURST, burst
+from offline.timing import exponent
+
+
+def series(*rates: float) -> Series:
+    return Series("one", [Sample(rate) for rate in rates])
+
+
+def test_ratio_is_taken_round_by_round_so_that_a_noisy_round_hits_both() -> None:
+    mine, theirs = series(100, 10, 120), series(50, 5, 40)
+    assert ratio(mine, theirs, "rate") == 2.0
+
+
+def test_ratio_with_somebody_who_is_not_there_is_not_measured() -> None:
+    assert ratio(series(1), None, "rate") is None
+    assert ratio(series(1), series(), "rate") is None
+
+
+def test_spread_is_half_the_distance_of_the_extremes_in_per_cent_of_the_median() -> None:
+    assert spread([90, 100, 120]) == pytest.approx(15.0)
+    assert spread([]) is None
+
+
+def test_contender_that_fails_is_left_out_from_then_on_and_says_why() -> None:
+    calls = []
+
+    def fails() -> Sample:
+        calls.append("fails")
+        raise OSError("it is gone")
+
+    def works() -> Sample:
+        calls.append("works")
+        return Sample(1.0)
+
+    found = alternate({"a": fails, "b": works}, 2, (OSError,), lambda text: None)
+    assert calls == ["fails", "works", "works"]
+    assert (found["a"].samples, found["a"].missing) == ([], "it is gone")
+    assert len(found["b"].samples) == 2
+
+
+@pytest.mark.parametrize(
+    ("value", "relation", "verdict"),
+    [(5.0, ">=", "ok"), (4.9, ">=", "missed"), (5.0, "<=", "ok"), (5.1, "<=", "missed"), (None, ">=", "not measured")],
+)
+def test_bar_says_what_became_of_a_goal(value: float | None, relation: str, verdict: str) -> None:
+    assert Bar("a goal", value, relation, 5.0).verdict == verdict  # type: ignore[arg-type]
+
+
+def test_exponent_is_0_for_a_flat_cost_and_1_for_one_in_proportion() -> None:
+    sizes = (1, 10, 100)
+    assert exponent(sizes, (7, 7, 7)) == pytest.approx(0.0)
+    assert exponent(sizes, (3, 30, 300)) == pytest.approx(1.0)
+    assert exponent(sizes, (2, 20**0.5 * 2**0.5, 20)) == pytest.approx(0.5)
+
+
+def test_callers_report_less_at_a_time_where_they_are_many() -> None:
+    assert burst(1) == burst(16) == BURST
+    assert burst(64) == 2
+    assert burst(1000) == 1
