@@ -38,8 +38,8 @@ from ..config.files.simulation import (
 from ..errors import ConfigError
 from ..values.refusal import shown
 from .behaviours.expression import parse_expression
-from .faults.reading import fault_problems
 from .devices import PREFIX, read_profile
+from .faults.reading import fault_problems
 
 Reader = Callable[[str], str]
 """The text of a file by its name."""
