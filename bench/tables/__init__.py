@@ -25,8 +25,8 @@ class Entry:
 
 
 TABLES = {
-    "server": Entry("tables.server", 100, 13),
-    "client": Entry("tables.client", 85, 12, rounds=3),
+    "server": Entry("tables.server", 100, 12),
+    "client": Entry("tables.client", 85, 11, rounds=3),
     "policy": Entry("tables.policy", 22, 5),
     "tls": Entry("tables.tls", 24, 6),
     "gateway": Entry("tables.gateway", 26, 4),
