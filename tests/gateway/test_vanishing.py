@@ -336,3 +336,43 @@ def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
     read = parse_gateway(text, "gateway.toml").plan.lines[0].link.line
     assert read is not None
     assert read.opening.port_wait == seconds
+
+
+class DeadThenGone:
+    """A server of serial frames that answers nobody, and then closes at the next request."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.closes = False
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(ConnectionError):
+            while await reader.read(1000):
+                self.asked += 1
+                if self.closes:
+                    break
+        writer.close()
+
+
+async def test_what_waits_for_a_unit_whose_probe_was_lost_with_the_connection_is_told() -> None:
+    """Nothing else happens on such a line, so nothing else would have told it."""
+    behind = DeadThenGone()
+    server = await asyncio.start_server(behind.serve, "127.0.0.1", 0)
+    endpoint = f"rtu+tcp://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    pauses = {"open_after": 1, "first_pause": 0.05, "longest_pause": 0.05, "probe_timeout": 5.0}
+    async with (
+        gateway(endpoint, timeout=0.05, retries=0, reconnect_first=0.01, quiet_window=0.01, **pauses) as made,
+        client(made, max_transactions=4) as link,
+    ):
+        assert await code_of(link.unit(5).read_holding_registers(0, count=1)) == 0x0B
+        assert await code_of(link.unit(5).read_holding_registers(0, count=1)) == 0x0B  # suspended
+        assert behind.asked == 1
+        behind.closes = True
+        asked: list[int] = []
+        while behind.asked == 1:  # until the unit is probed
+            reads = (code_of(link.unit(5).read_holding_registers(n, count=1)) for n in range(3))
+            asked += await asyncio.gather(*reads)
+        assert set(asked) == {0x0B}
+        assert made.open_requests == 0
+    server.close()
+    await server.wait_closed()

@@ -384,8 +384,11 @@ class Link:
                 transport.write(chunk)
             if TRACE.level:
                 self._traced().sent(b"".join(out))
-        elif session.has_gap:
-            self._rearm()
+        else:
+            if session.finished:  # a breaker has opened, and what waited for its unit waits no more
+                self._wake()
+            if session.has_gap:
+                self._rearm()
 
     def _recycle(self, now: float) -> None:
         """Close a connection that is out of step; what is still asked gets a new one."""
