@@ -11,6 +11,8 @@ from waiting import until
 
 import busway
 from busway.codes import Table
+from busway.config.access.rules import Action as Judged
+from busway.config.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
 from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
 from busway.gateway.routes import Action, AddressRange, Route, RoutingTable
@@ -266,6 +268,30 @@ async def test_a_route_may_lead_one_unit_to_all_of_a_line() -> None:
         await link.unit(200).write_single_register(7, 57)
         assert line.registers(5, 3) == [[55, 56, 57]] * 2
         assert await refusal(link.unit(200).read_holding_registers(5, count=1)) == 0x0A
+
+
+@pytest.mark.clause("M6")
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_to_all(scheme: str) -> None:
+    rules = (Rule(name="hands off", action=Judged.DENY, units=frozenset({2}), functions=frozenset({(6, None)})),)
+    policy = Policy(rules, default=Judged.ALLOW)
+    async with bus() as line:
+        plan = GatewayPlan(
+            fronts=(Front("front", Listener(f"{scheme}://127.0.0.1:0")),),
+            lines=(LineSettings.of("line", line.url, turnaround_delay=0.01),),
+            table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
+        )
+        async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
+            if scheme == "tcp":
+                assert await refusal(link.unit(0).write_single_register(5, 55)) == 1
+            else:
+                await link.unit(0).write_single_register(5, 55)
+                await until(lambda: made.status().fronts[0].counters.refused == 1)
+            await link.unit(1).write_single_register(6, 66)
+            assert line.registers(5, 2) == [[105, 66], [205, 206]]
+            if scheme == "tcp":
+                await link.unit(0).write_single_coil(5, True)
+                assert [device.coils[5] for device in line.devices.values()] == [True, True]
 
 
 # --- serial masters ------------------------------------------------------------------------------

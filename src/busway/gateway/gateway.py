@@ -506,6 +506,7 @@ class Gateway:
         if self._is_guarded:
             everything = Policy(default=PolicyAction.ALLOW)
             outer = guard = PolicyHandler(handler, policy or everything, self._audit, rates=self._rates)
+            handler.refusal_of = guard.refusal_of
         # A client that closes has gone, and must not keep a serial line busy with what it asked.
         limits = front.listener.limits or plan.server.get("listener") or ListenerParameters()
         listener = replace(front.listener, limits=replace(limits, answer_half_closed=False))

@@ -3,14 +3,15 @@
 Knows routes, lines and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
 1. A write to unit 0 goes to all lines of the front that take broadcasts, and is answered once it was sent. A line
-   takes it only where a route lets the front write so to each of its units: all of them will hear it.
+   takes it only where a route lets the front write so to each of its units, and the policy the client: all of them
+   will hear it.
 2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
    front is silent there, because it never hears of those units (`FrontHandler.serial_units`).
 3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
    not frame it. A function that is not known is forwarded unread.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -48,8 +49,19 @@ class FrontCounters:
     broadcasts: int = 0
 
 
+RefusalOf = Callable[[RequestContext, AnyRequest, int], int]
+"""Client, request and unit → the exception code by which a policy refuses it, 0 for none."""
+
+
+def _no_refusal(context: RequestContext, request: AnyRequest, unit: int) -> int:
+    return 0
+
+
 class FrontHandler:
     """The handler of one front.
+
+    Attributes:
+        refusal_of: what a policy around it says of single units that hear a broadcast.
 
     Args:
         name: what routes call the front.
@@ -78,6 +90,7 @@ class FrontHandler:
         self.silent_broadcasts = silent_broadcasts
         self._own = own
         self._own_unit = own_unit
+        self.refusal_of: RefusalOf = _no_refusal
         self._routes = FrontRoutes(())
         self._lines: Mapping[str, Line] = {}
         self._serial_units: set[int] = set()
@@ -143,7 +156,7 @@ class FrontHandler:
         own = self._routes.find(BROADCAST_UNIT, request)
         if isinstance(own, Route) and own.action is not Action.FORWARD:
             return self._not_forwarded(context, own)
-        ways = [way for line in self._takers() if (way := self._way_to_all(line, request)) is not None]
+        ways = [way for line in self._takers() if (way := self._way_to_all(context, line, request)) is not None]
         if not ways:
             if isinstance(own, Route) and own.line in self._lines:
                 return self._lines[own.line].forward(context, request, own, deadline=self.deadline)
@@ -169,7 +182,7 @@ class FrontHandler:
         if id(line) not in executed:
             executed.add(id(line))
             self.counters.broadcasts += 1
-            way = self._way_to_all(line, request)
+            way = self._way_to_all(context, line, request)
             if isinstance(way, Route):
                 self._to_all(context, request, way)
             elif way is not None:
@@ -181,7 +194,7 @@ class FrontHandler:
         lines = [self._lines[name] for name in self._routes.lines if name in self._lines]
         return [line for line in lines if line.takes_broadcasts]
 
-    def _way_to_all(self, line: Line, request: Request) -> Route | int | None:
+    def _way_to_all(self, context: RequestContext, line: Line, request: Request) -> Route | int | None:
         """How a write reaches all units of a line; the exception code, if one of them must not be written so.
 
         Everybody on the line hears it: what is refused for one of its units is refused for all, and all must want it
@@ -198,6 +211,8 @@ class FrontHandler:
                 refused = refused or found.code
             elif found is None or found.line != line.name:
                 unreached = True
+            elif code := self.refusal_of(context, request, unit):
+                refused = refused or code
             else:
                 ways.add(_for_all_units(found))
         if refused or not ways:

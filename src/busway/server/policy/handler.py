@@ -230,6 +230,17 @@ class PolicyHandler:
             return self.inner.handle(context, request)
         return self._write(context, request, question, known, decision)
 
+    def refusal_of(self, context: RequestContext, request: AnyRequest, unit: int) -> int:
+        """The exception code with which the same request to another unit would be refused; 0 where it is permitted.
+
+        For what reaches several units at once. Nothing is counted, and nothing written down.
+        """
+        known = self._known(context)
+        if known.rights.permits_all:
+            return 0
+        decision = known.rights.policy.decide(Question.of(request, unit=unit, asker=known.asker))
+        return 0 if decision.allowed else decision.code
+
     def _refuse(self, context: RequestContext, request: AnyRequest, known: _Known, decision: Decision) -> Message:
         rule = decision.rule_name
         self.refusals[rule] += 1
