@@ -90,9 +90,7 @@ async def faulty_line(
         server = Server([listen], FaultyHandler(LocalHandler(devices), faults, wires), wires=wires, standard_port=False)
         async with server:
             base = route or Route(line="line", units=frozenset(range(1, 248)))
-            patient = replace(
-                base, units=frozenset({2}), timeout=PATIENCE
-            )  # who behaves has time
+            patient = replace(base, units=frozenset({2}), timeout=PATIENCE)  # who behaves has time
             plan = GatewayPlan(
                 fronts=(Front("front", Listener(front)),),
                 lines=(LineSettings.of("line", dial or server.endpoints[0], **options),),
