@@ -35,7 +35,7 @@ def run(bench: Bench) -> Table:
             POLICY: lambda: bench.ours("servers.busway_server", "--policy"),
             AUDIT: lambda: bench.ours("servers.busway_server", *guarded, folder / "audit"),
         }
-        if bench.uvloop:
+        if bench.uvloop and not bench.quick:
             wanted[AUDIT_UVLOOP] = lambda: bench.ours("servers.busway_server", "--uvloop", *guarded, folder / "uvloop")
         servers = start(bench, running, wanted)
         seconds = bench.turn(2 * len(servers), apart=STARTING)

@@ -24,7 +24,9 @@ FLOOR = "floor (C), 1 read each"
 def run(bench: Bench) -> Table:
     devices = QUICK_DEVICES if bench.quick else DEVICES
     table = Table(f"One process polls {devices:,} devices, {READS} reads each, every {PERIOD:g} s", COLUMNS)
-    variants = {"busway": (), "busway, uvloop": ("--uvloop",)} if bench.uvloop else {"busway": ()}
+    variants: dict[str, tuple[str, ...]] = {"busway": ()}
+    if bench.uvloop and not bench.quick:
+        variants["busway, uvloop"] = ("--uvloop",)
     apart = (devices * DIALLING + PERIOD + 1.0) * (len(variants) + 1) * bench.rounds
     left = (bench.budget - apart) / ((len(variants) + 1) * bench.rounds)
     seconds = bench.asked_seconds or max(min(left, 5.0), 1.0)

@@ -17,7 +17,8 @@ from harness.serving import Shape, load, start
 
 SHAPES = ((16, 16), (16, 1), (1, 1), (1, 16), (50, 4))
 """Connections × requests in flight on each."""
-QUICK_SHAPES = (Shape(16, 16), Shape(16, 1), Shape(1, 1), Shape(50, 4, 125))
+QUICK_SHAPES = (Shape(16, 16), Shape(16, 1), Shape(50, 4, 125))
+FULL_ONLY = frozenset({"pyModbusTCP", "modbus-rs, Python handler", "bare loop, uvloop"})
 
 FLOOR, LIBMODBUS, PYMODBUS, PYMODBUSTCP = "floor (C)", "libmodbus (C)", "pymodbus", "pyModbusTCP"
 MODBUS_RS = "modbus-rs, Python handler"
@@ -60,7 +61,7 @@ def _contenders(bench: Bench) -> dict[str, Callable[[], Command]]:
     if bench.uvloop:
         wanted[BARE_UVLOOP] = lambda: bench.ours("servers.bare_loop", "--uvloop")
         wanted[OURS_UVLOOP] = lambda: bench.ours("servers.busway_server", "--uvloop")
-    return wanted
+    return {name: command for name, command in wanted.items() if not bench.quick or name not in FULL_ONLY}
 
 
 def _bars(results: dict[Shape, dict[str, Series]]) -> list[Bar]:

@@ -21,7 +21,7 @@ TYPER, READ = "a bare typer program", "busway read, 10 registers"
 
 def run(bench: Bench) -> Table:
     table = Table("Start-up, from start to exit", ("", "ms", "± %", "over bare python, ms"))
-    rounds = 7 if bench.quick else 25
+    rounds = 5 if bench.quick else 20
     with ExitStack() as running:
         commands = _commands(bench, running)
         times = _alternate(bench, commands, rounds)
