@@ -222,7 +222,7 @@ async def test_a_port_that_is_pulled_out_fails_fast_and_works_again_when_it_is_b
                     for n in range(4)
                     for unit in (1, 2)
                 ]
-                await until(lambda: made.open_requests == 8)
+                await until(lambda: made.open_requests == 8 and made.status().lines[0].links[0].in_flight)
                 loop = asyncio.get_running_loop()
                 begun = loop.time()
                 line.unplug(0)
