@@ -30,7 +30,7 @@ def test_its_program_runs_and_prints_what_it_says(run_page: Callable[[Path], Non
 
 
 def test_its_files_can_be_simulated(text: str, tmp_path: Path) -> None:
-    plant, kept, including, profile = files_of(text)[:4]
+    plant, kept, including, profile, faults, ready_made = files_of(text)
     first = Simulation(parse_declaration(plant, "plant.toml"))
     first.tick(0.0)
     first.tick(600.0)
@@ -38,11 +38,19 @@ def test_its_files_can_be_simulated(text: str, tmp_path: Path) -> None:
     assert Simulation(parse_declaration(kept, str(tmp_path / "plant.toml"))).points["1/setpoint"].value == 20
     many = Simulation(parse_declaration(including, "plant.toml", read=lambda name: profile))
     assert many.units[100].name == "Acme meter 100"
+    misbehaving = Simulation(parse_declaration(plant + faults, "plant.toml"))
+    assert [(fault.name, fault.is_on) for fault in misbehaving.board] == [("slow meters", False)]
+    assert list(Simulation(parse_declaration(ready_made, "plant.toml")).units) == [1, 2, 3]
+
+
+def test_no_section_is_empty(text: str) -> None:
+    assert re.findall(r"^(## .*)\n+(?=## |\Z)", text, re.MULTILINE) == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_behaviour_is_explained_with_its_keys(kind: str, text: str) -> None:
-    (row,) = re.findall(rf"^\| `{kind}` \|.*$", text, re.MULTILINE)
+    section = text.partition("\n## Behaviours\n")[2].partition("\n## ")[0]
+    (row,) = re.findall(rf"^\| `{kind}` \|.*$", section, re.MULTILINE)
     own = set(KINDS[kind].model_fields) - set(BehaviourSection.model_fields) - {"kind"}
     assert all(f"`{key}`" in row for key in own)
 

@@ -1,0 +1,89 @@
+"""The part of the simulator's page on faults: its table is that of the code, and lacks no personality that is known."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+from busway.config.files.faults import FaultSection
+from busway.config.files.schema import Section, read_source
+from busway.simulator.faults.reading import fault_problems
+from busway.testing import CLIENT_PERSONALITIES, PERSONALITIES
+from busway.testing.personalities.elsewhere import ELSEWHERE
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "simulator.md"
+
+OF_THE_FIELD = [
+    "late",
+    "queue-lag",
+    "foreign-transaction",
+    "transaction+1",
+    "transaction=0",
+    "transaction=random",
+    "unit=255",
+    "unit=0",
+    "unit=1",
+    "mute-after-connect",
+    "close-if-silent",
+    "single-client",
+    "idle-close",
+    "wedged",
+    "min-gap",
+    "unit-switch",
+    "max-block",
+    "hole",
+    "wide-register",
+    "short",
+    "long",
+    "leading-zero",
+    "noise",
+    "dribble",
+    "glue",
+    "echo",
+    "busy",
+    "execute-then-drop",
+    "wrong-echo",
+    "odd-exception",
+    "fc6-only",
+    "fc16-only",
+    "broadcast-reply",
+    "hot-unplug",
+    "bad-certificate",
+    "slow-loris",
+]
+"""How devices, lines, gateways and clients are known to misbehave."""
+
+
+def test_the_table_of_personalities_is_that_of_the_code() -> None:
+    done = subprocess.run(
+        [sys.executable, "scripts/personalities_table.py", "--check"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_known_personality_can_be_played_or_says_who_plays_it() -> None:
+    assert sorted(OF_THE_FIELD) == sorted([*PERSONALITIES, *ELSEWHERE])
+    assert set(CLIENT_PERSONALITIES) <= set(ELSEWHERE)
+    text = PAGE.read_text(encoding="utf-8")
+    assert [name for name in OF_THE_FIELD if f"| `{name}` |" not in text] == []
+    for one in ELSEWHERE.values():
+        assert one.happens
+        assert one.answer
+        assert one.played_by
+
+
+class _File(Section):
+    fault: list[FaultSection]
+
+
+def test_the_section_that_is_shown_can_be_read() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    (shown,) = [part.split("```")[0] for part in text.split("```toml\n")[1:] if "[[fault]]" in part]
+    assert tomllib.loads(shown)["fault"]
+    source = read_source(shown, "shown.toml")
+    assert fault_problems(source.checked(_File).fault, source) == []
