@@ -268,3 +268,17 @@ async def test_ways_are_forgotten_with_their_connections() -> None:
                 await link.unit(1).read_holding_registers(7, count=1)
         assert board.wires.accepted == 2
     assert len(board.wires) == 0
+
+
+async def test_rules_for_a_unit_hold_by_whatever_name_its_device_is_asked() -> None:
+    policy = busway.Policy.of(
+        busway.Rule.of(name="not here", action="deny", units="1", access="write"), default="allow"
+    )
+    board = FaultBoard()
+    server = busway.serve("tcp://127.0.0.1:0", units={1: known_device()}, policy=policy)
+    board.attach(server)
+    async with server, busway.open(server.endpoints[0]) as link:
+        for unit in (1, 0, 255):
+            with pytest.raises(busway.ExceptionReply) as error:
+                await link.unit(unit).write_single_register(0, 1)
+            assert error.value.code == 1

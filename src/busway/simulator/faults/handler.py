@@ -21,6 +21,7 @@ from ...session.handler import (
     SILENCE,
     Deferral,
     Handler,
+    ListedUnits,
     Outcome,
     ReadPlanner,
     Refusal,
@@ -47,6 +48,7 @@ class FaultyHandler:
     """
 
     serial_units: Container[int]
+    listed_unit: Callable[[int], int]
 
     def __init__(
         self, inner: Handler, faults: Faults, wires: FaultyWires, *, heard: Callable[[Exchange], None] | None = None
@@ -60,6 +62,8 @@ class FaultyHandler:
         # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
+        if isinstance(inner, ListedUnits):  # or a rule for a unit could be walked around by asking 0 or 255
+            self.listed_unit = inner.listed_unit
 
     @property
     def functions(self) -> FunctionTable:
