@@ -42,6 +42,10 @@ def write(transaction: int, address: int) -> bytes:
     return struct.pack(">HHHBBHHB", transaction, 0, 7 + len(values), 1, 16, address, REGISTERS, len(values)) + values
 
 
+def write_single(transaction: int, address: int) -> bytes:
+    return struct.pack(">HHHBBHH", transaction, 0, 6, 1, 6, address, transaction)
+
+
 def in_batches(requests: Sequence[bytes]) -> list[bytes]:
     """What arrives together."""
     return [b"".join(requests[at : at + IN_FLIGHT]) for at in range(0, len(requests), IN_FLIGHT)]
@@ -81,6 +85,7 @@ async def _asked(
 READS = in_batches([read(number, number % IN_FLIGHT * REGISTERS) for number in range(TRANSACTIONS)])
 UNPLANNED = in_batches([read(number, READ_AREA + number) for number in range(TRANSACTIONS)])
 WRITES = in_batches([write(number, number) for number in range(TRANSACTIONS)])
+SINGLE_WRITES = in_batches([write_single(number, number) for number in range(TRANSACTIONS)])
 ALL_PLANS = in_batches([read(number, number, 1) for number in range(PLANS)])
 
 
@@ -102,6 +107,16 @@ def server_policy_window(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
 def server_short_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     """Writes that nobody looks at."""
     return _asked(loop, busway.serve(TCP, units={1: device()}), WRITES)
+
+
+def server_single_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Writes of one register, which are as long as a read."""
+    return _asked(loop, busway.serve(TCP, units={1: device()}), SINGLE_WRITES)
+
+
+def server_policy_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """The same behind a policy."""
+    return _asked(loop, busway.serve(TCP, units={1: device()}, policy=policy()), SINGLE_WRITES)
 
 
 def server_long_road(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
@@ -205,6 +220,8 @@ SCRIPTS: dict[str, Script] = {
     "server, short road": server_short_road,
     "server, policy window": server_policy_window,
     "server, short write": server_short_write,
+    "server, single write": server_single_write,
+    "server, policy write": server_policy_write,
     "server, long road": server_long_road,
     "server, audited write": server_audited_write,
     "client, execute_many": client_execute_many,

@@ -158,6 +158,7 @@ def _bars(groups: dict[str, dict[str, Series]]) -> list[Bar]:
         Bar("execute_many, 16 connections", rate(MANY, "busway", sixteen), ">=", 450_000, "/s"),
         Bar("execute_many, 16 connections, uvloop", rate(MANY, fast, sixteen), ">=", 500_000, "/s"),
         Bar("await, 16 in flight on 1 connection, uvloop", rate(AWAIT, fast, awaited), ">=", 100_000, "/s"),
+        Bar("the same, requests of one turn joined", rate(AWAIT, f"{fast}, joined", awaited), ">=", 100_000, "/s"),
         Bar("await, 1 x 16: busway / pymodbus, rate", against_pymodbus("busway", awaited), ">=", 10),
         Bar("await, 16 x 1: busway / pymodbus, rate", against_pymodbus("busway", single), ">=", 10),
         Bar("blocking: busway / pyModbusTCP, rate", blocking, ">=", 0.9),
