@@ -12,10 +12,12 @@ from waiting import until
 import busway
 from busway.codes import Table
 from busway.framing.mbap import MbapFrame
+from busway.framing.rtu import encode_rtu
 from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings, simple_plan
 from busway.gateway.routes import ALL_UNITS, Action, AddressRange, Route, RoutingTable
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
+from busway.server.tcp import settle
 from busway.session.parameters import ServerParameters
 from busway.testing.line import PacedLine
 
@@ -156,13 +158,13 @@ async def test_routes_renumber_shift_split_refuse_and_drop() -> None:
             Route(line="line", units=frozenset({105}), unit_offset=-100),
             lines={"line": server.endpoints[0]},
         )
-        async with through(made, timeout=0.2, retries=0) as (_, link):
+        async with through(made, timeout=5, retries=0) as (_, link):
             one = link.unit(1)
             assert await one.read_holding_registers(3, count=50) == list(range(103, 153))
             assert await one.read_coils(20, count=40) == [(n + 100) % 3 == 0 for n in range(20, 60)]
             assert await code_of(one.write_single_register(0, 1)) == 3
             with pytest.raises(busway.NoReply):
-                await one.read_coils(0, count=2)
+                await one.execute(busway.ReadCoils(0, 2), timeout=0.2)
             assert await code_of(one.read_coils(8, count=4)) == 2
             await one.mask_write_register(3, and_mask=0, or_mask=7)
             assert await link.unit(105).read_holding_registers(103, count=1) == [7]
@@ -195,10 +197,10 @@ async def test_a_serial_front_is_silent_for_units_that_it_does_not_route() -> No
                 lines={"line": server.endpoints[0]},
                 front=Front("serial", Listener(urls[0])),
             )
-            async with Gateway(made), busway.open(urls[1], timeout=0.3, retries=0) as link:
+            async with Gateway(made), busway.open(urls[1], timeout=5, retries=0) as link:
                 assert await link.unit(3).read_holding_registers(1, count=2) == [301, 302]
                 with pytest.raises(busway.NoReply):
-                    await link.unit(4).read_holding_registers(1, count=2)
+                    await link.unit(4).execute(busway.ReadHoldingRegisters(1, 2), timeout=0.2)
                 assert await link.unit(3).read_holding_registers(1, count=2) == [301, 302]
 
 
@@ -284,6 +286,50 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
         async with busway.open(endpoint, retries=0) as link:
             with pytest.raises(busway.LinkDown):
                 await link.unit(1).read_holding_registers(1, count=1)
+
+
+@pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "rtu+tcp"])
+async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) -> None:
+    gate = Gate()
+    handler = ScriptedHandler(gate.decide)
+    async with busway.serve(ANY_PORT, handler=handler) as server:
+        gateway = Gateway(simple_plan([f"{scheme}://127.0.0.1:0"], server.endpoints[0], timeout=5, share_reads=False))
+        await gateway.start()
+        options = {"timeout": 5, "retries": 0, "shared": False}
+        async with (
+            busway.open(gateway.endpoints[0], **options) as link,
+            busway.open(gateway.endpoints[0], **options) as late,
+        ):
+            await late.unit(1).read_holding_registers(1, count=1)
+            asked = asyncio.create_task(link.unit(1).read_holding_registers(1000, count=1))
+            await until(lambda: len(handler.contexts) == 2)
+            draining = asyncio.create_task(gateway.drain(5))
+            await settle()
+            with pytest.raises(busway.NoReply):
+                await late.unit(1).execute(busway.ReadHoldingRegisters(2, 1), timeout=0.1)
+            gate.opened.set()
+            assert await asked == [1000]
+            assert await draining == 0
+        assert len(handler.contexts) == 2
+
+
+async def test_draining_takes_nothing_new_from_a_serial_front() -> None:
+    gate = Gate()
+    handler = ScriptedHandler(gate.decide)
+    with PacedLine(ports=2, baud=BAUD) as line:
+        urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
+        async with busway.serve(ANY_PORT, handler=handler) as server:
+            gateway = Gateway(simple_plan([urls[0]], server.endpoints[0], timeout=5))
+            await gateway.start()
+            line.inject(encode_rtu(1, busway.ReadHoldingRegisters(1000, 1).encode()))
+            await until(lambda: handler.contexts)
+            draining = asyncio.create_task(gateway.drain(5))
+            await settle()
+            line.inject(encode_rtu(0, busway.WriteSingleRegister(1, 1).encode()))
+            await until(lambda: gateway.status().listeners[0].foreign == 1)
+            gate.opened.set()
+            assert await draining == 0
+        assert len(handler.contexts) == 1
 
 
 async def test_draining_ends_with_its_deadline_and_says_what_is_left() -> None:

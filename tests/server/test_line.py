@@ -11,6 +11,7 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.diagnosis import Lamp
+from busway.server.tcp import settle
 from busway.session.handler import Outcome, RequestContext
 from busway.testing.line import PacedLine
 from busway.transport.serial.blocking import BlockingSerialPort
@@ -137,6 +138,35 @@ class Slow:
         if isinstance(request, ReadHoldingRegisters) and request.address:
             raise RuntimeError("broken")
         return ReadHoldingRegisters.Reply(bytes(4))
+
+
+@pytest.mark.clause("T38")
+async def test_server_that_takes_no_more_still_answers_what_it_was_asked_and_nothing_else(line: PacedLine) -> None:
+    handler = Slow()
+    async with busway.serve(url(line), handler=handler) as server:  # type: ignore[arg-type]
+        line.inject(READ)
+        await handler.asked.wait()
+        await server.take_no_more()
+        handler.go_on.set()
+        await until(lambda: len(spoken(line)) == 1)
+        line.inject(READ)
+        await until(lambda: server.status().listeners[0].foreign == 1)
+        await asyncio.to_thread(line.wait_quiet, 0.02)
+        assert server.status().counters.requests == 1
+    assert len(spoken(line)) == 1
+
+
+async def test_answer_that_waits_for_its_silence_leaves_before_the_port_is_closed() -> None:
+    with PacedLine(ports=2, baud=1200) as slow:  # a silence of 32 ms
+        handler = Slow()
+        handler.go_on.set()
+        server = busway.serve(f"rtu://{slow.paths[1]}?baud=1200", handler=handler)  # type: ignore[arg-type]
+        await server.start()
+        slow.inject(READ)
+        await handler.asked.wait()
+        await settle()  # the answer is there, and waits
+        await server.stop()
+        await until(lambda: any(talk.port == 1 for talk in slow.transmissions(0.01)))
 
 
 @pytest.mark.clause("S6")

@@ -5,7 +5,7 @@ import socket
 from urllib.parse import urlsplit
 
 import pytest
-from handlers import ScriptedHandler, registers
+from handlers import ScriptedHandler, later, registers
 from waiting import until
 
 import busway
@@ -211,6 +211,21 @@ async def test_no_datagram_is_answered_by_more_than_the_reply_of_its_request() -
             sender.socket.setblocking(False)
             with pytest.raises(BlockingIOError):
                 sender.socket.recv(2048)
+
+
+@pytest.mark.clause("T38")
+async def test_server_that_takes_no_more_answers_what_is_in_work_and_drops_what_comes() -> None:
+    handler = ScriptedHandler(later)
+    async with busway.serve("udp://127.0.0.1:0", handler=handler) as server:
+        with Sender(server.endpoints[0]) as sender:
+            sender.socket.send(frame_of("udp", 1, READ))
+            await until(lambda: len(handler.contexts) == 1)
+            await server.take_no_more()
+            sender.socket.send(frame_of("udp", 1, READ))
+            handler.contexts[0].reply(registers(7, 8))
+            answer = await asyncio.to_thread(sender.socket.recv, 2048)
+            assert answer == frame_of("udp", 1, bytes.fromhex("03 04 0007 0008"))
+        assert len(handler.contexts) == 1
 
 
 @pytest.mark.clause("T39")

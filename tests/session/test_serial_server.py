@@ -230,6 +230,19 @@ def test_broadcast_that_reads_or_is_in_error_is_only_counted(pdu: bytes) -> None
 
 
 @pytest.mark.clause("S16")
+def test_server_that_takes_no_more_answers_the_last_request_and_neither_reads_nor_executes_others() -> None:
+    bus, _, server, handler = handled(LATER)
+    send(bus, encode_rtu(5, READ.encode()))
+    server.session.take_no_more()
+    handler.contexts[0].reply(ReadHoldingRegisters.Reply(bytes(4)))
+    bus.run(0.1)
+    assert bus.line.transmissions()[-1].data == encode_rtu(5, REPLY)
+    send(bus, encode_rtu(5, READ.encode()))
+    send(bus, encode_rtu(0, WriteSingleRegister(0, 9).encode()))
+    assert len(handler.contexts) == 1
+    assert server.session.requests == 1
+
+
 def test_counters_are_counted_as_in_the_flow_chart_and_read_by_function_08() -> None:
     bus, master, server = pair({5: Device(holding_registers=10)})
     send(bus, encode_rtu(5, READ.encode())[:-1] + b"\x00")  # 2: bad CRC

@@ -124,8 +124,16 @@ class SerialListener:
             self._release()
             raise
 
+    def take_no_more(self) -> None:
+        """Take no further request; the answer to the last one still leaves."""
+        self._session.take_no_more()
+
     async def close(self) -> None:
-        """Give the port back. What is still in work gets no answer."""
+        """Give the port back. An answer that is there and waits for its silence leaves; what is in work gets none."""
+        if self._pending is not None:
+            await asyncio.sleep(max(self._pending.not_before - time.monotonic(), 0.0))
+            if self._pending is not None:  # or the alarm was sooner, or somebody has spoken
+                self._emit()
         if self._opening is not None:
             self._opening.cancel()
             await asyncio.gather(self._opening, return_exceptions=True)

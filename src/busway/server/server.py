@@ -224,6 +224,10 @@ class Server:
 
     async def take_no_more(self) -> None:
         """Take no new connection and read no further request; answers still go out. Before a `stop` that may wait."""
+        for datagrams in self._datagrams:
+            datagrams.take_no_more()
+        for line in self._lines:
+            line.take_no_more()
         for streams in self._streams:
             streams.accept_no_more()
         await settle()

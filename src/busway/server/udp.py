@@ -49,6 +49,7 @@ class UdpListener:
         self._sockets: list[_Socket] = []
         self._pools: Pools[_Peer] = Pools(reception.parameters.pools)
         self._peers: dict[Any, _Peer] = {}  # by socket and address
+        self._takes_more = True
 
     async def open(self) -> None:
         """Listen. Raises `OSError` or `ConfigError`; then nothing is open."""
@@ -69,6 +70,10 @@ class UdpListener:
         reception.hosts = tuple(str(one.getsockname()[0]) for one in bound)
 
     # What the server asks.
+
+    def take_no_more(self) -> None:
+        """Drop every datagram from now on; what is in work is still answered."""
+        self._takes_more = False
 
     def close(self) -> None:
         """Close it; what is still in work gets no answer."""
@@ -98,6 +103,8 @@ class UdpListener:
 
     def received(self, socket: "_Socket", data: bytes, address: Any) -> None:  # Any: of whatever family
         """A datagram has come: answer it."""
+        if not self._takes_more:
+            return
         reception = self.reception
         now = time.monotonic()
         reception.diagnosis.traffic = now

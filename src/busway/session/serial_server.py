@@ -63,6 +63,7 @@ class SerialServerSession:
         "_line",
         "_listener",
         "_receiver",
+        "_takes_more",
         "_units",
         "_waiting",
         "abandoned",
@@ -105,6 +106,7 @@ class SerialServerSession:
         self._deliver = deliver
         self._waiting: RequestContext | None = None
         self._last_byte = 0.0
+        self._takes_more = True
         self.deferred: list[Deferred] = []
         self.failures: list[HandlerFailure] = []
         self.requests = 0
@@ -150,6 +152,10 @@ class SerialServerSession:
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
+    def take_no_more(self) -> None:
+        """Take no further request for one's own; the answer that is still to come may leave."""
+        self._takes_more = False
+
     def close(self) -> None:
         """The port has gone: what is still waiting gets no answer."""
         context, self._waiting = self._waiting, None
@@ -176,7 +182,8 @@ class SerialServerSession:
     def _frame(self, frame: SerialFrame) -> Emission | None:
         broadcast = frame.unit == BROADCAST_UNIT
         function = frame.pdu[0]
-        if frame.direction is Direction.REPLY or function > 0x7F or not (broadcast or frame.unit in self._units):
+        is_own = self._takes_more and (broadcast or frame.unit in self._units)
+        if frame.direction is Direction.REPLY or function > 0x7F or not is_own:
             self.foreign += 1
             self._diagnostics.received_foreign()
             return None
