@@ -104,6 +104,30 @@ def test_a_file_that_can_not_be_read_is_named(tmp_path: Path) -> None:
         busway.load_configuration(tmp_path / "nothing.toml")
 
 
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("[simulation]\nseed = 1\n[[unit]]\nunit = 1\n", "plant.toml:1: simulation"),
+        ('[[include]]\nfile = "x.toml"\nsurprise = 1\n', "plant.toml:1: include"),
+        ("[[unit]]\nunit = 1\nholes = 0\n", "plant.toml:3: unit[0].holes"),
+        (
+            '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\nmaximum = 1\n',
+            "plant.toml:6: unit[0].point[0].maximum",
+        ),
+    ],
+)
+def test_a_simulation_file_is_told_from_others_with_what_reads_it(text: str, place: str) -> None:
+    with pytest.raises(FileError) as caught:
+        parse_configuration(text, "plant.toml")
+    sentence = "only simulation files have this; such a file is read by: busway simulate plant.toml --check"
+    assert str(caught.value) == f"{place}: {sentence}"
+
+
+def test_a_key_that_no_file_has_is_no_mark_of_a_simulation_file() -> None:
+    with pytest.raises(FileError, match="there is no such key"):
+        parse_configuration("[[unit]]\nunit = 1\nbehaviour = 0\n", "plant.toml")
+
+
 def test_examining_opens_the_files_that_are_named(tmp_path: Path) -> None:
     file = tmp_path / "plant.toml"
     file.write_text(SYSTEM.replace("audit.jsonl", "there/is/none/audit.jsonl"), encoding="utf-8")

@@ -17,6 +17,7 @@ from ..config.access.addresses import AddressList
 from ..config.access.rules import AccessRules, Policy
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.files.lines import Path as Place
+from ..config.files.problems import FileError
 from ..config.files.system import SystemFile, read_system_file
 from ..config.options import build_parameters, option_names
 from ..errors import ConfigError
@@ -163,10 +164,24 @@ def parse_configuration(
     Raises:
         FileError: all that is wrong, each with file, line and key.
     """
-    file, source = read_system_file(text, name)
+    try:
+        file, source = read_system_file(text, name)
+    except FileError as error:
+        raise _what_reads_it(error) from None
     judge = Judge(source)
     made = put_together(file, name, judge, examine=examine, changes=changes)
     return replace(made, warnings=judge.end())
+
+
+def _what_reads_it(error: FileError) -> FileError:
+    """An error with all that is wrong; of a simulation file only that it is one, and what takes it."""
+    from ..config.files.simulation import is_only_of_simulations
+
+    one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
+    if one is None:
+        return error
+    sentence = f"only simulation files have this; such a file is read by: busway simulate {one.file} --check"
+    return FileError([ConfigError(sentence, file=one.file, line=one.line, key=one.key)])
 
 
 def put_together(

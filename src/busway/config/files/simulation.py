@@ -32,6 +32,7 @@ Rules:
    would never be seen and is refused.
 """
 
+import re
 from collections.abc import Iterator
 from typing import Annotated, Any, Final
 
@@ -257,3 +258,26 @@ class SimulationFile(SystemFile, ParameterKeys):
         missing = [(("unit",), "is missing")] if not self.unit and not self.include else []
         yield from missing
         yield from (each for each in super()._whole_faults() if each != (("unit",), "is missing"))
+
+
+_OF_A_UNIT: Final = re.compile(r"(?P<part>unit\[\d+\]\.(point\[\d+\]\.)?)?(?P<key>\w+)")
+
+
+def is_only_of_simulations(key: str) -> bool:
+    """Whether a key stands where simulation files alone have it: ``include``, ``unit[0].point[2].behaviour``."""
+    found = _OF_A_UNIT.fullmatch(key)
+    if found is None:
+        return False
+    here, plain = _SECTIONS[(found["part"] or "").count(".")]
+    return found["key"] in _keys(here) - _keys(plain)
+
+
+_SECTIONS: Final[tuple[tuple[type[Section], type[Section]], ...]] = (
+    (SimulationFile, SystemFile),
+    (SimulatedUnitSection, UnitSection),
+    (SimulatedPointSection, PointSection),
+)
+
+
+def _keys(section: type[Section]) -> set[str]:
+    return {field.alias or name for name, field in section.model_fields.items()}
