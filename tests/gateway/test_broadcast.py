@@ -324,6 +324,42 @@ async def test_a_serial_front_reaches_serial_lines_once_and_servers_on_tcp_unit_
         assert heard == []
 
 
+async def test_a_serial_front_whose_route_names_no_units_reaches_a_server_on_tcp_once() -> None:
+    heard: list[int] = []
+
+    def answer(context: busway.RequestContext, request: AnyRequest) -> busway.Message:
+        heard.append(context.unit)
+        assert isinstance(request, busway.WriteSingleRegister)
+        return request
+
+    front = Front("front", Listener("rtu+tcp://127.0.0.1:0"))
+    async with bus() as line, busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
+        async with gateway(
+            Route(line="line", units=frozenset({1, 2})),
+            Route(line="tcp"),
+            lines={"line": line.url, "tcp": server.endpoints[0]},
+            front=front,
+        ) as (made, link):
+            await link.unit(0).write_single_register(3, 33)
+            await until(lambda: line.registers(3, 1) == [[33], [33]] and heard and not made.open_requests)
+            await link.unit(9).write_single_register(3, 33)
+        assert heard == [0, 9]
+
+
+async def test_units_that_lead_elsewhere_do_not_keep_a_line_from_hearing_it() -> None:
+    async with (
+        bus() as one,
+        bus() as two,
+        gateway(
+            Route(line="one", units=frozenset({1})),
+            Route(line="two", units=OTHERS),
+            lines={"one": one.url, "two": two.url},
+        ) as (_, link),
+    ):
+        await link.unit(0).write_single_register(5, 55)
+        assert one.registers(5, 1) == two.registers(5, 1) == [[55], [55]]
+
+
 async def test_a_serial_front_must_not_write_to_all_what_it_may_not_write_to_one() -> None:
     front = Front("front", Listener("rtu+tcp://127.0.0.1:0"))
     async with (

@@ -170,14 +170,18 @@ class FrontHandler:
         return LATER
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """A broadcast of a serial front, which comes once for every unit: a line that takes broadcasts gets one."""
+        """A broadcast of a serial front, which comes once for every unit: a line that takes broadcasts gets one.
+
+        A server on a network gets one for each unit that a route names, and one to unit 0 where the route names none:
+        247 requests of which most have no device would keep it busy for minutes.
+        """
         found = self._routes.find(context.unit, request)
         if not isinstance(found, Route) or found.action is not Action.FORWARD:
             return SILENCE
         line = self._lines.get(found.line)
         if line is None:
             return SILENCE
-        if not line.takes_broadcasts:
+        if not line.takes_broadcasts and not found.names_no_units:
             return line.forward(context, request, found, deadline=self.deadline)
         if id(line) not in executed:
             executed.add(id(line))

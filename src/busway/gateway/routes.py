@@ -19,6 +19,7 @@ from ..pdu.general import OpaqueRequest
 from ..pdu.message import Request
 
 ALL_UNITS = frozenset(range(256))
+SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 
 
 class Action(Enum):
@@ -111,6 +112,11 @@ class Route:
         """The unit that is asked on the line."""
         return unit + self.unit_offset if self.unit is None else self.unit
 
+    @property
+    def names_no_units(self) -> bool:
+        """Whether it takes every unit as it is, so that nobody knows from it which there are."""
+        return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
+
     def covers(self, other: "Route") -> bool:
         """Whether it takes everything that ``other`` would take, so that ``other`` behind it is never reached."""
         return other.units <= self.units and self.covers_beside_units(other)
@@ -152,9 +158,14 @@ class FrontRoutes:
     def __init__(self, routes: Sequence[Route]) -> None:
         self._by_unit: dict[int, tuple[Route, ...]] = {}
         for unit in range(256):
-            found = tuple(route for route in routes if unit in route.units)
+            found: list[Route] = []
+            for route in routes:
+                if unit in route.units:
+                    found.append(route)
+                    if not route.functions and route.addresses is None:
+                        break  # it takes everything: nothing gets behind it
             if found:
-                self._by_unit[unit] = found
+                self._by_unit[unit] = tuple(found)
 
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
         """The route of a request, or None where there is none."""
