@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 import busway
+from busway.testing.certificates import CertificateStore
+from busway.testing.line import PacedLine
 
 PROGRAM = [sys.executable, "-m", "busway", "simulate"]
 
@@ -87,6 +89,40 @@ def test_points_behave_on_every_listener_until_a_signal_and_are_kept(number: sig
     state = json.loads((file.parent / "state.json").read_text())
     assert state["points"]["3/level"]["value"] == 1.25
     assert state["points"]["3/pulses"]["behaviour"] >= found[-1]
+
+
+@contextmanager
+def place(scheme: str, folder: Path) -> Iterator[tuple[str, str | None, dict[str, Any]]]:
+    """Where to listen, what a client asks if that is another end, and its options."""
+    if scheme == "tls":
+        store = CertificateStore(folder)
+        yield f"tls://127.0.0.1:0?{store.server().query()}", None, store.client().options()
+    elif "+" in scheme:
+        yield f"{scheme}://127.0.0.1:0", None, {}
+    else:
+        with PacedLine(ports=2, baud=38_400, data_bits=8 if scheme == "rtu" else 7) as line:
+            here, there = (f"{scheme}://{path}?baud=38400" for path in line.paths)
+            yield here, there, {}
+
+
+@pytest.mark.parametrize("scheme", ["tls", "rtu", "ascii", "ascii+tcp"])
+def test_points_writes_and_faults_are_the_same_on_every_transport(scheme: str, file: Path, tmp_path: Path) -> None:
+    with place(scheme, tmp_path) as (listen, other_end, options):
+        words = ["--listen", listen, "--speed", "1000", "--fault", "busy:functions=6"]
+        with (
+            simulating(str(file), *words) as (_, (endpoint,)),
+            busway.connect(other_end or endpoint, timeout=10, **options) as link,
+        ):
+            unit = link.unit(3)
+            unit.write("4x1", 1.25, "float32")
+            assert unit.read("4x1", "float32") == 1.25
+            first = unit.read("3x1", "uint32")
+            deadline = time.monotonic() + 20
+            while unit.read("3x1", "uint32") == first:
+                assert time.monotonic() < deadline
+            with pytest.raises(busway.ExceptionReply) as caught:
+                unit.write_single_register(0, 1)
+            assert caught.value.code == 6
 
 
 def test_it_ends_by_itself_after_the_time_it_is_given(file: Path) -> None:
