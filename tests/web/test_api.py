@@ -235,6 +235,17 @@ def test_the_simulation_says_what_it_is(still):
     ]
 
 
+def test_the_simulation_is_paused_and_made_faster(plant):
+    answer = plant.ask("PATCH", "/api/simulation", {"paused": True, "speed": 50})[1]
+    assert (answer["paused"], answer["speed"]) == (True, 50)
+    stood = answer["time"]
+    assert plant.ask("GET", "/api/simulation")[1]["time"] == stood
+    assert plant.ask("PATCH", "/api/simulation", {"paused": False})[1]["paused"] is False
+    assert plant.ask("GET", "/api/simulation")[1]["time"] > stood
+    assert plant.ask("PATCH", "/api/simulation", {"speed": 0})[0] == 422
+    assert plant.ask("PATCH", "/api/simulation", {})[1]["speed"] == 50
+
+
 def test_the_traffic_is_asked_for_from_a_number_on(plant, unit):
     unit.read("4x1", "float32")
     answer = plant.ask("GET", "/api/traffic")[1]

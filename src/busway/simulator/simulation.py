@@ -94,6 +94,8 @@ class Simulation:
         units: the units by number.
         points: all points by ``UNIT/NAME``.
         board: the faults by name, those of the file and more; played by every server that `serve` makes.
+        speed: as given, or changed since.
+        is_paused: whether time stands still.
         warnings: what is odd, a sentence each: values that were kept and can not be taken up again.
     """
 
@@ -105,12 +107,12 @@ class Simulation:
         seed: int | None = None,
         speed: float = 1.0,
     ) -> None:
-        if not 0 < speed < math.inf:
-            raise ConfigError(f"must be above 0, not {speed:g}", key="speed")
+        _check_speed(speed)
         self.declaration = file if isinstance(file, SimulationDeclaration) else load_declaration(file)
         settings = self.declaration.file.simulation
         self.seed = settings.seed if seed is None else seed
         self.speed = speed
+        self.is_paused = False
         wired = wire(self.declaration.units, self.seed)
         self.units: Mapping[int, SimulatedUnit] = MappingProxyType(wired.units)
         self.points: Mapping[str, SimulatedPoint] = MappingProxyType(wired.points)
@@ -222,14 +224,55 @@ class Simulation:
         due = self._engine.deadline()
         if due is None or self._origin is None:
             return None
+        if self.is_paused:
+            return None
         began, time = self._origin
         return began + (due - time) / self.speed
+
+    def change_speed(self, speed: float) -> None:
+        """Let time go faster or slower from now on; where it runs, in the thread of its event loop.
+
+        Args:
+            speed: seconds of the simulation in one second of the clock, above 0.
+
+        Raises:
+            ConfigError: it can not be.
+        """
+        _check_speed(speed)
+        self._count_from_here()
+        self.speed = speed
+        self._arm_if_running()
+
+    def pause(self) -> None:
+        """Let time stand still: points keep their values, and can be set as ever. Thread as of `change_speed`."""
+        self._count_from_here()
+        self.is_paused = True
+        self._arm_if_running()
+
+    def resume(self) -> None:
+        """Let time go on where it stood. Thread as of `change_speed`."""
+        self._count_from_here()
+        self.is_paused = False
+        self._arm_if_running()
+
+    def _arm_if_running(self) -> None:
+        if self._loop is not None:
+            self._arm()
+
+    def _count_from_here(self) -> None:
+        """Count time from this moment on; without a clock, from the next `tick`."""
+        if self._clock is None:
+            self._origin = None
+        elif self._origin is not None:
+            now = self._clock.now()
+            self._origin = (now, self._time_at(now))
 
     def _time_at(self, now: float) -> float:
         if self._origin is None:
             return self._time
         began, time = self._origin
-        return max(time + (now - began) * self.speed, self._time)
+        passed = 0.0 if self.is_paused else (now - began) * self.speed
+        return max(time + passed, self._time)
 
     # ---- what a server needs (`busway.assembly.service.Declared`)
 
@@ -355,6 +398,10 @@ class Simulation:
         assert clock is not None  # it called
         began = clock.now()
         self._time = self._time_at(began)
+        due, deadline = self._engine.deadline(), self.deadline()
+        if due is not None and deadline is not None and began >= deadline:
+            # Speed times seconds may be a little less than what is due, and the timer would be set to this same moment.
+            self._time = max(self._time, due)
         ends = began + SLICE
         is_done = self._engine.run(self._time, skip=isinstance(clock, _LoopClock), pause=lambda: clock.now() > ends)
         if is_done:
@@ -474,3 +521,8 @@ class Simulation:
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)
         _log.warning("%s", sentence)
+
+
+def _check_speed(speed: float) -> None:
+    if not 0 < speed < math.inf:
+        raise ConfigError(f"must be above 0, not {speed:g}", key="speed")

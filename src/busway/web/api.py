@@ -44,7 +44,7 @@ from .messages import (
     plain_value,
 )
 from .operations import Call, Operation, Problem
-from .subject import Board, Paced, Pausable, Point, Served, Subject
+from .subject import Board, Point, Served, Subject
 from .traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
@@ -100,7 +100,6 @@ class Api:
                 SimulationAnswer,
                 self.change_simulation,
                 body=SimulationChange,
-                failures={HTTPStatus.CONFLICT: "This simulation has no such switch."},
             ),
             Operation("GET", "/api/units", "list_units", "The units", Units, self.list_units),
             Operation("GET", "/api/points", "list_points", "Points", Points, self.list_points, query=PointsQuery),
@@ -190,10 +189,10 @@ class Api:
             units=len(subject.units),
             points=len(self.order),
             uptime=status.uptime,
-            time=getattr(subject, "time", None),
-            seed=getattr(subject, "seed", None),
-            speed=getattr(subject, "speed", None),
-            paused=subject.is_paused if isinstance(subject, Pausable) else None,
+            time=subject.time,
+            seed=subject.seed,
+            speed=subject.speed,
+            paused=subject.is_paused,
         )
 
     async def change_simulation(self, call: Call) -> Answer:
@@ -201,12 +200,8 @@ class Api:
         wanted: SimulationChange = call.body
         subject = self.subject
         if wanted.speed is not None:
-            if not isinstance(subject, Paced):
-                raise Problem(HTTPStatus.CONFLICT, "the speed of this simulation can not be changed")
             subject.change_speed(wanted.speed)
-        if wanted.paused is not None:
-            if not isinstance(subject, Pausable):
-                raise Problem(HTTPStatus.CONFLICT, "this simulation can not be paused")
+        if wanted.paused is not None and wanted.paused != subject.is_paused:
             if wanted.paused:
                 subject.pause()
             else:

@@ -279,10 +279,10 @@ class SimulationAnswer(Answer):
     units: int
     points: int
     uptime: float
-    time: float | None = Field(None, description="of its clock, in seconds since it began")
-    seed: int | str | None = None
-    speed: float | None = Field(None, description="seconds of its clock in a second; null where it has only one")
-    paused: bool | None = Field(None, description="null where it can not be paused")
+    time: float = Field(description="seconds of the simulation since it began")
+    seed: int
+    speed: float = Field(description="seconds of the simulation in a second")
+    paused: bool
 
 
 class SimulationChange(Asked):

@@ -4,7 +4,7 @@ Knows the shape of a simulation; knows no implementation. `busway.simulator.simu
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from ..codes import Table
 from ..server.status import ServerStatus
@@ -152,23 +152,21 @@ class Subject(Protocol):
     def watch(self, callback: Watcher) -> Any:
         """Call ``callback`` with each group of changes; what is given back ends that when it is called."""
 
+    # Time.
 
-@runtime_checkable
-class Pausable(Protocol):
-    """A simulation whose time can stand still."""
-
+    seed: int
+    speed: float
     is_paused: bool
+
+    @property
+    def time(self) -> float:
+        """Seconds since its beginning."""
+
+    def change_speed(self, speed: float) -> None:
+        """Seconds of the simulation in a second, from now on."""
 
     def pause(self) -> None:
         """Stand still."""
 
     def resume(self) -> None:
         """Go on."""
-
-
-@runtime_checkable
-class Paced(Protocol):
-    """A simulation whose time can go faster."""
-
-    def change_speed(self, speed: float) -> None:
-        """Seconds of the simulation in a second, from now on."""

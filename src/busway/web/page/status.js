@@ -26,10 +26,10 @@ export class StatusView {
     const simulation = status.simulation;
     setText(byId("name"), simulation.name);
     if (document.title !== `${simulation.name} – busway simulator`) document.title = `${simulation.name} – busway simulator`;
-    const speed = simulation.speed !== null && simulation.speed !== 1 ? `, ${simulation.speed} × speed` : "";
-    const clock = simulation.time === null ? "" : ` · ${duration(Math.floor(simulation.time))}${speed}`;
+    const speed = simulation.speed !== 1 ? `, ${simulation.speed} × speed` : "";
+    const clock = ` · ${duration(Math.floor(simulation.time))}${speed}${simulation.paused ? ", paused" : ""}`;
     setText(byId("endpoints"), simulation.endpoints.join("  ") + clock);
-    byId("pause").hidden = simulation.paused === null;
+    byId("pause").hidden = false;
     setText(byId("pause"), simulation.paused ? "Go on" : "Pause");
     if (this.isVisible) this.draw();
   }
