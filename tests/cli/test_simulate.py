@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from program import Busway
 
 import busway
 from busway.testing.certificates import CertificateStore
@@ -123,6 +124,35 @@ def test_points_writes_and_faults_are_the_same_on_every_transport(scheme: str, f
             with pytest.raises(busway.ExceptionReply) as caught:
                 unit.write_single_register(0, 1)
             assert caught.value.code == 6
+
+
+def test_sighup_replaces_the_policy_names_what_waits_for_the_next_start_and_refuses_a_wrong_formula(
+    file: Path,
+) -> None:
+    text = FILE.replace("[simulation]", '[policy]\ndefault = "read-only"\n\n[simulation]')
+    file.write_text(text)
+    with Busway("simulate", str(file), "--speed", "1000", "--control", "off") as program:
+        assert program.process.stdout is not None
+        url = program.process.stdout.readline().decode().strip()
+        with busway.connect(url, shared=False, retries=0) as link:
+            unit = link.unit(3)
+            with pytest.raises(busway.ExceptionReply):
+                unit.write("4x1", 1.0, "float32")
+            file.write_text(text.replace("read-only", "allow") + '[[fault]]\npersonality = "busy"\n')
+            program.process.send_signal(signal.SIGHUP)
+            assert program.wait_for("read again").endswith(
+                "the policy was replaced; only the next start will see fault"
+            )
+            unit.write("4x1", 1.0, "float32")  # on the same connection, and nothing is busy
+            file.write_text(text.replace("rate = 1", 'rate = "gone"'))
+            program.process.send_signal(signal.SIGHUP)
+            program.wait_for("nothing was changed")
+            assert "there is no point 'gone'" in program.wait_for("behaviour.rate")
+            unit.write("4x1", 2.0, "float32")
+            first = unit.read("3x1", "uint32")
+            deadline = time.monotonic() + 20
+            while unit.read("3x1", "uint32") == first:
+                assert time.monotonic() < deadline
 
 
 def test_it_ends_by_itself_after_the_time_it_is_given(file: Path) -> None:

@@ -197,8 +197,18 @@ def _speed(text: str) -> float:
 
 def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], Declared]":
     """What gives the simulation first, and what its source says whenever it is read again."""
+    from ..simulator.simulation import Simulation
+
     first: list[Declared] = [simulation]
-    return lambda: first.pop() if first else source.load().configuration
+
+    def read() -> "Declared":
+        if first:
+            return first.pop()
+        declaration = source.load()
+        Simulation(replace(declaration, state=None))  # what the next start would refuse is said now
+        return declaration.configuration
+
+    return read
 
 
 def _page(simulation: "Simulation", api: str, token_file: str | None, file: str) -> "ControlPage":
