@@ -81,6 +81,12 @@ def test_a_bad_file_is_refused_with_file_and_line(run: Callable[..., Any], tmp_p
     assert second.startswith(f"{file}:9: unit[0].point[0].type: unknown type 'float31'")
 
 
+def test_a_url_in_the_place_of_the_file_is_sent_to_its_option(run: Callable[..., Any]) -> None:
+    result = run("serve", "tcp://127.0.0.1:0")
+    assert (result.code, result.out) == (2, "")
+    assert "--listen tcp://127.0.0.1:0" in result.err
+
+
 def test_a_file_that_can_not_be_read_is_named(run: Callable[..., Any], tmp_path: Path) -> None:
     result = run("serve", str(tmp_path / "nothing.toml"))
     assert result.code == 2

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ..errors import ConfigError
 from .arguments import CAPTURE, VERBOSE, show_traffic
 from .exits import ExitCode
 from .files import capturing
@@ -106,6 +107,8 @@ def _reader(file: str | None, changes: dict[str, Any]) -> "Callable[[], Configur
 
     if file is None:
         return lambda: parse_configuration(BUILT_IN, "busway serve", changes=changes)
+    if "://" in file:
+        raise ConfigError(f"is a file; where to listen is said by --listen {file}", key="FILE")
     return lambda: load_configuration(file, changes=changes)
 
 

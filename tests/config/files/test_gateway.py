@@ -43,6 +43,17 @@ def test_a_listener_without_a_name_is_called_by_its_url() -> None:
     assert file.listener[0].title == "tcp://127.0.0.1:5020"
 
 
+def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> None:
+    policy = '[policy]\ndefault = "deny"\n[[policy.rule]]\nlisteners = ["office", "tls://"]\n'
+    office = FRONT + 'name = "office"\n'
+    file, _ = read_gateway_file(office + LINE + policy, "x.toml")
+    assert file.policy is not None
+    (rule,) = file.policy.policy().rules
+    assert rule.listeners == ("tcp://127.0.0.1:5020", "tls://")
+    (sentence,) = problems_of(office.replace("office", "yard") + LINE + policy)
+    assert sentence.startswith("x.toml:10: policy.rule[0].listeners: 'office' is no endpoint")
+
+
 @pytest.mark.parametrize(
     ("text", "sentences"),
     [

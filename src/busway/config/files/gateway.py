@@ -28,7 +28,7 @@ Rules:
 """
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -189,6 +189,18 @@ class GatewayFile(SystemFile):
     gateway: GatewaySection = GatewaySection()
     unit: Annotated[list[UnitSection], BeforeValidator(_no_units)] = Field(default_factory=list)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _names_in_rules(cls, value: Any) -> Any:  # what stands in the file, of any type
+        """A rule of the policy may name a listener as a route does; what is no name is left to the rule."""
+        if not isinstance(value, dict) or not isinstance(value.get("policy"), dict):
+            return value
+        fronts = [one for one in _list(value.get("listener")) if isinstance(one, dict)]
+        urls = {one["name"]: one["url"] for one in fronts if isinstance(one.get("name"), str) and "url" in one}
+        policy = value["policy"]
+        rules = [_with_urls(rule, urls) for rule in _list(policy.get("rule"))]
+        return {**value, "policy": {**policy, "rule": rules}} if rules else value
+
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:
         yield from clashes(self.places())
         if not self.line:
@@ -219,6 +231,17 @@ class GatewayFile(SystemFile):
                         ("route", index, "listeners", place),
                         f"there is no listener {wanted!r}, but {', '.join(titles)}",
                     )
+
+
+def _list(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _with_urls(rule: Any, urls: dict[str, Any]) -> Any:  # what stands in the file, of any type
+    listeners = rule.get("listeners") if isinstance(rule, dict) else None
+    if not isinstance(listeners, list):
+        return rule
+    return {**rule, "listeners": [urls.get(one, one) if isinstance(one, str) else one for one in listeners]}
 
 
 def _twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
