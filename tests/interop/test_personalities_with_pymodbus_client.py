@@ -123,5 +123,23 @@ def test_what_a_user_of_pymodbus_sees(user: foreign.Program, name: str) -> None:
         user.ask("close")
 
 
+@pytest.mark.parametrize(("starve", "expected"), [(False, CLOSED), (True, NOTHING)])
+def test_a_second_user_of_pymodbus_is_refused_or_starved_by_who_takes_a_single_client(
+    user: foreign.Program, starve: bool, expected: str
+) -> None:
+    board = FaultBoard()
+    board.add("single-client", parameters={"starve": starve})
+    with (
+        played(board, "tcp://127.0.0.1:0") as endpoint,
+        foreign.python_peer("pymodbus_user.py", TIMEOUT_MS) as second,
+    ):
+        for one in (user, second):
+            one.ask(f"open {endpoint.rpartition(':')[2]}")
+            first_read = _seen(one.ask(READ))
+            assert first_read == GOOD if one is user else str(first_read).startswith(expected)
+        assert _seen(user.ask(READ)) == GOOD
+        user.ask("close")
+
+
 def test_every_personality_of_servers_is_shown() -> None:
     assert set(SEEN) == {name for name, one in PERSONALITIES.items() if one.carriers != {Carrier.SERIAL}}
