@@ -259,6 +259,16 @@ def test_traffic_appears_is_filtered_and_pauses(page, unit, keep):
     expect(frames).to_have_count(before + 2)
 
 
+def test_time_is_paused_and_goes_on(page):
+    page.click("#pause")
+    expect(page.locator("#pause")).to_have_text("Go on")
+    expect(page.locator("#endpoints")).to_contain_text("paused")
+    page.click("#pause")
+    expect(page.locator("#endpoints")).not_to_contain_text("paused")
+    level = row(page, "1/tank.level").locator(".c-value")
+    expect(level).not_to_have_text(level.inner_text())
+
+
 def test_trends_are_drawn_of_the_points_that_are_chosen(page, keep):
     page.locator("#grid").focus()
     page.keyboard.press("Home")
