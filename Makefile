@@ -14,6 +14,7 @@ SHELL := /bin/sh
 
 VENV  := .venv
 PEERS := .peers
+BENCH_PEERS := bench/build/peers
 RUN   := $(VENV)/bin
 PIP   := -m pip --disable-pip-version-check --quiet install
 
@@ -95,15 +96,18 @@ soak: $(VENV)/.installed-dev ## tests that take minutes
 	@$(RUN)/python -m pytest -m soak $(PYTEST_FLAGS)
 
 .PHONY: bench
-bench: $(VENV)/.installed-dev peers ## one table of speed, ours and the peers in the same run
+bench: $(VENV)/.installed-dev bench-peers ## one table of speed, ours and the peers in the same run
 	@$(RUN)/python -m bench $(BENCH_FLAGS)
 
 .PHONY: bench-quick
-bench-quick: $(VENV)/.installed-dev peers ## the same in under a minute
+bench-quick: $(VENV)/.installed-dev bench-peers ## the same in under a minute
 	@$(RUN)/python -m bench --quick $(BENCH_FLAGS)
 
 .PHONY: peers
 peers: $(PEERS)/.installed ## the foreign programs of the interop tests
+
+.PHONY: bench-peers
+bench-peers: $(BENCH_PEERS)/.installed ## the foreign programs of the benchmark
 
 .PHONY: clean
 clean: ## removes everything that these targets made
@@ -140,3 +144,8 @@ $(PEERS)/.installed: Makefile | $(VENV)/bin/python
 		$(RUN)/python -m venv $(PEERS) && $(PEERS)/bin/python $(PIP) $(PEER_PACKAGES); \
 	fi
 	@echo "$(PEER_PACKAGES)" > $@
+
+$(BENCH_PEERS)/.installed: bench/peers/requirements.txt | $(VENV)/bin/python
+	@echo "== $(BENCH_PEERS): the peers of the benchmark"
+	@$(RUN)/python -m venv $(BENCH_PEERS) && $(BENCH_PEERS)/bin/python $(PIP) --requirement $<
+	@touch $@

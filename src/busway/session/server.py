@@ -189,7 +189,7 @@ class TcpServerSession:
                     if reply is not None:
                         out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
                         direct += 1
-                        if length == 6 and len(plans) < _PLAN_LIMIT and self._planner is not None:
+                        if length == 6 and function <= 4 and len(plans) < _PLAN_LIMIT and self._planner is not None:
                             self._learn(unit, buffer[at:end])
                         at = end
                         continue
