@@ -1,5 +1,7 @@
 """A small judge of JSON Schema: as much of draft 2020-12 as our own schemas use, and an error for everything else."""
 
+import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -16,14 +18,18 @@ KNOWN = {
     "additionalProperties",
     "items",
     "anyOf",
+    "oneOf",
+    "discriminator",
     "enum",
     "const",
     "minimum",
     "maximum",
+    "exclusiveMinimum",
     "minItems",
     "maxItems",
     "minLength",
     "maxLength",
+    "pattern",
 }
 TYPES: dict[str, tuple[type, ...]] = {
     "object": (dict,),
@@ -47,6 +53,8 @@ def _faults(schema: Mapping[str, Any], data: Any, root: Mapping[str, Any], at: s
         yield from _faults(root["$defs"][schema["$ref"].removeprefix("#/$defs/")], data, root, at)
     if "anyOf" in schema and not any(not list(_faults(one, data, root, at)) for one in schema["anyOf"]):
         yield f"{at}: none of the alternatives"
+    if "oneOf" in schema and sum(not list(_faults(one, data, root, at)) for one in schema["oneOf"]) != 1:
+        yield f"{at}: not exactly one of the alternatives"
     if "enum" in schema and data not in schema["enum"]:
         yield f"{at}: not one of {schema['enum']}"
     if "const" in schema and data != schema["const"]:
@@ -65,8 +73,16 @@ def _faults(schema: Mapping[str, Any], data: Any, root: Mapping[str, Any], at: s
     elif isinstance(data, str):
         if not schema.get("minLength", 0) <= len(data) <= schema.get("maxLength", len(data)):
             yield f"{at}: {len(data)} characters"
-    elif isinstance(data, int | float) and not schema.get("minimum", data) <= data <= schema.get("maximum", data):
+        if not re.search(schema.get("pattern", ""), data):
+            yield f"{at}: not as the pattern"
+    elif isinstance(data, int | float) and not _is_within(schema, data):
         yield f"{at}: {data} is out of range"
+
+
+def _is_within(schema: Mapping[str, Any], number: float) -> bool:
+    return schema.get("minimum", number) <= number <= schema.get("maximum", number) and (
+        number > schema.get("exclusiveMinimum", -math.inf)
+    )
 
 
 def _object_faults(schema: Mapping[str, Any], data: dict[str, Any], root: Mapping[str, Any], at: str) -> Iterator[str]:

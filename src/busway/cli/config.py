@@ -79,5 +79,9 @@ def _print_schema(kinds: list[str]) -> None:
     if len(kinds) > 1:
         raise ConfigError(f"goes without {kinds[0]}", key=kinds[1])
     schema = schemas[kinds[0]] if kinds else system.SystemFile
+    if kinds == ["--simulation"]:
+        document = simulation.simulation_schema("busway simulation file")
+        print(json.dumps(document, indent=2, ensure_ascii=False))
+        return
     title = f"busway {kinds[0].removeprefix('--')} file" if kinds else "busway configuration"
     print(json.dumps(json_schema(schema, title), indent=2, ensure_ascii=False))

@@ -1,15 +1,17 @@
 """The schema of simulation files: what is refused with which sentence, and that every device file is one."""
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+from json_schema import faults
 
 from busway.codes import Table
 from busway.config.files.behaviours import KINDS
 from busway.config.files.problems import FileError
 from busway.config.files.schema import json_schema, read_source
-from busway.config.files.simulation import SimulationFile, unit_numbers
+from busway.config.files.simulation import SimulationFile, simulation_schema, unit_numbers
 from busway.errors import ConfigError
 
 HERE = Path(__file__).parent
@@ -109,6 +111,28 @@ def test_units_are_written_as_numbers_and_ranges() -> None:
     assert unit_numbers("1-3, 7,250 - 251") == [1, 2, 3, 7, 250, 251]
     with pytest.raises(ConfigError):
         unit_numbers("a")
+
+
+def example(name: str) -> dict[str, Any]:
+    return tomllib.loads((HERE / name).read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", ["simulation.toml", "profile.toml", "good.toml", "system.toml"])
+def test_the_exported_schema_permits_simulation_files_and_profiles_with_their_parameters(name: str) -> None:
+    assert faults(simulation_schema("x"), example(name)) == []
+
+
+def test_the_exported_schema_refuses_unknown_keys_and_texts_that_are_no_parameters() -> None:
+    schema = simulation_schema("x")
+    for text in (
+        "speed = 1",
+        "[simulation]\nsped = 1",
+        '[[unit]]\nunit = "one"',
+        '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "3x1"\n'
+        'behaviour = { kind = "sine", mean = "x", amplitude = 1, period = 1 }',
+        '[[fault]]\npersonality = "late"\ndelay = 1',
+    ):
+        assert faults(schema, tomllib.loads(text)), text
 
 
 def test_the_schema_knows_every_kind_of_behaviour() -> None:

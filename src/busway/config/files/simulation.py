@@ -45,7 +45,7 @@ from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import PointSection, UnitSection, Whole, checked
 from .faults import FaultSection
 from .lines import Path
-from .schema import Faults, Section
+from .schema import Faults, Section, json_schema
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"
@@ -258,6 +258,25 @@ class SimulationFile(SystemFile, ParameterKeys):
         missing = [(("unit",), "is missing")] if not self.unit and not self.include else []
         yield from missing
         yield from (each for each in super()._whole_faults() if each != (("unit",), "is missing"))
+
+
+def simulation_schema(title: str) -> dict[str, Any]:  # Any: what JSON has
+    """What simulation files and the profiles that they include look like, as JSON Schema: wherever a number is, a
+    parameter may stand, and the unit of a profile has no number."""
+    document = json_schema(SimulationFile, title)
+    document["$defs"]["SimulatedUnitSection"]["required"].remove("unit")
+    found: dict[str, Any] = _or_parameter(document)
+    return found
+
+
+def _or_parameter(node: Any) -> Any:
+    if isinstance(node, list):
+        return [_or_parameter(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    if node.get("type") in ("integer", "number", "boolean"):
+        return {"anyOf": [node, {"type": "string", "pattern": r"\$\{"}]}
+    return {key: each if key == "default" else _or_parameter(each) for key, each in node.items()}
 
 
 _OF_A_UNIT: Final = re.compile(r"(?P<part>unit\[\d+\]\.(point\[\d+\]\.)?)?(?P<key>\w+)")
