@@ -3,7 +3,7 @@
 Knows frames and times; knows no page. It stands where a capture file would (`busway.observe.trace`), and passes
 everything on to the file if there is one.
 
-1. Keeping a frame costs a few microseconds and holds its bytes; describing it costs ten times as much, and is done for
+1. Keeping a frame costs 8 µs and holds its bytes; describing it costs ten times as much, and is done only for
    those that somebody gets to see, once.
 2. Each frame has a number that counts up, so that whoever comes back asks for what came after, and learns how many are
    not kept any more.
