@@ -45,7 +45,7 @@ class Table(Enum):
     INPUT_REGISTERS = "input_registers"
     HOLDING_REGISTERS = "holding_registers"
 
-    # Members are single objects; the hash of Enum is written in Python and costs 0.1 µs at every look into a dictionary.
+    # Members are single objects, and the hash of Enum is written in Python: 0.1 µs at every look into a dictionary.
     __hash__ = object.__hash__
 
     @property
