@@ -117,6 +117,10 @@ def test_same_seed_strikes_the_same_requests_and_another_one_others() -> None:
         lambda: Selection(probability=-0.1),
         lambda: Selection(addresses=range(5, 5)),
         lambda: Selection(addresses=range(0, 10, 2)),
+        lambda: Selection(units=1),  # type: ignore[arg-type]
+        lambda: Selection(units={256}),
+        lambda: Selection(units="1-3"),  # type: ignore[arg-type]
+        lambda: Selection(functions=[0]),
         lambda: Schedule(after=-1),
         lambda: Schedule(times=-1),
         lambda: Schedule(every=2),

@@ -252,6 +252,33 @@ def test_a_fault_is_on_within_its_block_and_strikes_what_it_was_chosen_for() -> 
             pass
 
 
+def test_a_fault_is_for_one_unit_and_one_function_or_for_several(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text('[[unit]]\nunit = [1, 2]\n[[unit.point]]\nname = "a"\naddress = "4x1"\n')
+    with simulated_device(file) as device, busway.connect(device.endpoint) as link:
+        with device.fault("busy", units=1, functions=3) as one, pytest.raises(ExceptionReply, match="06"):
+            link.unit(1).read("4x1")
+        with device.fault("busy", units={1, 2}, functions=[4, 6]) as several:
+            assert link.unit(1).read("4x1") == 0
+            with pytest.raises(ExceptionReply, match="06"):
+                link.unit(2).write("4x1", 1)
+        with pytest.raises(ConfigError, match="units"), device.fault("busy", units="1-2"):
+            pass
+    assert (one.struck, several.struck) == (1, 1)
+
+
+def test_values_that_a_file_keeps_are_not_carried_from_test_to_test(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text(
+        '[simulation]\nkeep = "state.json"\n[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\n'
+    )
+    for _ in range(2):
+        with simulated_device(file) as device:
+            assert device["a"] == 0
+            device["a"] = 5
+    assert [each.name for each in tmp_path.iterdir()] == ["plant.toml"]
+
+
 def test_a_fault_ends_with_its_block_also_where_that_fails() -> None:
     with simulated_device({"4x1": 42}) as device:
         with pytest.raises(RuntimeError), device.fault("busy"):

@@ -233,6 +233,8 @@ class Selection:
             raise ConfigError(f"must be 0…1, not {self.probability:g}", key="probability")
         if self.addresses is not None and (self.addresses.step != 1 or not self.addresses):
             raise ConfigError(f"must be a range with items and without a step, not {self.addresses}", key="addresses")
+        _refuse_numbers_outside("units", self.units, 0, 255)
+        _refuse_numbers_outside("functions", self.functions, 1, 127)
 
     def means(self, exchange: Exchange) -> bool:
         """Whether a request is one of those, leaving chance and time aside."""
@@ -246,6 +248,13 @@ class Selection:
         return items is None or any(
             _touches(span, first, end) for span in exchange.spans for first, end in items.get(span.table, ())
         )
+
+
+def _refuse_numbers_outside(key: str, numbers: object, low: int, high: int) -> None:
+    if numbers is None:
+        return
+    if not isinstance(numbers, Collection) or not all(isinstance(one, int) and low <= one <= high for one in numbers):
+        raise ConfigError(f"must be several of {low}…{high}, such as {{{low + 1}}}, not {numbers!r}", key=key)
 
 
 def _touches(span: Span, first: int, end: int) -> bool:

@@ -19,6 +19,7 @@ import contextlib
 import os
 import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -56,7 +57,8 @@ def simulated_device(
         content: what it holds. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to values: ``bool`` for
             bits; an ``int`` is one register, a ``float`` is float32, a text is a string; ``(value, type)`` or ``(value,
             type, order)`` say another type; a list goes on from its address. Exactly these items exist. Or the path of
-            a simulation file (``.toml``), the path of a register map (``.csv``), or ``"device:meter"``.
+            a simulation file (``.toml``), the path of a register map (``.csv``), or ``"device:meter"``. Values that a
+            file keeps over restarts are neither taken up nor kept.
         unit: the unit of values and of a map, 0…255; None for unit 1 that answers whatever unit is asked.
         url: where to listen; a free port of 127.0.0.1 by default. Files with listeners of their own listen here too.
         seed: of noise and chance; None for that of the file, or 0.
@@ -148,8 +150,8 @@ class SimulatedDevice:
         self,
         personality: str,
         *,
-        units: Collection[int] | None = None,
-        functions: Collection[int] | None = None,
+        units: int | Collection[int] | None = None,
+        functions: int | Collection[int] | None = None,
         addresses: range | str | Collection[str] | None = None,
         probability: float = 1.0,
         skip: int = 0,
@@ -160,8 +162,8 @@ class SimulatedDevice:
 
         Args:
             personality: its name (`busway.testing.PERSONALITIES`).
-            units: unit identifiers that it strikes, 0…255; None for all, here and below.
-            functions: function codes, 1…127.
+            units: the unit that it strikes, 0…255, or several; None for all, here and below.
+            functions: a function code, 1…127, or several.
             addresses: items: an address, several, or a ``range`` of offsets in any table.
             probability: 0…1, the part of those requests that it strikes.
             skip: requests, of those, that pass first.
@@ -179,8 +181,8 @@ class SimulatedDevice:
         board = self.simulation.board
         name = board.add(
             personality,
-            units=units,
-            functions=functions,
+            units={units} if isinstance(units, int) else units,
+            functions={functions} if isinstance(functions, int) else functions,
             addresses=addresses if isinstance(addresses, range) else None,
             items=None if isinstance(addresses, range) else _items(addresses),
             probability=probability,
@@ -304,7 +306,8 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
         return parse_declaration(_text(read_register_map(name), unit), name)
     if unit is not None:
         raise ConfigError("stands in the file", key="unit")
-    return load_declaration(name)
+    # What one test leaves must not be where the next one begins.
+    return replace(load_declaration(name), state=None)
 
 
 def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
