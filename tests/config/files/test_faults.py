@@ -134,6 +134,7 @@ def test_words_of_a_command_line_stand_for_a_section() -> None:
     [
         ("late:delay", "delay: must be NAME=VALUE, not 'delay'"),
         ("late:delay=soon", "delay: must be a number, true or false, not 'soon'"),
+        ("late:unit=3", "unit: there is no such key; is it units?"),
         ("late:units=999", "units: a unit is 0…255, not 999"),
         ("late:times=-1", "schedule.times: must be at least 0, not -1"),
         ("late:every=3", "schedule.every: must be at least as long as for, which it needs"),

@@ -139,6 +139,7 @@ def parse_fault_words(text: str) -> FaultSection:
 
 
 _TEXTS: Final = frozenset({"name", "units", "functions", "addresses"})
+_SEVERAL: Final = frozenset({"units", "functions"})
 _SCHEDULE: Final = frozenset({"from", "for", "every", "skip", "times"})
 
 
@@ -149,6 +150,8 @@ def _put(section: dict[str, Any], key: str, value: str) -> None:
         section.setdefault("schedule", {})[key] = _plain(key, value)
     elif key in ("probability", "on"):
         section[key] = _plain(key, value)
+    elif f"{key}s" in _SEVERAL:
+        raise ConfigError(f"there is no such key; is it {key}s?", key=key)
     else:
         section.setdefault("parameters", {})[key] = _plain(key, value)
 
