@@ -25,11 +25,25 @@ def test_it_prints_a_block_a_second_and_ends_with_a_summary_and_three_commands()
     lines = ended.stdout.splitlines()
     headings = [line for line in lines if line.startswith("tcp://")]
     assert [re.findall(r"  (\d+) s  ", heading) for heading in headings] == [["1"], ["2"]]
-    for tag in ("tank.level", "pump.running", "meter.flow"):
+    for tag in ("1  tank.level", "1  pump.running", "2  meter.flow", "3  tank.temperature"):
         assert sum(tag in line for line in lines) == 2
     (summary,) = [line for line in lines if "latency" in line]
-    assert re.fullmatch(r"\d\d+ transactions, 0 errors in 2\.\d s; latency p50 \S+ ms, p95 \S+ ms, p99 \S+ ms", summary)
+    assert re.fullmatch(
+        r"\d\d+ transactions, \d+ errors in 2\.\d s; latency p50 \S+ ms, p95 \S+ ms, p99 \S+ ms", summary
+    )
     assert len([line for line in lines if line.startswith("  busway ")]) == 3
+
+
+def test_a_device_dies_and_comes_back_while_the_others_are_answered() -> None:
+    ended = subprocess.run(
+        [*PROGRAM, "demo", "--seconds", "9.5", "--port", "0"], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    rows = [line.split() for line in ended.stdout.splitlines() if line.startswith("  ") and "tank." in line]
+    level, temperature = ([row[2] for row in rows if row[1] == tag] for tag in ("tank.level", "tank.temperature"))
+    dead = [number for number, value in enumerate(temperature) if value == "—"]
+    assert 0 < dead[0] <= dead[-1] < len(temperature) - 1, temperature
+    assert any(level[number] != "—" for number in dead), level
 
 
 def test_the_three_commands_work_while_it_runs_for_ever() -> None:
@@ -72,7 +86,7 @@ def test_a_port_that_is_taken_is_replaced_and_that_is_said_in_one_line() -> None
         )
     assert ended.returncode == 0
     (sentence,) = ended.stderr.splitlines()
-    assert re.fullmatch(rf"busway: port {port} is taken; the plant is on tcp://127\.0\.0\.1:\d+", sentence)
+    assert re.fullmatch(rf"busway: port {port} is taken; the gateway is on tcp://127\.0\.0\.1:\d+", sentence)
     assert f":{port} " not in ended.stdout
 
 

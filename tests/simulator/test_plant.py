@@ -6,7 +6,10 @@ import pytest
 
 from busway.simulator.plant import (
     BAND,
+    METER,
+    TANK,
     TANK_HEIGHT,
+    THERMOMETER,
     Controls,
     Plant,
     PlantState,
@@ -83,22 +86,25 @@ def test_a_resting_plant_draws_little() -> None:
     assert flow(PlantState(is_pumping=False)) == 0.0
 
 
-def test_the_device_shows_the_plant_in_typed_registers() -> None:
+def test_the_devices_show_the_plant_in_typed_registers() -> None:
     plant = Plant()
     plant.tick(1.0)
-    assert plant.device.read("3x1", "float32") == pytest.approx(plant.state.level, rel=1e-6)
-    assert plant.device.read("3x5", "float32", order="CDAB") == pytest.approx(flow(plant.state), rel=1e-6)
-    assert plant.device.read("3x7", "uint32") == int(plant.state.volume)
-    assert plant.device.read("1x1") is plant.state.is_pumping
+    tank, meter, thermometer = (plant.devices[unit] for unit in (TANK, METER, THERMOMETER))
+    assert tank.read("3x1", "float32") == pytest.approx(plant.state.level, rel=1e-6)
+    assert meter.read("3x5", "float32", order="CDAB") == pytest.approx(flow(plant.state), rel=1e-6)
+    assert meter.read("3x7", "uint32") == int(plant.state.volume)
+    assert tank.read("1x1") is plant.state.is_pumping
+    assert thermometer.read("3x1", "int16") == round(10 * temperature(plant.state.time))
 
 
 def test_the_plant_obeys_what_is_written_to_its_device() -> None:
     plant = Plant()
-    plant.device.write("0x1", False)
+    tank = plant.devices[TANK]
+    tank.write("0x1", False)
     plant.tick(0.1)
-    assert plant.device.read("1x1") is False
-    plant.device.write("0x1", True)
-    plant.device.write("4x1", 3.5, "float32")
+    assert tank.read("1x1") is False
+    tank.write("0x1", True)
+    tank.write("4x1", 3.5, "float32")
     for _ in range(100):
         plant.tick(0.1)
-    assert plant.points["tank.level"] > 3.0
+    assert plant.points[TANK]["tank.level"] > 3.0

@@ -1,6 +1,8 @@
-"""``busway demo``: a small plant on a port of this machine, and a client that polls it over that port.
+"""``busway demo``: a small plant on a serial line, a gateway in front, and a client that polls through it over TCP.
 
-1. It is a real conversation over TCP: any other client can join in while it runs.
+1. They are real conversations: any other client can join in while it runs. Only the wire of the line is made of
+   software, with the time that each character takes; where a system has no pseudo-terminals, a connection is in its
+   place.
 2. On a terminal one table is drawn anew; elsewhere there is one block of lines per second.
 3. It ends by itself, with a summary and three commands to try; ``--forever`` keeps it up until Ctrl-C.
 """
@@ -9,7 +11,7 @@ import asyncio
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
@@ -24,10 +26,13 @@ from .output import print_aligned, say
 from .signals import stop_event
 
 if TYPE_CHECKING:
-    from ..client.aio import AsyncUnit
+    from ..client.aio import AsyncLink, AsyncUnit
     from ..config.files.device import PointSection
+    from ..gateway.gateway import Gateway
     from ..server.server import Server
     from ..simulator.plant import Plant
+
+    Tags = Mapping[int, Sequence[PointSection]]
 
 EXAMPLES = """\b
 Examples:
@@ -42,6 +47,13 @@ POLL_SECONDS = 0.25
 """How often each value is read."""
 BLOCK_SECONDS = 1.0
 """How often lines are printed where there is no terminal."""
+BAUD = 19_200
+LINE_TIMEOUT = 0.4
+"""Seconds that the gateway waits for a device."""
+METER_DELAY = 0.15
+"""Seconds that the slow one takes."""
+DEATH_AFTER, DEATH_LASTS, DEATH_EVERY = 3.0, 3.0, 8.0
+"""Seconds: when the dying one is dead, again and again."""
 
 
 @dataclass(slots=True)
@@ -70,7 +82,7 @@ def demo(
     port: str = typer.Option("5020", "--port", metavar="PORT", help="The port to serve on; another if it is taken."),
     verbose: int = VERBOSE,
 ) -> int:
-    """Run a small plant and poll it over TCP."""
+    """Run a small plant on a serial line, and poll it through a gateway."""
     limit = None if forever else seconds(duration, "--seconds", low=0.1)
     wanted = whole_number(port, "--port", 0, 65_535)
     from ..server.loops import run
@@ -87,16 +99,19 @@ async def _run(port: int, limit: float | None) -> None:
     plant = Plant()
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
-            server = await _started(plant, port)
-            stack.push_async_exit(server)
-            (url,) = server.endpoints
-            link = await stack.enter_async_context(open_link(url, shared=False))
+            near, far = _line(stack)
+            devices = _devices(plant, far)
+            await stack.enter_async_context(devices)
+            gateway = await _started(near or devices.endpoints[0], port)
+            stack.push_async_exit(gateway)
+            (url,) = gateway.endpoints
+            link = await stack.enter_async_context(open_link(url, shared=False, timeout=2.0, max_transactions=3))
             if limit is None:
-                _print_commands(url, f"Serving the plant on {url}. Try, in another terminal:")
+                _print_commands(url, f"The plant is behind the gateway on {url}. Try, in another terminal:")
             polled, began = Polled(), time.monotonic()
             moving = asyncio.create_task(_move(plant))
             try:
-                await _poll(link.unit(1), plant, polled, stop, limit, url)
+                await _poll(link, plant, polled, stop, limit, url)
             finally:
                 moving.cancel()
                 with suppress(asyncio.CancelledError):
@@ -108,18 +123,48 @@ async def _run(port: int, limit: float | None) -> None:
         _print_commands(url, f"Try next, in another terminal while `busway demo --forever{option}` runs:")
 
 
-async def _started(plant: "Plant", port: int) -> "Server":
-    """The server on the wanted port, or on a free one."""
-    from ..server.serving import serve
-
-    server = serve(f"{HOST}:{port}", units={1: plant.device})
+def _line(stack: AsyncExitStack) -> tuple[str, str]:
+    """URLs of both ends of a line; the near one is empty where it is that of the far end's server."""
     try:
-        await server.start()
-    except LinkDown:
-        server = serve(f"{HOST}:0", units={1: plant.device})
-        await server.start()
-        say(f"port {port} is taken; the plant is on {server.endpoints[0]}")
+        from ..testing.line import PacedLine
+    except ImportError:  # a system without terminals
+        return "", f"{HOST}:0"
+    line = stack.enter_context(PacedLine(ports=2, baud=BAUD))
+    near, far = (f"rtu://{path}?baud={BAUD}" for path in line.paths)
+    return near, far
+
+
+def _devices(plant: "Plant", url: str) -> "Server":
+    """The devices on their line, one of them slow and one that dies and comes back; not started yet."""
+    from ..server.serving import serve
+    from ..simulator.faults.board import FaultBoard
+    from ..simulator.plant import METER, THERMOMETER
+    from ..testing.faults import Schedule
+
+    board = FaultBoard()
+    board.add("late", units={METER}, parameters={"delay": METER_DELAY})
+    death = Schedule(after=DEATH_AFTER, lasts=DEATH_LASTS, every=DEATH_EVERY)
+    board.add("wedged", units={THERMOMETER}, schedule=death)
+    server = serve(url, units=plant.devices)
+    board.attach(server)
     return server
+
+
+async def _started(line: str, port: int) -> "Gateway":
+    """The gateway on the wanted port, or on a free one."""
+    from ..gateway.gateway import Gateway, simple_plan
+
+    options = {"timeout": LINE_TIMEOUT, "retries": 0}
+    if line.startswith("rtu:"):
+        options |= {"first_pause": 1.0, "longest_pause": 1.0}
+    gateway = Gateway(simple_plan([f"{HOST}:{port}"], line, **options))
+    try:
+        await gateway.start()
+    except LinkDown:
+        gateway = Gateway(simple_plan([f"{HOST}:0"], line, **options))
+        await gateway.start()
+        say(f"port {port} is taken; the gateway is on {gateway.endpoints[0]}")
+    return gateway
 
 
 async def _move(plant: "Plant") -> None:
@@ -133,24 +178,35 @@ async def _move(plant: "Plant") -> None:
 
 
 async def _poll(
-    unit: "AsyncUnit", plant: "Plant", polled: Polled, stop: asyncio.Event, limit: float | None, url: str
+    link: "AsyncLink", plant: "Plant", polled: Polled, stop: asyncio.Event, limit: float | None, url: str
 ) -> None:
-    """Read every point again and again, and show what came, until it is time."""
-    sections = list(plant.points.sections.values())
+    """Read every point again and again, each device for itself, and show what came, until it is time."""
+    tags = {unit: list(points.sections.values()) for unit, points in plant.points.items()}
     view: View = LiveView() if sys.stdout.isatty() else LineView()
     began = time.monotonic()
     ends = math.inf if limit is None else began + limit
     due = began
+    polling = [asyncio.create_task(_poll_unit(link.unit(unit), tags[unit], polled)) for unit in tags]
     try:
         while not stop.is_set() and time.monotonic() < ends:
-            for section in sections:
-                await _read(unit, section, polled)
-            view.show(url, sections, polled, time.monotonic() - began)
             due = max(due + POLL_SECONDS, time.monotonic())
             with suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), min(due, ends) - time.monotonic())
+            view.show(url, tags, polled, time.monotonic() - began)
     finally:
+        for each in polling:
+            each.cancel()
+        await asyncio.gather(*polling, return_exceptions=True)
         view.close()
+
+
+async def _poll_unit(unit: "AsyncUnit", sections: Sequence["PointSection"], polled: Polled) -> None:
+    """Read the points of one device for ever."""
+    while True:
+        due = time.monotonic() + POLL_SECONDS
+        for section in sections:
+            await _read(unit, section, polled)
+        await asyncio.sleep(max(due - time.monotonic(), 0.0))
 
 
 async def _read(unit: "AsyncUnit", section: "PointSection", polled: Polled) -> None:
@@ -168,7 +224,7 @@ async def _read(unit: "AsyncUnit", section: "PointSection", polled: Polled) -> N
 class View(Protocol):
     """Something that shows what was read."""
 
-    def show(self, url: str, sections: Sequence["PointSection"], polled: Polled, elapsed: float) -> None:
+    def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
         """Show it as it is now."""
 
     def close(self) -> None:
@@ -181,12 +237,12 @@ class LineView:
     def __init__(self) -> None:
         self._due = BLOCK_SECONDS
 
-    def show(self, url: str, sections: Sequence["PointSection"], polled: Polled, elapsed: float) -> None:
+    def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
         if elapsed < self._due:
             return
         self._due += BLOCK_SECONDS
         print(f"{url}  {elapsed:.0f} s  {_counted(polled)}")
-        print_aligned([("", *_cells(section, polled)) for section in sections])
+        print_aligned([("", *cells) for cells in _rows(tags, polled)])
 
     def close(self) -> None:
         pass
@@ -201,14 +257,14 @@ class LiveView:
         self._live = Live(auto_refresh=False)
         self._live.start()
 
-    def show(self, url: str, sections: Sequence["PointSection"], polled: Polled, elapsed: float) -> None:
+    def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
         from rich.table import Table
 
-        table = Table(title=f"{url}, unit 1", caption=f"{elapsed:.0f} s, {_counted(polled)}")
-        for heading in ("Tag", "Value", "", "Address", "Type"):
+        table = Table(title=f"{url}: three devices behind a gateway", caption=f"{elapsed:.0f} s, {_counted(polled)}")
+        for heading in ("Unit", "Tag", "Value", "", "Address", "Type"):
             table.add_column(heading, justify="right" if heading == "Value" else "left")
-        for section in sections:
-            table.add_row(*_cells(section, polled))
+        for cells in _rows(tags, polled):
+            table.add_row(*cells)
         self._live.update(table, refresh=True)
 
     def close(self) -> None:
@@ -217,6 +273,12 @@ class LiveView:
 
 def _counted(polled: Polled) -> str:
     return f"{polled.transactions} transactions, {polled.errors} errors"
+
+
+def _rows(tags: "Tags", polled: Polled) -> Iterator[tuple[str, ...]]:
+    for unit, sections in tags.items():
+        for section in sections:
+            yield str(unit), *_cells(section, polled)
 
 
 def _cells(section: "PointSection", polled: Polled) -> tuple[str, ...]:
@@ -249,6 +311,6 @@ def _print_summary(polled: Polled, elapsed: float) -> None:
 
 def _print_commands(url: str, heading: str) -> None:
     print(f"\n{heading}")
-    print(f"  busway read {url} 3x1 --type float32 --watch 1s")
-    print(f"  busway write {url} 4x1 3.2 --type float32")
-    print(f"  busway identify {url}", flush=True)
+    print(f"  busway read {url} 3x1 --type float32 --unit 1 --watch 1s")
+    print(f"  busway write {url} 4x1 3.2 --type float32 --unit 1")
+    print(f"  busway identify {url} --unit 255", flush=True)

@@ -38,7 +38,7 @@ COMMANDS = {
     "config": "Check and explain configuration files.",
     "policy": "Say what a policy permits.",
     "certs": "Make certificates for tests, or show what some say.",
-    "demo": "Run a small plant and poll it.",
+    "demo": "Run a small plant on a line, and poll it through a gateway.",
 }
 """The commands, in the order in which help lists them. ``busway.cli.<name>`` holds the function ``<name>``."""
 

@@ -1,4 +1,4 @@
-"""A small plant: a tank that consumers empty, a pump that fills it, and a meter; what the demonstration serves.
+"""A small plant: a tank that consumers empty, with a pump that fills it; a meter; a thermometer. Three devices.
 
 Knows its physics as functions of state and time, and its points; knows no clock and no connection.
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ..config.files.device import parse_device_file
+from ..server.device import Device
 from .build import build_device
 from .points import Points
 
@@ -20,22 +21,15 @@ listen = ["tcp://127.0.0.1:5020"]
 
 [[unit]]
 unit = 1
-name = "plant"
-identification = { vendor_name = "busway", product_code = "plant", revision = "1.0" }
-server_id = "plant"
+name = "tank"
+identification = { vendor_name = "busway", product_code = "tank", revision = "1.0" }
+server_id = "tank"
 
 [[unit.point]]
 name = "tank.level"
 address = "3x1"
 type = "float32"
 unit_of_measure = "m"
-
-[[unit.point]]
-name = "tank.temperature"
-address = "3x3"
-type = "int16"
-scale = 0.1
-unit_of_measure = "°C"
 
 [[unit.point]]
 name = "tank.target"
@@ -60,6 +54,10 @@ address = "3x4"
 type = "uint16"
 unit_of_measure = "rpm"
 
+[[unit]]
+unit = 2
+name = "meter"
+
 [[unit.point]]
 name = "meter.flow"
 address = "3x5"
@@ -79,9 +77,24 @@ name = "meter.power"
 address = "3x9"
 type = "uint32"
 unit_of_measure = "W"
+
+[[unit]]
+unit = 3
+name = "thermometer"
+
+[[unit.point]]
+name = "tank.temperature"
+address = "3x1"
+type = "int16"
+scale = 0.1
+unit_of_measure = "°C"
 """
 """The plant's device file; `busway serve` takes one like it."""
 
+TANK: Final = 1
+METER: Final = 2
+THERMOMETER: Final = 3
+"""Their units."""
 HASTE: Final = 60.0
 """Seconds of the plant in one second of the clock."""
 TANK_AREA: Final = 1.5
@@ -176,31 +189,32 @@ def power(state: PlantState) -> int:
 
 
 class Plant:
-    """The plant and the device that shows it.
+    """The plant and the devices that show it.
 
     Attributes:
-        device: what is served, as unit 1.
-        points: its values by name.
+        devices: what is served, by unit.
+        points: their values by name, by unit.
         state: how it stands.
     """
 
     def __init__(self) -> None:
-        (section,) = parse_device_file(PLANT_FILE, "plant").unit
-        self.device = build_device(section)
-        self.points = Points(self.device, section.point)
+        sections = parse_device_file(PLANT_FILE, "plant").unit
+        self.devices: dict[int, Device] = {section.unit[0]: build_device(section) for section in sections}
+        self.points = {section.unit[0]: Points(self.devices[section.unit[0]], section.point) for section in sections}
         self.state = PlantState()
         self.tick(0.0)
 
     def tick(self, seconds: float) -> None:
-        """Move on by some seconds of the clock: obey what was written, and show how it stands, all at once."""
-        points = self.points
-        controls = Controls(points["tank.target"], points["pump.enabled"])
+        """Move on by some seconds of the clock: obey what was written, and show how it stands, each device at once."""
+        tank, meter = self.points[TANK], self.points[METER]
+        controls = Controls(tank["tank.target"], tank["pump.enabled"])
         self.state = state = advance(self.state, controls, seconds)
-        with points.update():
-            points["tank.level"] = state.level
-            points["tank.temperature"] = temperature(state.time)
-            points["pump.running"] = state.is_pumping
-            points["pump.speed"] = PUMP_SPEED if state.is_pumping else 0
-            points["meter.flow"] = flow(state)
-            points["meter.volume"] = int(state.volume)
-            points["meter.power"] = power(state)
+        with tank.update():
+            tank["tank.level"] = state.level
+            tank["pump.running"] = state.is_pumping
+            tank["pump.speed"] = PUMP_SPEED if state.is_pumping else 0
+        with meter.update():
+            meter["meter.flow"] = flow(state)
+            meter["meter.volume"] = int(state.volume)
+            meter["meter.power"] = power(state)
+        self.points[THERMOMETER]["tank.temperature"] = temperature(state.time)
