@@ -200,6 +200,20 @@ def test_an_option_that_can_not_be_is_refused_by_its_name(
     assert option in result.err
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--api", "nonsense"], "--api: an address such as 127.0.0.1:9502 is needed, not 'nonsense'"),
+        (["--api-token", "token"], "--api-token: goes with --api only"),
+    ],
+)
+def test_a_control_page_that_can_not_be_is_refused_by_its_option(
+    run: Callable[..., Any], file: Path, words: list[str], sentence: str
+) -> None:
+    result = run("simulate", str(file), *words)
+    assert (result.code, result.err) == (2, f"busway: {sentence}\n")
+
+
 def test_a_state_that_can_not_be_read_is_said(file: Path) -> None:
     (file.parent / "state.json").write_text("{")
     with simulating(str(file), "--for", "10ms") as (process, _):

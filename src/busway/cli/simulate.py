@@ -181,6 +181,8 @@ def simulate(
         name="simulator",
     )
     service = Service(_reader(simulation, source), wishes)
+    if api is None and api_token is not None:
+        raise ConfigError("goes with --api only", key="--api-token")
     page = None if api is None else _page(simulation, api, api_token, source.name)
     show_traffic(verbose)
     with capturing(capture):
@@ -212,6 +214,8 @@ def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], Declared]
 
 
 def _page(simulation: "Simulation", api: str, token_file: str | None, file: str) -> "ControlPage":
+    from ..observe.http import parse_host_port
+
     try:
         from ..web.hosting import ControlPage
     except ImportError as error:
@@ -219,6 +223,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
             f"{error.name} is not installed; it comes with: pip install 'busway[web]'", key="--api"
         ) from error
 
+    parse_host_port(api, "--api")
     token = None if token_file is None else read_text(token_file).strip()
     return ControlPage(simulation, api, token=token, name=Path(file).stem)
 
