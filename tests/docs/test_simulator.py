@@ -2,10 +2,12 @@
 
 import re
 from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
+from busway.cli.simulate import simulate
 from busway.config.files.behaviours import KINDS, BehaviourSection
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
 from busway.simulator.behaviours.expression import FUNCTION_NAMES
@@ -64,3 +66,17 @@ def test_every_key_of_points_and_of_the_simulation_is_explained(text: str) -> No
 
 def test_every_function_of_expressions_is_named(text: str) -> None:
     assert all(f"`{name}`" in text for name in FUNCTION_NAMES)
+
+
+def test_the_command_line_reference_names_every_option() -> None:
+    page = (GUIDE.parent / "reference" / "cli.md").read_text(encoding="utf-8")
+    sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.MULTILINE))
+    told = sections["serve"] + sections["simulate"]
+    of_many = {"-v", "--verbose", "--capture"}
+    declared = {
+        name
+        for parameter in signature(simulate).parameters.values()
+        for name in getattr(parameter.default, "param_decls", None) or ()
+    }
+    assert len(declared) > 20
+    assert [name for name in sorted(declared - of_many) if f"`{name}" not in told] == []
