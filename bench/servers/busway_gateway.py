@@ -14,7 +14,7 @@ from busway.gateway.gateway import Gateway, simple_plan
 
 
 async def main(url: str, connections: int, share_reads: bool) -> None:
-    options = {"max_transactions": 16, "queue": 4096} if url.startswith("tcp:") else {}
+    options = {"max_transactions": 16, "queue": 4096, "join": True} if url.startswith("tcp:") else {}
     if connections > 1:
         options["connections"] = connections
     plan = simple_plan(["tcp://127.0.0.1:0"], url, share_reads=share_reads, **options)
