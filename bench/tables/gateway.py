@@ -2,9 +2,9 @@
 
 The server behind is the floor, on the core of the load generator; the gateway has the other core for itself. 16
 connections with 16 requests in flight, FC03 for 10 registers, all requests alike but for their addresses, so reads are
-not shared: sharing is switched off, since a generator that asks 256 times the same would measure that alone. What is asked
-behind in one turn of the loop leaves in one segment (`join`). The floor
-is what the generator gets from the server behind when it asks it directly, on the other core like the gateways.
+not shared: sharing is switched off, since a generator that asks 256 times the same would measure that alone. What is
+asked behind in one turn of the loop leaves in one segment (`join`). The floor is what the generator gets from the
+server behind when it asks it directly, on the other core like the gateways.
 """
 
 from collections.abc import Callable
