@@ -8,7 +8,9 @@
 # PYTHON=/path/to/python chooses the interpreter (3.11 or newer).
 
 SHELL := /bin/sh
+ifndef SIDE_BY_SIDE
 .NOTPARALLEL:
+endif
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 
@@ -67,13 +69,7 @@ test-packaging: $(VENV)/.installed-dev ## wheel and sdist, built, installed and 
 
 .PHONY: test-versions
 test-versions: ## unit tests on the other Pythons that are present, side by side
-	@mkdir -p build; pids=; status=0; \
-	for version in $(OTHER_PYTHONS); do \
-		$(MAKE) --no-print-directory test-python-$$version >build/python-$$version.log 2>&1 & pids="$$pids $$!"; \
-	done; \
-	for pid in $$pids; do wait $$pid || status=1; done; \
-	for version in $(OTHER_PYTHONS); do cat build/python-$$version.log; done; \
-	exit $$status
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target SIDE_BY_SIDE=yes $(OTHER_PYTHONS:%=test-python-%)
 
 .PHONY: $(OTHER_PYTHONS:%=test-python-%)
 $(OTHER_PYTHONS:%=test-python-%): test-python-%:
