@@ -8,10 +8,16 @@
 
 import asyncio
 import inspect
+import signal
 from collections.abc import Awaitable
 from typing import Any
 
 import pytest
+
+# A shell that starts the tests in the background makes them, and the programs that they start, deaf to interrupts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 LIMIT = 60.0
 """Seconds for one coroutine test: far above what any needs, so that only a hang reaches it."""
