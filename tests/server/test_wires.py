@@ -99,6 +99,8 @@ async def test_open_port_is_a_wire_as_long_as_it_is_open() -> None:
             assert wire.listener == wire.peer == server.endpoints[0]
             assert wire.gap == pytest.approx(0.00175)
             wire.send(b"\x00\xff")
+            await until(lambda: b"".join(talk.data for talk in line.transmissions() if talk.port == 1) == b"\x00\xff")
+            await asyncio.sleep(3 * wire.gap)  # the silence that a master keeps before it asks
             line.inject(encode_rtu(1, READ))
             await until(lambda: encode_rtu(1, REPLY) in b"".join(one.data for one in line.transmissions()))
             spoken = b"".join(talk.data for talk in line.transmissions() if talk.port == 1)
