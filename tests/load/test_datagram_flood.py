@@ -57,7 +57,8 @@ def test_flood_of_datagrams_costs_bounded_memory_and_brings_nobody_more_than_his
         # It serves as before.
         senders[0].settimeout(10)
         senders[0].send(question(77, 77))
-        assert senders[0].recv(1500) == answer(77, 77)
+        while (got := senders[0].recv(1500)) != answer(77, 77):
+            assert got == answer(0, 0)  # a late one to what this sender had asked in the flood
 
 
 @contextmanager
