@@ -12,11 +12,11 @@ from handlers import ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
+from busway.config.access.addresses import AddressList
+from busway.config.access.networks import Networks
 from busway.server.authorisation import Authorise
 from busway.server.listener import Listener
 from busway.server.parameters import ListenerParameters
-from busway.server.policy.addresses import AddressList
-from busway.server.policy.networks import Networks
 from busway.server.pools import Pool
 from busway.server.status import ConnectionState
 from busway.testing import golden_adu

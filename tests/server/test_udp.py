@@ -9,14 +9,14 @@ from handlers import ScriptedHandler, later, registers
 from waiting import until
 
 import busway
+from busway.config.access.addresses import AddressList
+from busway.config.access.networks import Networks
+from busway.config.access.rules import Policy
 from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.listener import Listener
-from busway.server.policy.addresses import AddressList
-from busway.server.policy.networks import Networks
-from busway.server.policy.rules import Policy
 
 READ = ReadHoldingRegisters(0, 2).encode()
 REPLY = bytes.fromhex("03 04 00 00 00 01")

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ..client.settings import LinkSettings, link_settings, options_of
 from ..codes import DEFAULT_TCP_PORT, TCP_DEVICE_UNIT
+from ..config.access.rules import Action as PolicyAction
+from ..config.access.rules import Policy
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..errors import ConfigError
 from ..pdu.functions import STANDARD, FunctionTable
@@ -30,8 +32,6 @@ from ..server.local import LocalHandler
 from ..server.naming import is_loopback
 from ..server.parameters import ListenerParameters
 from ..server.policy.handler import PolicyHandler
-from ..server.policy.rules import Action as PolicyAction
-from ..server.policy.rules import Policy
 from ..server.rates import Rates
 from ..server.server import Server, ServerStatus
 from ..server.status import ConnectionStatus, ListenerStatus

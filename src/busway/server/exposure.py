@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from .naming import is_everywhere, is_loopback
 
 if TYPE_CHECKING:
-    from .policy.rules import Policy
+    from ..config.access.rules import Policy
 
 _log = logging.getLogger("busway.server")
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Final
 
+from ..config.access.networks import Networks
 from ..errors import ConfigError
-from .policy.networks import Networks
 from .pools import PoolLimits
 
 NOBODY: Final = Networks()

@@ -36,9 +36,9 @@ from .udp import UdpListener
 from .wires import Wires
 
 if TYPE_CHECKING:
+    from ..config.access.rules import Policy
     from ..transport.tls import TlsParameters
     from .policy.audit import AuditLog
-    from .policy.rules import Policy
 
 _STOP_SECONDS: Final = 0.5
 
@@ -317,8 +317,8 @@ class Server:
 
     def _guard_by(self, policy: "Policy | None", audit: "AuditLog | None") -> None:
         """Put a policy around the handler."""
+        from ..config.access.rules import Action, Policy
         from .policy.handler import PolicyHandler
-        from .policy.rules import Action, Policy
 
         everything = Policy(default=Action.ALLOW)
         guard = PolicyHandler(self._handler, everything if policy is None else policy, audit)

@@ -25,9 +25,9 @@ from .server import Server, ServerStatus
 from .strict import STANDARD_PORT, with_server_profile
 
 if TYPE_CHECKING:
+    from ..config.access.rules import Policy
     from ..transport.tls import TlsParameters
     from .policy.audit import AuditLog
-    from .policy.rules import Policy
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
 
