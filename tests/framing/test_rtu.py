@@ -226,6 +226,54 @@ def test_an_unfinished_frame_is_given_up_after_the_gap_limit() -> None:
     assert line.frames == [READ]
 
 
+@pytest.mark.clause("S8")
+@pytest.mark.parametrize("heard", [1, 2, 3, 10, len(READ_REPLY) - 1])
+def test_a_master_waits_for_the_rest_of_the_very_reply_it_asked_for(heard: int) -> None:
+    line = master(size=len(READ_REPLY) - 3)
+    line.bytes(READ_REPLY[:heard])
+    assert line.silence(40 * DEFAULT_GAP_LIMIT) == []
+    line.bytes(READ_REPLY[heard:])
+    assert line.frames == [READ_REPLY]
+    assert line.damage == []
+
+
+@pytest.mark.clause("S8")
+def test_the_patience_of_a_master_ends_with_its_own() -> None:
+    line = master(size=len(READ_REPLY) - 3)
+    line.bytes(READ_REPLY[:10])
+    line.silence(1.0)
+    [found] = line.receiver.flush(line.now)
+    assert isinstance(found, Damaged)
+    assert (found.raw, found.reason) == (READ_REPLY[:10], Damage.INCOMPLETE)
+
+
+@pytest.mark.clause("S8")
+def test_a_reply_that_begins_anew_after_a_pause_is_found_behind_its_first_beginning() -> None:
+    line = master(size=len(READ_REPLY) - 3)
+    line.bytes(READ_REPLY[:10])
+    line.silence(1.0)
+    line.bytes(READ_REPLY)
+    line.silence(T3_5)
+    assert line.frames == [READ_REPLY]
+    assert [one.raw for one in line.damage] == [READ_REPLY[:10]]
+
+
+@pytest.mark.parametrize(
+    ("options", "head"),
+    [
+        ({"gap_limit": 0.02}, READ_REPLY[:10]),  # it was chosen
+        ({}, b"\x02" + READ_REPLY[1:10]),  # of another unit
+        ({}, b"\x01\x04" + READ_REPLY[2:10]),  # of another function
+        ({}, b"\x01\x03\x16" + READ_REPLY[3:10]),  # of another size
+    ],
+)
+def test_a_master_waits_no_longer_for_what_is_not_its_reply(options: dict[str, float], head: bytes) -> None:
+    line = master(size=len(READ_REPLY) - 3, **options)
+    line.bytes(head)
+    line.silence(DEFAULT_GAP_LIMIT * 1.01)
+    assert [one.raw for one in line.damage] == [head]
+
+
 def test_fewer_bytes_than_a_frame_are_one_error() -> None:
     line = server()
     line.bytes(b"\x01\x03")

@@ -7,7 +7,10 @@ Knows bytes and the times at which they were read; knows no port, no request tab
    between two silences of t3.5 is the frame if its CRC fits. Several frames without a visible silence between them are
    told apart if they fill the chunk without remainder.
 3. Bytes of one frame may come in bursts: adapters and systems add gaps far above t1.5. An unfinished frame waits for
-   the rest up to ``gap_limit``. `StrictRtuReceiver` (``rtu_strict``) keeps to the letter.
+   the rest up to ``gap_limit``. A master that has heard the beginning of the very reply it waits for, by unit,
+   function and size, waits for the rest as long as for the reply: nothing else may be sent meanwhile, a pause of an
+   adapter, a network or a busy system costs no repetition, and the CRC still decides. A ``gap_limit`` that was chosen
+   holds there too. `StrictRtuReceiver` (``rtu_strict``) keeps to the letter.
 4. What may still become a frame has precedence over what was found inside it. A decision against that precedence
    waits for t3.5 of silence if the outer frame can not be one, otherwise for ``gap_limit``. It costs nothing: before
    t3.5 has passed, nobody may send.
@@ -69,6 +72,7 @@ class RtuReceiver:
         "_last",
         "_lengths",
         "_lost",
+        "_patient",
         "_prefix_end",
         "_quiet",
         "_scan",
@@ -101,7 +105,8 @@ class RtuReceiver:
             timing: the times of the line, as `SerialTiming.of_line` or `SerialTiming.of_network` gives them.
             functions: the functions whose lengths are known.
             units: the own units of a server; a live view is welcome.
-            gap_limit: seconds that an unfinished frame waits for its rest; 50 ms or t3.5, whichever is longer.
+            gap_limit: seconds that an unfinished frame waits for its rest; 50 ms or t3.5, whichever is longer, and for
+                the reply that a master waits for until it calls `flush`.
             reply_window: seconds for which the reply to a foreign request is expected.
             echo: whether the port gives back what is sent.
             started: when the port was opened, so that nothing is sent before t3.5 has passed (state "initial" of
@@ -118,6 +123,7 @@ class RtuReceiver:
         self.timing = timing
         self.gap_limit = limit
         self._lengths = lengths_of(functions)
+        self._patient = gap_limit is None and role is Role.MASTER
         self._buffer = bytearray()
         self._states = [0]  # the running CRC ahead of each byte of the buffer, and behind the last one
         self._at = 0  # where the undecided chunk begins
@@ -159,6 +165,8 @@ class RtuReceiver:
         """When `tick` will have something to decide; None while only bytes can change anything."""
         echo = self.echo.deadline()
         if not self._undecided:
+            return echo
+        if self._quiet and self._due_has_begun():
             return echo
         own = self._last + (self.gap_limit if self._quiet else self.timing.t3_5)
         return own if echo is None else min(own, echo)
@@ -226,10 +234,24 @@ class RtuReceiver:
             if not self._quiet and until >= self._last + self.timing.t3_5:
                 self._quiet = True
                 self._after_silence(found)
-            if self._undecided and until >= self._last + self.gap_limit:
+            if self._undecided and until >= self._last + self.gap_limit and not self._due_has_begun():
                 self._after_limit(found)
         if until >= self._last + self.gap_limit and not self._undecided:
             self._in_step = True
+
+    def _due_has_begun(self) -> bool:
+        """Whether what is undecided is the beginning of the reply that a master waits for (rule 3)."""
+        due = self.conversation.due
+        at, size = self._at, len(self._buffer)
+        if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
+            return False
+        if size - at == 1:
+            return True
+        code = self._buffer[at + 1]
+        if code & 0x7F != due.function:
+            return False
+        length = self._length(Direction.REPLY, at, size)
+        return length == NEED_MORE or (at + length > size and (code >= 0x80 or length == due.size + AROUND_PDU))
 
     def _accept(self, data: bytes | bytearray, began: float, now: float, found: list[Received]) -> None:
         if data and self._at < len(self._buffer) and self._quiet:

@@ -32,7 +32,7 @@ class FramingParameters:
         strict_timing: RTU to the letter (Serial Line V1.02 §2.5.1.1): a gap above t1.5 spoils a frame, silence ends
             it. Only for ports that deliver each character at once.
         gap_limit: RTU: seconds that an unfinished frame waits for its rest, t3.5…10; None for 50 ms or t3.5,
-            whichever is longer.
+            whichever is longer; the reply that a master waits for may, once it has begun, take until its timeout.
         character_timeout: ASCII: seconds that may pass between two characters, above 0…60.
         delimiter: ASCII: the character that ends a frame behind CR, 0…127 (function 08/03); 10 is LF.
         upper_case_only: ASCII: whether hexadecimal digits in lower case are refused.
