@@ -101,6 +101,76 @@ def test_a_route_that_can_not_be_is_refused(options: dict[str, object], key: str
     assert error.value.key == key
 
 
+EDGES = st.integers(0, 40)
+
+
+@st.composite
+def _ranges(draw: st.DrawFn) -> AddressRange | None:
+    first, end = sorted(draw(st.lists(EDGES, min_size=2, max_size=2, unique=True)))
+    table = draw(st.sampled_from([HOLDING, HOLDING, Table.COILS]))
+    return draw(st.sampled_from([AddressRange(table, first, end)] * 9 + [None]))
+
+
+ROUTES = st.lists(
+    st.builds(
+        Route,
+        line=st.just("a"),
+        functions=st.sampled_from([frozenset(), frozenset({3}), frozenset({3, 6, 16}), frozenset({1, 23})]),
+        addresses=_ranges(),
+        shift=st.integers(0, 1000),  # tells them apart
+    ),
+    max_size=12,
+)
+REQUESTS = st.one_of(
+    st.builds(busway.ReadHoldingRegisters, EDGES, st.integers(1, 25)),
+    st.builds(busway.ReadCoils, EDGES, st.integers(1, 25)),
+    st.builds(busway.ReadInputRegisters, EDGES, st.integers(1, 25)),
+    st.builds(busway.WriteSingleRegister, EDGES, st.just(1)),
+    st.builds(lambda at, to: busway.ReadWriteMultipleRegisters.of(at, 3, to, [1, 2]), EDGES, EDGES),
+    st.just(busway.ReadHoldingRegisters(65_530, 6)),
+    st.just(busway.ReportServerId()),
+    st.just(OpaqueRequest(0x41, b"\0\0")),
+)
+
+
+def _walked(routes: list[Route], request: busway.Request) -> Route | Straddles | None:
+    """The rules, as they are written: one route after the other."""
+    code = request.function if isinstance(request, OpaqueRequest) else request.code
+    spans = () if isinstance(request, OpaqueRequest) else request.spans()
+    for route in routes:
+        taken = route.addresses
+        if route.functions and code not in route.functions:
+            continue
+        if taken is None:
+            return route
+        same = [span for span in spans if span.table is taken.table]
+        if any(span.address < taken.end and taken.first < span.address + span.count for span in same):
+            whole = all(taken.first <= span.address and span.address + span.count <= taken.end for span in same)
+            return route if whole and len(same) == len(spans) else Straddles(route)
+    return None
+
+
+@given(ROUTES, st.lists(REQUESTS, min_size=1, max_size=8))
+def test_a_route_that_is_found_by_address_is_the_first_that_fits(
+    routes: list[Route], requests: list[busway.Request]
+) -> None:
+    found = FrontRoutes(routes)
+    for request in requests:
+        assert found.find(1, request) == _walked(routes, request)
+
+
+def test_many_ranges_of_one_unit_are_not_looked_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("looked through")
+
+    monkeypatch.setattr(FrontRoutes, "_looked_through", never)
+    routes = [Route(line="a", addresses=AddressRange(HOLDING, 10 * n, 10 * n + 10), shift=n) for n in range(500)]
+    found = FrontRoutes(routes)
+    assert found.find(1, busway.ReadHoldingRegisters(4321, 9)) is routes[432]
+    assert found.find(1, busway.ReadHoldingRegisters(4321, 10)) == Straddles(routes[432])
+    assert found.find(1, busway.ReadHoldingRegisters(5000, 1)) is None
+
+
 @given(st.frozensets(st.integers(0, 255), min_size=1))
 def test_units_are_written_so_that_they_can_be_read_back(units: frozenset[int]) -> None:
     found: set[int] = set()
