@@ -1,24 +1,23 @@
 """Masters of busway that each read in lock-step, together: clients that stand in a queue before one line.
 
-Run from `bench/`: python -m clients.busway_lockstep URL CLIENTS READS REGISTERS
+Run from `bench/`: python -m clients.busway_lockstep URL CLIENTS READS REGISTERS; see `harness.turns`.
 
-Each client has a connection of its own and makes READS reads. One line of JSON: seconds from one reply to the next,
-the middle one (`typical`) and all of them together (`seconds`), of all clients; and CPU seconds (`cpu`).
+Each client has a connection of its own, new in every turn, and makes READS reads. What counts is the time from one
+reply to the next, whoever got it.
 """
 
 import asyncio
-import json
-import statistics
 import sys
 import time
 from contextlib import AsyncExitStack
 
 from harness.priority import PROGRAM, real_time
+from harness.turns import Took, make_turns
 
 import busway
 
 
-async def main(url: str, clients: int, reads: int, registers: int) -> None:
+async def turn(url: str, clients: int, reads: int, registers: int) -> Took:
     ended: list[float] = []
     expected = list(range(registers))
 
@@ -33,13 +32,11 @@ async def main(url: str, clients: int, reads: int, registers: int) -> None:
         links = [await opened.enter_async_context(busway.open(url, shared=False, timeout=5)) for _ in range(clients)]
         for link in links:
             await link.unit(1).read_holding_registers(0, count=registers)  # opens what has to be opened
-        before, began = time.process_time(), time.perf_counter()
+        before = time.process_time()
         await asyncio.gather(*(client(link.unit(1)) for link in links))
-    each = [later - earlier for earlier, later in zip([began, *ended], ended, strict=False)]
-    cpu = time.process_time() - before
-    typical = statistics.median(each[clients:]) if len(each) > clients else each[-1]
-    print(json.dumps({"seconds": sum(each), "typical": typical, "cpu": cpu, "reads": len(each)}))
+        cpu = time.process_time() - before
+    return Took.of(ended, cpu)
 
 
 real_time(PROGRAM)
-asyncio.run(main(sys.argv[1], *map(int, sys.argv[2:5])))
+make_turns(lambda: asyncio.run(turn(sys.argv[1], *map(int, sys.argv[2:5]))))

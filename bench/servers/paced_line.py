@@ -1,11 +1,13 @@
-"""A serial line in a process of its own: what passes on it takes its time, and can be told afterwards.
+"""Serial lines in a process of their own: what passes on them takes its time, and can be told afterwards.
 
-Run from `bench/`: python -m servers.paced_line BAUD
+Run from `bench/`: python -m servers.paced_line BAUD…
 
-1. `line PATH PATH` on the first line: the ports of the master and of the server, 8E1.
+1. `line PATH PATH …` on the first line: the ports of the master and of the server of each line, 8E1.
 2. SIGUSR1 forgets what has passed: `forgotten 0`.
 3. SIGUSR2 tells the medians of the silences before replies and before requests, in seconds, and how many replies there
-   were: `silences R Q N`.
+   were, on all lines together: `silences R Q N`.
+4. All lines take the same time for the way through a pty, the quickest that one of them has found: figures of two lines
+   can be compared to a microsecond. 20 µs more in that measure make a read at 115 200 baud 1 % longer.
 """
 
 import itertools
@@ -15,7 +17,7 @@ import statistics
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import FrameType
 
 from harness.priority import WIRE, real_time
@@ -25,18 +27,24 @@ from busway.testing.line import PacedLine
 MASTER = 0
 
 
-def main(baud: int) -> None:
+def main(bauds: list[int]) -> None:
     real_time(WIRE)
-    with on_all_cores():  # the line measures how long a pty takes from one core to another, as it will be used
-        line = PacedLine(ports=2, baud=baud)
-    with line:
+    with on_all_cores():  # a line measures how long a pty takes from one core to another, as it will be used
+        lines = [PacedLine(ports=2, baud=baud) for baud in bauds]
+    transit = min(line._transit for line in lines)
+    for line in lines:
+        line._transit = transit
+    with ExitStack() as running:
+        for line in lines:
+            running.enter_context(line)
 
         def forget(number: int, frame: FrameType | None) -> None:
-            line.forget()
+            for line in lines:
+                line.forget()
             print("forgotten 0", flush=True)
 
         def tell(number: int, frame: FrameType | None) -> None:
-            before_replies, before_requests = silences(line)
+            before_replies, before_requests = silences(lines)
             print(
                 f"silences {statistics.median(before_replies or [0]):.6f} "
                 f"{statistics.median(before_requests or [0]):.6f} {len(before_replies)}",
@@ -45,7 +53,7 @@ def main(baud: int) -> None:
 
         signal.signal(signal.SIGUSR1, forget)
         signal.signal(signal.SIGUSR2, tell)
-        print("line", *line.paths, flush=True)
+        print("line", *(path for line in lines for path in line.paths), flush=True)
         threading.Event().wait()
 
 
@@ -59,14 +67,14 @@ def on_all_cores() -> Iterator[None]:
         os.sched_setaffinity(int(thread), mine)
 
 
-def silences(line: PacedLine) -> tuple[list[float], list[float]]:
+def silences(lines: list[PacedLine]) -> tuple[list[float], list[float]]:
     """Seconds of silence before each reply, and before each request that follows one."""
-    found = line.transmissions()
     replies, requests = [], []
-    for earlier, later in itertools.pairwise(found):
-        if earlier.port != later.port:
-            (requests if later.port == MASTER else replies).append(later.begin - earlier.end)
+    for line in lines:
+        for earlier, later in itertools.pairwise(line.transmissions()):
+            if earlier.port != later.port:
+                (requests if later.port == MASTER else replies).append(later.begin - earlier.end)
     return replies, requests
 
 
-main(int(sys.argv[1]))
+main([int(baud) for baud in sys.argv[1:]])

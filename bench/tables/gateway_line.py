@@ -1,62 +1,82 @@
 """A gateway from TCP to a serial line: what it adds to a transaction, beside a master that has the line for itself.
 
-Reads of 10 registers over RTU on a paced line, 115 200 baud 8E1, from one server of ours. The line has one core, all
-others share the other one; all ask for real-time priority where that is allowed. First our master directly on the line,
-lock-step; then a client over TCP through a gateway, lock-step; then two clients, so that one request is always waiting
-when the line becomes free. The floor is what characters and t3.5 take at least.
+Reads of 10 registers over RTU on a paced line, 115 200 baud 8E1, from one server of ours. First our master directly on
+the line, lock-step; then a client over TCP through a gateway, lock-step; then two clients, so that one request always
+waits when the line becomes free. The floor is what characters and t3.5 take at least. Master and gateways have a line
+with a server each, so that all programs can stay and take short turns (`harness.turns`); the lines are alike to the
+microsecond. The lines have one core, all others share the other one; all ask for real-time priority where that is
+allowed.
 
-`typical` is the middle time from one reply to the next. What a gateway adds is taken round by round against the master
-on the line.
+`typical` is the middle time from one reply to the next. What a gateway adds is the middle of the ratios to the master's
+turn of the same round, a tenth of a second before or after: a noisy minute hits both. Every other round goes backwards.
 """
 
 import shutil
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from harness import children
 from harness.bench import Bench, Command
 from harness.children import ChildFailed
-from harness.measure import median, spread
 from harness.report import Bar, Table
+from harness.turns import Contender
 
-from tables.line import REGISTERS, least
+from tables.line import OPENING, REGISTERS, STARTING, least
 
 BAUD = 115_200
-READS = 100
+READS = 16
+"""Of one turn; a gateway's clients share them."""
+LEAST_ROUNDS, MOST_ROUNDS = 5, 60
+PEERS_EVERY = 5
+"""Rounds of which the peers take part in one: theirs take four times as long, and swing less."""
+PEERS_READ = 5
+"""Times the least that a read through a peer is planned to take."""
 COLUMNS = ("", "typical ms", "± %", "above the master %", "CPU ms each")
 MASTER = "busway as master, on the line"
+OURS = "busway gateway"
 Way = Callable[[str], Command]
 """A gateway's command for the path of its line."""
 
 
 @dataclass(slots=True)
-class Contender:
-    """What stands between the client and the line (None: nothing), how many clients there are, what was measured."""
+class Asker:
+    """Clients on a line, or before the gateway that has it (None: no gateway)."""
 
-    gateway: Way | None
+    gateway: str | None
     clients: int
-    typical: list[float] = field(default_factory=list)
-    cpu: list[float] = field(default_factory=list)
-    missing: str = ""
+    contender: Contender = field(default_factory=Contender)
+
+    def takes_part(self, number: int) -> bool:
+        """Whether it has a turn in this round."""
+        return self.gateway in (None, OURS) or number % PEERS_EVERY == 0
 
 
 def run(bench: Bench) -> Table:
-    reads = READS // 4 if bench.quick else READS
-    table = Table(f"Gateway, TCP to a line: {reads} x FC03 x {REGISTERS} registers, RTU {BAUD} 8E1", COLUMNS)
-    contenders = {MASTER: Contender(None, 1)}
-    for name, way in _ways(bench).items():
-        contenders[f"{name}, lock-step"] = Contender(way, 1)
-        contenders[f"{name}, 2 clients"] = Contender(way, 2)
-    for _ in range(bench.rounds):
-        for name, contender in contenders.items():
-            _measure(bench, name, contender, reads)
-    floor = f"{least(BAUD) * 1000:.3f}"
-    table.rows.append(("floor: characters and silences", floor, "", "", ""))
+    ways = _ways(bench)
+    askers = {MASTER: Asker(None, 1)}
+    for name in ways:
+        askers[f"{name}, lock-step"] = Asker(name, 1)
+        askers[f"{name}, 2 clients"] = Asker(name, 2)
+    rounds = _rounds(bench, len(ways))
+    with ExitStack() as running:
+        _start(bench, running, ways, askers)
+        for number in range(rounds):
+            for name in list(askers) if number % 2 == 0 else reversed(askers):
+                if askers[name].takes_part(number):
+                    _turn(bench, name, askers[name].contender, number)
+    table = Table(f"Gateway, TCP to a line: FC03 x {REGISTERS} registers, RTU {BAUD} 8E1", COLUMNS)
+    table.rows.append(("floor: characters and silences", f"{least(BAUD) * 1000:.3f}", "", "", ""))
     table.figures.append({"name": "floor", "typical": least(BAUD)})
-    added = {name: _add(table, name, one, contenders[MASTER]) for name, one in contenders.items()}
+    master = askers[MASTER].contender
+    added = {name: _add(table, name, asker.contender, master) for name, asker in askers.items()}
+    table.notes = [
+        f"{rounds} rounds of {READS} reads each, peers in every {PEERS_EVERY}th; ±: half the distance of the quartiles",
+        "above the master: the middle of the ratios to its turn of the same round",
+    ]
     table.bars = [
-        Bar("busway gateway, lock-step: above the master", added["busway gateway, lock-step"], "<=", 5, "%"),
-        Bar("busway gateway, 2 clients: above the master", added["busway gateway, 2 clients"], "<=", 2, "%"),
+        Bar(f"{OURS}, lock-step: above the master", added[f"{OURS}, lock-step"], "<=", 5, "%"),
+        Bar(f"{OURS}, 2 clients: above the master", added[f"{OURS}, 2 clients"], "<=", 2, "%"),
     ]
     return table
 
@@ -66,7 +86,7 @@ def _ways(bench: Bench) -> dict[str, Way]:
         return bench.ours("servers.busway_gateway", f"rtu://{path}?baud={BAUD}", "--no-sharing", "--real-time")
 
     ways: dict[str, Way] = {
-        "busway gateway": ours,
+        OURS: ours,
         "pyModbusTCP gateway": lambda path: bench.peer("peers.tcp2rtu_gateway", path, BAUD),
     }
     mbusd = shutil.which("mbusd")
@@ -77,49 +97,68 @@ def _ways(bench: Bench) -> dict[str, Way]:
     return ways
 
 
-def _measure(bench: Bench, name: str, contender: Contender, reads: int) -> None:
-    if contender.missing:
-        return
-    try:
-        with children.server(bench.ours("servers.paced_line", BAUD), bench.server_core, "line") as line:
-            master, serving = line.told
-            url = f"rtu://{serving}?baud={BAUD}"
-            with children.server(bench.ours("servers.busway_line_server", url), bench.load_core, "serving"):
-                result = _asked(bench, contender, master, reads)
-    except ChildFailed as failure:
-        contender.missing = str(failure)
-        bench.say(f"gateway_line: {name} is left out: {failure}")
-        return
-    contender.typical.append(result["typical"])
-    contender.cpu.append(result["cpu"])
-    bench.say(f"gateway_line: {name:<34} {result['typical'] * 1000:.3f} ms")
+def _rounds(bench: Bench, ways: int) -> int:
+    """As many as the budget allows."""
+    turn = (READS + 2) * least(BAUD) * 1.1
+    one = 3 * (turn + OPENING) + (ways - 1) * 2 * (turn * PEERS_READ + OPENING) / PEERS_EVERY
+    left = bench.budget - STARTING * (2 + 4 * ways)
+    return min(max(int(left / one), LEAST_ROUNDS), MOST_ROUNDS)
 
 
-def _asked(bench: Bench, contender: Contender, master: str, reads: int) -> dict[str, float]:
-    def client(url: str) -> dict[str, float]:
-        words = (url, contender.clients, reads // contender.clients, REGISTERS)
-        found = children.run(bench.ours("clients.busway_lockstep", *words), bench.load_core, 20 * reads * least(BAUD))
-        return {"typical": found["typical"], "cpu": found["cpu"] / found["reads"]}
+def _start(bench: Bench, running: ExitStack, ways: dict[str, Way], askers: dict[str, Asker]) -> None:
+    """Start a line, a server and a gateway for each way, and all that ask."""
+    lines = bench.ours("servers.paced_line", *[BAUD] * (1 + len(ways)))
+    told = running.enter_context(children.server(lines, bench.server_core, "line")).told
+    urls: dict[str | None, str] = {}
+    for name, path, serving in zip((None, *ways), told[::2], told[1::2], strict=True):
+        server = bench.ours("servers.busway_line_server", f"rtu://{serving}?baud={BAUD}")
+        running.enter_context(children.server(server, bench.load_core, "serving"))
+        if name is None:
+            urls[name] = f"rtu://{path}?baud={BAUD}"
+            continue
+        try:
+            gateway = running.enter_context(children.server(ways[name](path), bench.load_core))
+            urls[name] = f"tcp://127.0.0.1:{gateway.port}"
+        except ChildFailed as failure:
+            bench.say(f"gateway_line: {name} is left out: {failure}")
+            for asker in askers.values():
+                if asker.gateway == name:
+                    asker.contender.missing = str(failure)
+    for asker in askers.values():
+        url = urls.get(asker.gateway)
+        if url is not None:
+            words = (url, asker.clients, READS // asker.clients + 1, REGISTERS)
+            client = bench.ours("clients.busway_lockstep", *words)
+            asker.contender.program = running.enter_context(children.server(client, bench.load_core, "ready"))
 
-    if contender.gateway is None:
-        return client(f"rtu://{master}?baud={BAUD}")
-    with children.server(contender.gateway(master), bench.load_core) as gateway:
-        return client(f"tcp://127.0.0.1:{gateway.port}")
+
+def _turn(bench: Bench, name: str, contender: Contender, number: int) -> None:
+    failure = contender.turn(number)
+    if failure:
+        bench.say(f"gateway_line: round {number + 1}, {name}: {failure}")
+    elif number in contender.turns:
+        bench.say(f"gateway_line: round {number + 1:>3}  {name:<34} {contender.turns[number].typical * 1000:.3f} ms")
 
 
 def _add(table: Table, name: str, contender: Contender, master: Contender) -> float | None:
     """Add a row; gives what is above the master in per cent."""
-    typical, off = median(contender.typical), spread(contender.typical)
-    if typical is None or off is None:
+    typical = contender.typical
+    if typical is None or contender.missing:
         table.rows.append((name, "–", "", "", ""))
         table.figures.append({"name": name, "missing": contender.missing})
         return None
-    pairs = zip(contender.typical, master.typical, strict=False)
-    above = median([(mine / theirs - 1) * 100 for mine, theirs in pairs])
-    cpu = median(contender.cpu) or 0.0
-    cells = ("" if contender is master or above is None else f"{above:.1f}", f"{cpu * 1000:.2f}")
-    table.rows.append((name, f"{typical * 1000:.3f}", f"{off:.0f}", *cells))
+    above = None if contender is master else contender.above(master)
+    cells = ("" if above is None else f"{above:.1f}", f"{contender.cpu * 1000:.2f}")
+    table.rows.append((name, f"{typical * 1000:.3f}", f"{contender.swing:.1f}", *cells))
+    turns = contender.values(lambda took: took.typical)
     table.figures.append(
-        {"name": name, "typical": typical, "above_percent": above, "rounds": contender.typical, "cpu": cpu}
+        {
+            "name": name,
+            "typical": typical,
+            "above_percent": above,
+            "turns": turns,
+            "failed_turns": contender.failed,
+            "cpu": contender.cpu,
+        }
     )
     return above
