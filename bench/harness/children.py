@@ -5,6 +5,8 @@ Rules:
 2. A server announces itself by a word and what it has to tell on its first line, `port N` for one on TCP, or by its
    URL as `busway serve` does; it has START seconds for that.
 3. What a child says on stderr is kept and shown only when it fails.
+4. Python keeps the bytecode of what it imports, as it does for every user, in a place of the benchmark's own; an
+   environment that forbids it (PYTHONDONTWRITEBYTECODE) would have start-up times be those of the compiler.
 """
 
 import json
@@ -23,6 +25,9 @@ from typing import IO, Any
 HERE = Path(__file__).parent.parent
 START = 15.0  # seconds; a peer that imports much on a loaded machine needs some
 STOP = 3.0
+
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+ENVIRONMENT["PYTHONPYCACHEPREFIX"] = str(HERE / "build" / "bytecode")
 
 
 class ChildFailed(Exception):
@@ -115,7 +120,12 @@ def _start(
     with _pinned(core):  # a child inherits the cores of its parent
         try:
             return subprocess.Popen(
-                [str(part) for part in command], cwd=HERE, stdin=subprocess.DEVNULL, stdout=output, stderr=complaints
+                [str(part) for part in command],
+                cwd=HERE,
+                env=ENVIRONMENT,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=complaints,
             )
         except OSError as error:
             raise ChildFailed(f"{command[0]} could not be started: {error}") from error
