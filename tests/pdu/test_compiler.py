@@ -135,9 +135,9 @@ def test_a_group_of_another_kind_is_refused() -> None:
 
 
 def test_the_short_way_exists_where_the_rest_of_a_reply_is_data() -> None:
-    assert ReadHoldingRegisters(0, 1).take(b"\x03\x02\x12\x34") == ReadHoldingRegisters.Reply(b"\x12\x34")
-    assert ReadCoils(0, 1).take(b"\x01\x01\x01") == ReadCoils.Reply(b"\x01")
-    assert ReadWriteMultipleRegisters.of(0, 1, 0, [1]).take(b"\x17\x02\x00\x01").data == b"\x00\x01"
+    assert ReadHoldingRegisters(0, 1).take(b"\x12\x34") == ReadHoldingRegisters.Reply(b"\x12\x34")
+    assert ReadCoils(0, 1).take(b"\x01") == ReadCoils.Reply(b"\x01")
+    assert ReadWriteMultipleRegisters.of(0, 1, 0, [1]).take(b"\x00\x01").data == b"\x00\x01"
     # 24 has a rule across its fields, 16 an echo, 20 groups to compare: the long way.
     for kind in (ReadFifoQueue, ReadFileRecord):
         assert kind.take is None

@@ -10,8 +10,9 @@ from ..errors import ModbusError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import Parity, SerialTiming
-from ..session.client import Places, TcpClientSession
+from ..session.client import TcpClientSession
 from ..session.demand import Demand
+from ..session.flights import Places
 from ..session.ledger import ClientCounters
 from ..session.line_framing import line_framing
 from ..session.serial_client import SerialClientSession

@@ -15,7 +15,7 @@ from collections import deque
 from typing import Protocol
 
 from ..errors import ConfigError
-from ..session.client import Places, places
+from ..session.flights import Places, places
 
 
 class Served(Protocol):

@@ -142,7 +142,7 @@ def _compile_codecs(cls: Any) -> None:
 
 
 def compile_taker(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
-    """The short way to a reply that is a byte count and data: 0.2 µs, where ``decode`` takes 1.0.
+    """The short way to a reply that is a byte count and data, from its data alone: 0.2 µs, where ``decode`` takes 1.0.
 
     It is right only where length and first bytes were compared with what the request expects.
     """
@@ -151,12 +151,11 @@ def compile_taker(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or 
         return None
     if not isinstance(layout.tail, RestField) or cls.sub_code is not None:
         return None
-    new, start = cls.__new__, layout.head.size
-    put = getattr(cls, layout.tail_name).__set__
+    new, put = cls.__new__, getattr(cls, layout.tail_name).__set__
 
-    def take(pdu: bytes) -> Any:
+    def take(data: bytes) -> Any:
         reply = new(cls)
-        put(reply, pdu[start:])
+        put(reply, data)
         return reply
 
     return staticmethod(take)

@@ -203,7 +203,7 @@ class Request(Message):
     is_write: ClassVar[bool] = False
     echoes: ClassVar[bool] = False
     take: ClassVar[Any] = None  # Any: a staticmethod (bytes) -> Message or None; a plain callable would be bound
-    """Makes the reply of a PDU whose length and first bytes fit; compiled where the rest of it is data only."""
+    """Makes the reply of its data, where length and first bytes fit; compiled where the rest of it is data only."""
     broadcast: ClassVar[bool] = False
 
     @classmethod

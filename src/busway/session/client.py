@@ -15,17 +15,21 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
 6. A connection that brings nothing but timeouts, or late replies only, is made anew.
 7. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
    still working on it.
+8. Reads of one demand fly as a volley, and are taken together when all of them are answered in their order. Whatever
+   else happens takes all volleys apart first (`_scatter`), so that all rules are about single requests.
 """
 
+from collections import deque
 from collections.abc import Sequence
 
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
-from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
+from ..framing.mbap import HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from .demand import Demand
+from .flights import HEAD_SIZE, Flight, Places, Volley, places, plan_of, route_of
 from .ledger import Ledger
 from .parameters import ClientParameters, MismatchPolicy
 
@@ -38,55 +42,6 @@ helps: so many times more timeouts are borne while late replies come."""
 _STEP = 1021
 """From one identifier to the next; odd, so that all are used. Devices that answer with the identifier of the request
 plus 1 (sunsynk#680) would with a step of 1 hit another request in flight, and give it the wrong data."""
-
-
-class _Route:
-    """What a request to a unit looks like on TCP but for its transaction; kept with the request (`Request.memo`).
-
-    ``head`` are the seven bytes behind the transaction of a reply that fits: protocol, length, unit, function and
-    byte count. It is empty where such a comparison is not enough.
-    """
-
-    __slots__ = ("head", "reply_size", "tail", "unit")
-
-    def __init__(self, request: Request, unit: int) -> None:
-        wire = request.prepare()
-        size = request.expected_size
-        self.unit = unit
-        self.tail = HEAD.pack(0, 0, len(wire) + 1, unit)[2:] + wire
-        self.reply_size = 7 + size
-        self.head = b""
-        if request.take is not None and size > 0:
-            self.head = HEAD.pack(0, 0, size + 1, unit)[2:] + request.expected_prefix
-
-
-def _route(request: Request, unit: int) -> _Route:
-    """The route of a request to a unit, made anew and kept."""
-    route = _Route(request, unit)
-    request.remember(route)
-    return route
-
-
-class _Flight:
-    """One place among the requests in flight; the same few objects serve a connection for ever."""
-
-    __slots__ = ("demand", "expires", "position", "request", "route", "sent")
-
-    demand: Demand | None  # None: cancelled
-    request: Request
-    position: int
-    route: "_Route"
-    sent: float
-    expires: float
-
-
-Places = list[_Flight]
-"""Places for requests in flight that are free."""
-
-
-def places(count: int) -> Places:
-    """So many places, all free: of one session, or shared by the sessions of a client."""
-    return [_Flight() for _ in range(count)]
 
 
 class TcpClientSession:
@@ -113,6 +68,7 @@ class TcpClientSession:
         "_timeouts_in_row",
         "_timeouts_since_reply",
         "_transaction",
+        "_volleys",
         "counters",
         "finished",
         "observed_delay",
@@ -137,7 +93,8 @@ class TcpClientSession:
         self.observed_delay: float | None = None
         self.valid_reply = False
         self._queue = self._ledger.queue
-        self._pending: dict[int, _Flight] = {}
+        self._pending: dict[int, Flight] = {}
+        self._volleys: deque[Volley] = deque()
         self._free = places(parameters.max_transactions) if shared_places is None else shared_places
         self._expired: dict[int, float] = {}
         self._transaction = first_transaction & 0xFFFF
@@ -156,6 +113,7 @@ class TcpClientSession:
 
     def cancel(self, demand: Demand) -> None:
         """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen."""
+        self._scatter()
         for flight in self._pending.values():
             if flight.demand is demand:
                 flight.demand = None
@@ -183,7 +141,7 @@ class TcpClientSession:
     @property
     def in_flight(self) -> int:
         """Requests whose reply is awaited."""
-        return len(self._pending)
+        return len(self._pending) + sum(len(volley.places) for volley in self._volleys)
 
     # What the connection reports.
 
@@ -210,6 +168,7 @@ class TcpClientSession:
             self.counters.lost_connections += 1
         self._connected = False
         self.recycle = ""
+        self._scatter()
         for flight in list(self._pending.values()):
             self._release(flight)
             if flight.demand is not None:
@@ -232,7 +191,7 @@ class TcpClientSession:
         queue = self._queue
         if not queue.size or not self._connected or self.recycle or not self._free:
             return out
-        if self._buffer.kept and not self._pending:
+        if self._buffer.kept and not self._pending and not self._volleys:
             # Bytes that answer nothing: the next reply would be read as their continuation.
             self._recycle(f"{len(self._buffer.kept)} bytes of an unfinished frame before the request")
             return out
@@ -249,28 +208,66 @@ class TcpClientSession:
         return out
 
     def send_now(self, demand: Demand, now: float) -> bytes | None:
-        """The ADU of a demand of one request, if nothing waits and it may go at once; None: `submit` it."""
+        """The ADUs of a demand, joined, if nothing waits and all of it may go at once; None: `submit` it."""
+        count = len(demand.requests)
         if (
             self._queue.size
-            or not self._free
+            or len(self._free) < count
             or not self._connected
             or now < self._not_before
             or self.recycle
             or self._buffer.kept
-            or len(demand.requests) > 1
         ):
             return None
-        self._ledger.begin(demand, now)
-        demand.next = 1
-        return self._launch(demand, _FIRST, now)[0]
+        if count == 1:
+            self._ledger.begin(demand, now)
+            demand.next = 1
+            return self._launch(demand, _FIRST, now)[0]
+        if self.parameters.request_gap or self.parameters.single_adu_segments or demand.is_write:
+            return None
+        adus = self._launch_volley(demand, count, now)
+        if adus is not None:
+            self._ledger.begin(demand, now)
+        return adus
 
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
+        requests = len(demand.requests)
+        if requests > 1 and not demand.again and not demand.is_write and not self.parameters.single_adu_segments:
+            together = self._launch_volley(demand, min(at_most, requests - demand.next), now)
+            if together is not None:
+                out.append(together)
+                return
         adus = self._launch(demand, demand.take(at_most), now)
         if len(adus) == 1 or self.parameters.single_adu_segments:
             out += adus
         else:
             out.append(b"".join(adus))
+
+    def _launch_volley(self, demand: Demand, count: int, now: float) -> bytes | None:
+        """Put the next ``count`` requests in flight together, one for each free place; None if they can not go so."""
+        first = demand.next
+        plan = plan_of(demand.requests, first, count, demand.unit)
+        if not plan.fits:
+            return None
+        start = self._transaction + _STEP
+        stop = start + _STEP * count
+        if stop - _STEP <= 0xFFFF:
+            transactions = tuple(range(start, stop, _STEP))  # 0.1 µs less for each request than the other way
+        else:
+            transactions = tuple([one & 0xFFFF for one in range(start, stop, _STEP)])
+        pending, expired = self._pending, self._expired
+        if pending and not pending.keys().isdisjoint(transactions):
+            return None
+        if expired and not expired.keys().isdisjoint(transactions):
+            return None
+        self._transaction = transactions[-1]
+        free = self._free
+        self._volleys.append(Volley(demand, first, plan, transactions, free[-count:], now))
+        del free[-count:]
+        demand.next = first + count
+        self.counters.requests += count
+        return plan.encode(transactions)
 
     def _launch(self, demand: Demand, positions: Sequence[int], now: float) -> list[bytes]:
         """Put requests in flight, one for each free place; their ADUs."""
@@ -280,15 +277,9 @@ class TcpClientSession:
         expires = now + demand.timeout
         transaction = self._transaction
         adus: list[bytes] = []
-        # 0.5 µs per request that was sent before: what does not depend on the transaction is kept with the request.
         for position in positions:
             request = requests[position]
-            try:
-                route = request.memo
-            except AttributeError:
-                route = _route(request, unit)
-            if route.unit != unit:
-                route = _route(request, unit)
+            route = route_of(request, unit)
             transaction = transaction + _STEP & 0xFFFF
             while transaction in pending or transaction in expired:
                 transaction = transaction + _STEP & 0xFFFF
@@ -305,56 +296,104 @@ class TcpClientSession:
         self.counters.requests += len(adus)
         return adus
 
+    def _scatter(self) -> None:
+        """Take all volleys apart: from here on each of their requests flies by itself."""
+        for volley in self._volleys:
+            self._pending.update(volley.apart())
+        self._volleys.clear()
+
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
         """Work through the first ``size`` bytes of ``buffer``. Demands that are complete are in ``finished``."""
         if self._buffer.kept:
-            buffer, size = self._buffer.join(buffer, size)
-        elif buffer.__class__ is not bytes:
-            buffer = bytes(memoryview(buffer)[:size])
+            joined, size = self._buffer.join(buffer, size)
+            data = bytes(joined)
+        else:
+            data = buffer if isinstance(buffer, bytes) else bytes(memoryview(buffer)[:size])
         pending = self._pending
         free = self._free
         ledger = self._ledger
         at = good = 0
-        # The hot path of a client, 1.0 µs per reply: one that answers its request is told by the seven bytes behind
-        # its transaction, and `Request.take` only cuts out the payload. All else goes through _odd_frame.
+        if self._volleys:
+            at = self._receive_volleys(data, size, now)
+        # 1.0 µs per reply: one that answers its request is told by the seven bytes behind its transaction, and
+        # `Request.take` makes it of its data. All else goes through _odd_frame.
         while size - at >= 8:
-            flight = pending.get(buffer[at] << 8 | buffer[at + 1])
-            if flight is not None and buffer[at + 2 : at + 9] == flight.route.head:
+            flight = pending.get(data[at] << 8 | data[at + 1])
+            if flight is not None and data[at + 2 : at + 9] == flight.route.head:
                 demand = flight.demand
                 end = at + flight.route.reply_size
                 if end > size:
                     break
                 if demand is not None:
-                    del pending[buffer[at] << 8 | buffer[at + 1]]
+                    del pending[data[at] << 8 | data[at + 1]]
                     free.append(flight)
                     good += 1
-                    demand.outcomes[flight.position] = flight.request.take(buffer[at + 7 : end])
+                    demand.outcomes[flight.position] = flight.request.take(data[at + HEAD_SIZE : end])
                     demand.open -= 1
                     if not demand.open:
                         ledger.finish(demand)
                     at = end
                     continue
-            transaction, protocol, length, unit, _ = _unpack(buffer, at)
+            transaction, protocol, length, unit, _ = _unpack(data, at)
             end = at + 6 + length
             if not MIN_LENGTH <= length <= MAX_LENGTH or end > size:
                 break
-            self._odd_frame(transaction, protocol, unit, bytes(buffer[at:end]), now)
+            self._odd_frame(transaction, protocol, unit, data[at:end], now)
             at = end
         if good:
             self._answered(good, now)
         if size - at >= 6:
-            length = buffer[at + 4] << 8 | buffer[at + 5]
+            length = data[at + 4] << 8 | data[at + 5]
             if not MIN_LENGTH <= length <= MAX_LENGTH:
-                self._broken_stream(impossible_length(length), bytes(buffer[at:size]), now)
+                self._broken_stream(impossible_length(length), data[at:size], now)
                 return
         if at < size:
-            self._buffer.keep(buffer, at, size)
+            self._buffer.keep(data, at, size)
+
+    def _receive_volleys(self, buffer: bytes, size: int, now: float) -> int:
+        """Take replies that come in the order of what was asked; where those end that did.
+
+        This is the hot path of `execute_many`: 0.5 µs per reply where all of a volley are there, 0.9 where some are.
+        """
+        volleys = self._volleys
+        at = good = 0
+        while volleys and size - at >= HEAD_SIZE:
+            volley = volleys[0]
+            plan, demand, answered = volley.plan, volley.demand, volley.answered
+            end = at + plan.reply_size
+            replies = plan.replies(volley.transactions, buffer, at) if not answered and end <= size else None
+            if replies is not None:
+                demand.outcomes[volley.first : volley.first + len(replies)] = replies
+                self._free += volley.places
+                volley.answered = len(replies)
+            elif volley.expects(buffer, at):
+                end = at + plan.reply_sizes[answered]
+                if end > size:
+                    break
+                replies = [plan.takers[answered](buffer[at + HEAD_SIZE : end])]
+                demand.outcomes[volley.first + answered] = replies[0]
+                self._free.append(volley.places.pop())
+                volley.answered += 1
+            else:
+                self._scatter()
+                break
+            at = end
+            good += len(replies)
+            if volley.answered == len(plan.heads):
+                volleys.popleft()
+            demand.open -= len(replies)
+            if not demand.open:
+                self._ledger.finish(demand)
+        if good:
+            self._answered(good, now)
+        return at
 
     # What time brings.
 
     def deadline(self) -> float | None:
         """When `tick` has something to do; None for never."""
         times = [flight.expires for flight in self._pending.values()]
+        times += [volley.expires for volley in self._volleys]
         if self._ledger.deadlines:
             queued = self._ledger.next_deadline()
             if queued is not None:
@@ -364,12 +403,14 @@ class TcpClientSession:
                 for flight in self._pending.values()
                 if flight.demand is not None and flight.demand.deadline is not None
             ]
+            times += [one.demand.deadline for one in self._volleys if one.demand.deadline is not None]
         if self._queue.size and self._connected and self._free and self._not_before:
             times.append(self._not_before)
         return min(times, default=None)
 
     def tick(self, now: float) -> None:
         """End what has run out of time."""
+        self._scatter()
         for transaction, flight in list(self._pending.items()):
             demand = flight.demand
             over = demand is not None and demand.deadline is not None and now >= demand.deadline
@@ -383,7 +424,7 @@ class TcpClientSession:
             in_flight = {(id(one.demand), one.position) for one in self._pending.values()}
             self._ledger.expire_queue(now, in_flight)
 
-    def _timed_out(self, transaction: int, flight: _Flight, now: float, *, over: bool) -> None:
+    def _timed_out(self, transaction: int, flight: Flight, now: float, *, over: bool) -> None:
         """The reply did not come in time: remember the identifier, and repeat or fail."""
         self._remember(transaction, flight.sent)
         partial = self._buffer.kept
@@ -401,7 +442,7 @@ class TcpClientSession:
         elif self._timeouts_since_reply >= _LATE_FACTOR * self.parameters.recycle_after_timeouts:
             self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
 
-    def _no_reply(self, flight: _Flight, partial: bytes, now: float, *, over: bool) -> NoReply:
+    def _no_reply(self, flight: Flight, partial: bytes, now: float, *, over: bool) -> NoReply:
         timeout = flight.expires - flight.sent
         if over and now < flight.expires:
             return NoReply(
@@ -422,6 +463,7 @@ class TcpClientSession:
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
         """Anything but a plainly fitting reply (Messaging on TCP/IP §4.4.1.4)."""
+        self._scatter()
         flight = self._pending.get(transaction)
         if flight is None:
             sent = self._expired.pop(transaction, None)
@@ -443,7 +485,7 @@ class TcpClientSession:
             return  # cancelled: its reply has come, the place is free
         self._confirm(flight, flight.demand, protocol, unit, adu, now)
 
-    def _confirm(self, flight: _Flight, demand: Demand, protocol: int, unit: int, adu: bytes, now: float) -> None:
+    def _confirm(self, flight: Flight, demand: Demand, protocol: int, unit: int, adu: bytes, now: float) -> None:
         pdu = adu[7:]
         function = flight.request.wire[0]
         reason = ""
@@ -465,7 +507,7 @@ class TcpClientSession:
         self._start_gap(now)
         self._failed(flight, demand, BadReply(reason, raw=adu), now, again=False)
 
-    def _accept(self, flight: _Flight, demand: Demand, pdu: bytes, now: float) -> None:
+    def _accept(self, flight: Flight, demand: Demand, pdu: bytes, now: float) -> None:
         """Take a reply or an exception that belongs to ``flight``. Raises `MalformedPdu` where it is broken."""
         if pdu[0] & 0x80:
             code = decode_exception(pdu).exception
@@ -481,7 +523,7 @@ class TcpClientSession:
         self._answered(1, now)
         self._ledger.conclude(demand, flight.position, reply)
 
-    def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> _Flight | None:
+    def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> Flight | None:
         """The one request in flight, if a reply with a foreign transaction may be taken for its answer."""
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
@@ -507,7 +549,7 @@ class TcpClientSession:
             return False
         return True
 
-    def _unit_fits(self, flight: _Flight, unit: int, *, alone: bool) -> bool:
+    def _unit_fits(self, flight: Flight, unit: int, *, alone: bool) -> bool:
         """Whether ``unit`` may answer; ``alone`` says that nothing else is in flight."""
         if unit == flight.route.unit or flight.route.unit in (0, TCP_DEVICE_UNIT):
             return True
@@ -530,6 +572,7 @@ class TcpClientSession:
     def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
         """A length that can not be: nothing behind it can be read."""
         self._recycle(reason)
+        self._scatter()
         for flight in list(self._pending.values()):
             self._release(flight)
             if flight.demand is not None:
@@ -551,10 +594,10 @@ class TcpClientSession:
         if self.parameters.request_gap:
             self._not_before = now + self.parameters.request_gap
 
-    def _failed(self, flight: _Flight, demand: Demand, error: ModbusError, now: float, *, again: bool) -> None:
+    def _failed(self, flight: Flight, demand: Demand, error: ModbusError, now: float, *, again: bool) -> None:
         self._ledger.failed(demand, flight.position, error, now, again=again)
 
-    def _release(self, flight: _Flight) -> None:
+    def _release(self, flight: Flight) -> None:
         self._free.append(flight)
 
     def _remember(self, transaction: int, sent: float) -> None:

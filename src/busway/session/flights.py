@@ -1,0 +1,200 @@
+"""Requests on their way over TCP: one by one, or together in a volley that is answered in its order.
+
+Knows how ADUs lie one behind the other; knows no connection, no queue, and no reply that does not simply fit: whoever
+meets one takes the volley apart (`Volley.apart`) and looks at each request by itself.
+
+1. What does not depend on transactions is made once and kept with the requests (`Request.memo`): a poller asks the same
+   again and again.
+2. A reply is known by its transaction and by the seven bytes behind it: protocol, length, unit, function, byte count.
+3. While a volley is in flight nothing that was sent after it has ended: who takes another reply takes it apart before.
+   So its identifiers are the latest ones, and need not be looked for among those of later requests.
+"""
+
+import struct
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any
+
+from ..framing.mbap import HEAD
+from ..pdu.message import Message, Request
+from .demand import Demand
+
+HEAD_SIZE = 9
+"""Bytes of a reply by which it is known: transaction and the seven behind it."""
+
+
+class Route:
+    """What a request to a unit looks like on TCP but for its transaction.
+
+    Attributes:
+        unit: which unit.
+        tail: the ADU of the request without its transaction.
+        head: the seven bytes behind the transaction of a reply that fits. Empty where they do not tell whether it does.
+        reply_size: bytes of the ADU of a reply that fits.
+        others: the routes of the same request to all units.
+        plan: of the last volley that this request was the first of.
+    """
+
+    __slots__ = ("head", "others", "plan", "reply_size", "tail", "unit")
+
+    def __init__(self, request: Request, unit: int, others: dict[int, "Route"]) -> None:
+        wire = request.prepare()
+        size, prefix = request.expected_size, request.expected_prefix
+        self.unit = unit
+        self.tail = HEAD.pack(0, 0, len(wire) + 1, unit)[2:] + wire
+        self.reply_size = 7 + size
+        self.head = b""
+        if request.take is not None and size > 0 and len(prefix) == 2 == request.Reply.layout.head.size:
+            self.head = HEAD.pack(0, 0, size + 1, unit)[2:] + prefix
+        self.others = others
+        self.plan: VolleyPlan | None = None
+        others[unit] = self
+
+
+def route_of(request: Request, unit: int) -> Route:
+    """The route of a request to a unit; made when it is first asked for, and kept with the request."""
+    try:
+        route: Route = request.memo
+    except AttributeError:
+        route = Route(request, unit, {})
+    else:
+        if route.unit == unit:
+            return route
+        route = route.others.get(unit) or Route(request, unit, route.others)
+    request.remember(route)
+    return route
+
+
+class Flight:
+    """One place among the requests in flight; the same few objects serve a connection for ever."""
+
+    __slots__ = ("demand", "expires", "position", "request", "route", "sent")
+
+    demand: Demand | None  # None: cancelled
+    request: Request
+    position: int
+    route: Route
+    sent: float
+    expires: float
+
+
+Places = list[Flight]
+"""Places for requests in flight that are free."""
+
+
+def places(count: int) -> Places:
+    """So many places, all free: of one session, or shared by the sessions of a client."""
+    return [Flight() for _ in range(count)]
+
+
+class VolleyPlan:
+    """What requests to a unit look like together but for their transactions.
+
+    Attributes:
+        requests: which; those that are equal to them have the same plan.
+        fits: whether all their replies can be known by their first bytes; if not, there is no volley of them.
+        heads: of each reply, the seven bytes behind its transaction.
+        reply_sizes, reply_size: bytes of the ADUs of each reply, and of all.
+        takers: what makes each reply of its data.
+    """
+
+    __slots__ = ("_fields", "_pack", "_unpack_from", "fits", "heads", "reply_size", "reply_sizes", "requests", "takers")
+
+    def __init__(self, requests: tuple[Request, ...], unit: int) -> None:
+        routes = [route_of(request, unit) for request in requests]
+        self.requests = requests
+        self.fits = all(route.head for route in routes)
+        self.heads = tuple(route.head for route in routes)
+        self.reply_sizes = tuple(route.reply_size for route in routes)
+        self.reply_size = sum(self.reply_sizes)
+        self.takers = tuple(request.take for request in requests)
+        self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
+        if self.fits:
+            out, back = _shapes(tuple(len(route.tail) for route in routes), self.reply_sizes)
+            self._pack, self._unpack_from = out.pack, back.unpack_from
+
+    def encode(self, transactions: Sequence[int]) -> bytes:
+        """The ADUs, joined."""
+        fields = self._fields.copy()  # another thread may be at the same plan
+        fields[0::2] = transactions
+        return self._pack(*fields)
+
+    def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
+        """All the replies, if ``buffer`` from ``at`` on begins with them in the order of the requests."""
+        fields = self._unpack_from(buffer, at)
+        if fields[0::3] != transactions or fields[1::3] != self.heads:
+            return None
+        return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
+
+
+@lru_cache(maxsize=256)
+def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
+    """How the requests and the replies of a volley lie; ``tails`` and ``replies`` are numbers of bytes."""
+    out = "".join(f"H{size}s" for size in tails)
+    back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
+    return struct.Struct(">" + out), struct.Struct(">" + back)
+
+
+def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> VolleyPlan:
+    """The plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
+    chosen = tuple(requests[first : first + count])
+    route = route_of(chosen[0], unit)
+    plan = route.plan
+    if plan is None or plan.requests != chosen:  # as a rule the very same objects, so this is no work
+        plan = route.plan = VolleyPlan(chosen, unit)
+    return plan
+
+
+class Volley:
+    """Requests of one demand that are in flight, and whose replies are expected in their order.
+
+    Attributes:
+        demand: whose.
+        first: position of the first request in the demand.
+        plan: how they look.
+        transactions: their identifiers.
+        places: those that they take, one for each request that still wants its reply.
+        answered: how many of them have their reply; the first ones.
+        sent, expires: as of each request.
+    """
+
+    __slots__ = ("answered", "demand", "expires", "first", "places", "plan", "sent", "transactions")
+
+    def __init__(
+        self,
+        demand: Demand,
+        first: int,
+        plan: VolleyPlan,
+        transactions: tuple[int, ...],
+        places: Places,
+        sent: float,
+    ) -> None:
+        self.demand = demand
+        self.first = first
+        self.plan = plan
+        self.transactions = transactions
+        self.places = places
+        self.answered = 0
+        self.sent = sent
+        self.expires = sent + demand.timeout
+
+    def expects(self, buffer: bytes, at: int) -> bool:
+        """Whether the frame that begins at ``at`` is the reply that is next."""
+        following = self.answered
+        return (
+            buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
+            and buffer[at] << 8 | buffer[at + 1] == self.transactions[following]
+        )
+
+    def apart(self) -> Iterator[tuple[int, Flight]]:
+        """Each request that still wants its reply as one by itself, with its transaction."""
+        demand = self.demand
+        for index in range(self.answered, len(self.transactions)):
+            flight = self.places.pop()
+            flight.demand = demand
+            flight.position = self.first + index
+            flight.request = demand.requests[flight.position]
+            flight.route = route_of(flight.request, demand.unit)
+            flight.sent = self.sent
+            flight.expires = self.expires
+            yield self.transactions[index], flight
