@@ -16,6 +16,8 @@ from busway.pdu.functions import AnyRequest
 from busway.session.handler import Outcome
 from busway.testing import SLOW_LORIS, golden_adu, misbehaving_client
 
+pytestmark = pytest.mark.usefixtures("road")
+
 ANY_PORT = "tcp://127.0.0.1:0"
 
 

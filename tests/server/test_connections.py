@@ -21,6 +21,8 @@ from busway.server.pools import Pool
 from busway.server.status import ConnectionState
 from busway.testing import golden_adu
 
+pytestmark = pytest.mark.usefixtures("road")
+
 ANY_PORT = "tcp://127.0.0.1:0"
 MARKED, STRANGER = "127.0.0.2", "127.0.0.3"
 QUESTION = bytes.fromhex("0001 0000 0006 01 03 0000 0001")

@@ -22,6 +22,8 @@ from busway.server.serving import ServerThread
 from busway.testing.certificates import CertificateFiles, CertificateStore
 from busway.transport.tls import TlsParameters, TlsVersion
 
+pytestmark = pytest.mark.usefixtures("road")
+
 REGISTER = 1234
 REPLY = bytes.fromhex("0001 0000 0005 01 03 02 04D2")
 PATIENCE = 10.0

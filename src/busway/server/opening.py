@@ -14,6 +14,7 @@ from ..errors import ConfigError
 from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
 from ..session.server import TransactionSlots
+from ..transport.crowd import Crowd, crowd_for
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, both
 from .connection import ServerConnection
@@ -46,6 +47,7 @@ class Opening:
         wires: is told of the ways by which bytes leave.
         slots: of transactions, where the server has them as a whole.
         places: that listeners share, where they do.
+        crowd: where all TCP connections wait together; None where the event loop can have none.
     """
 
     loop: asyncio.AbstractEventLoop
@@ -58,10 +60,12 @@ class Opening:
     wires: Wires | None = None
     slots: TransactionSlots = field(init=False)
     places: Pools[ServerConnection] = field(init=False)
+    crowd: Crowd | None = field(init=False)
 
     def __post_init__(self) -> None:
         self.slots = TransactionSlots(self.parameters.max_transactions)
         self.places = Pools(self.limits.pools)
+        self.crowd = crowd_for(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
         """A listener over TCP or TLS; None where it is optional and can not be had. Raises `OSError`, `ConfigError`."""
@@ -70,7 +74,7 @@ class Opening:
         management = ConnectionManagement(
             self._reception(settings), self.places if shares else Pools(limits.pools), self.sockets
         )
-        listener = TcpListener(management, settings, self.sockets)
+        listener = TcpListener(management, settings, self.sockets, self.crowd)
         try:
             await listener.open()
         except OSError as error:

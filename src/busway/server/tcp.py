@@ -5,10 +5,14 @@ Knows sockets and when they stop to accept; knows no request.
 
 import asyncio
 import contextlib
+import logging
+import time
 from collections.abc import Callable
 from typing import Final
 
-from ..transport.tcp import SocketParameters
+from ..transport.accepting import Acceptor, accept_from
+from ..transport.crowd import Crowd
+from ..transport.tcp import SocketParameters, network_reason
 from .connection import ServerConnection
 from .connections import ConnectionManagement
 from .listener_settings import ListenerSettings
@@ -21,17 +25,30 @@ TURNS_TO_SETTLE: Final = 4
 class TcpListener:
     """One endpoint, on a socket for each of its addresses.
 
+    Args:
+        management: of its connections.
+        settings: where it listens, and how.
+        sockets: parameters of its sockets.
+        crowd: where its sockets and connections wait; None leaves them to the event loop.
+
     Attributes:
         management: of its connections.
         names: URLs as they are bound.
     """
 
-    def __init__(self, management: ConnectionManagement, settings: ListenerSettings, sockets: SocketParameters) -> None:
+    def __init__(
+        self,
+        management: ConnectionManagement,
+        settings: ListenerSettings,
+        sockets: SocketParameters,
+        crowd: Crowd | None = None,
+    ) -> None:
         self.management = management
         self.names: list[str] = []
         self._settings = settings
         self._sockets = sockets
-        self._servers: list[asyncio.Server] = []
+        self._crowd = crowd
+        self._acceptors: list[Acceptor] = []
 
     async def open(self) -> None:
         """Listen. Raises `OSError` or `ConfigError`; then nothing is open."""
@@ -43,8 +60,15 @@ class TcpListener:
             protocols = self._protocols()
             for one in bound:
                 self._sockets.apply_buffers(one)
-                made = await loop.create_server(protocols, sock=one, backlog=settings.limits.backlog)
-                self._servers.append(made)
+                made = await accept_from(
+                    one,
+                    protocols,
+                    loop=loop,
+                    crowd=self._crowd,
+                    backlog=settings.limits.backlog,
+                    failed=self._can_not_accept,
+                )
+                self._acceptors.append(made)
                 undo.callback(made.close)
             undo.pop_all()
         self.names = [bound_name(settings.endpoint.scheme, one) for one in bound]
@@ -62,22 +86,23 @@ class TcpListener:
 
         return gate(management, self._settings.tls)
 
-    def accept_no_more(self) -> None:
-        """Take no newcomer. Those that are being accepted arrive within `settle`.
+    def _can_not_accept(self, error: OSError) -> None:
+        """Somebody waits, and the system has nothing left for another connection."""
+        reception = self.management.reception
+        reception.diagnosis.internal_fault = time.monotonic()
+        sentence = "%s: nobody can be accepted for now: %s"
+        reception.say(logging.ERROR, "", sentence, reception.listener, network_reason(error))
 
-        asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
-        nobody's hands, until the garbage collection finds it.
-        """
-        for server in self._servers:
-            for bound in server.sockets:
-                with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness
-                    self.management.loop.remove_reader(bound.fileno())
+    def accept_no_more(self) -> None:
+        """Take no newcomer. Those that are being accepted arrive within `settle`."""
+        for acceptor in self._acceptors:
+            acceptor.accept_no_more()
 
     def close(self) -> None:
         """Close the listener, and the connections after what is written has gone out."""
-        for server in self._servers:
-            server.close()
-        self._servers.clear()
+        for acceptor in self._acceptors:
+            acceptor.close()
+        self._acceptors.clear()
         if self.management.gate is not None:
             self.management.gate.close()
         self.management.reception.diagnosis.is_open = False

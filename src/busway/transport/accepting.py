@@ -1,0 +1,172 @@
+"""Who takes connections from a listening socket: one who waits in a `Crowd`, or the event loop's own server.
+
+Knows sockets that listen, and how their connections begin; knows no Modbus.
+
+1. So many newcomers in a turn of the loop at most: those who are connected have their turn as well.
+2. Where the system has nothing left for another connection (file handles, memory), it goes on to say that somebody
+   waits. Nobody is accepted for a second then, and those who are connected notice nothing.
+3. A connection is accepted in one call, from the socket to its protocol: there is no moment in which it is in nobody's
+   hands.
+"""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from .crowd import READABLE, Crowd
+from .crowd_stream import CrowdStream
+
+NEWCOMERS_OF_A_TURN: Final = 64
+PAUSE_SECONDS: Final = 1.0
+"""Until somebody may have given back what was missing; as asyncio waits."""
+
+Protocols = Callable[[], asyncio.BaseProtocol]
+
+
+class Acceptor(Protocol):
+    """Takes connections from one listening socket, and owns it."""
+
+    def accept_no_more(self) -> None:
+        """Take no newcomer; the socket stays bound."""
+
+    def close(self) -> None:
+        """Close the socket. Connections that were accepted stay."""
+
+
+async def accept_from(
+    listening: socket.socket,
+    protocols: Protocols,
+    *,
+    loop: asyncio.AbstractEventLoop,
+    crowd: Crowd | None,
+    backlog: int,
+    failed: Callable[[OSError], None],
+) -> Acceptor:
+    """Listen, and give each newcomer a transport and a protocol.
+
+    Args:
+        listening: bound and non-blocking; the acceptor's own when this has returned.
+        protocols: makes the protocol of a newcomer; buffered, or replaced by a buffered one in `connection_made`.
+        loop: the event loop.
+        crowd: where acceptor and connections wait; None leaves both to the loop.
+        backlog: connections that the system may hold until they are accepted.
+        failed: is told why somebody who waits can not be accepted; without a crowd the loop says it in its own way.
+
+    Raises:
+        OSError: it can not listen, or not be watched.
+    """
+    if crowd is not None:
+        return CrowdAcceptor(crowd, listening, protocols, backlog=backlog, failed=failed)
+    return LoopAcceptor(loop, await loop.create_server(protocols, sock=listening, backlog=backlog))
+
+
+class CrowdAcceptor:
+    """Accepts in a crowd; arguments as of `accept_from`. Raises `OSError`."""
+
+    def __init__(
+        self,
+        crowd: Crowd,
+        listening: socket.socket,
+        protocols: Protocols,
+        *,
+        backlog: int,
+        failed: Callable[[OSError], None],
+    ) -> None:
+        self._crowd = crowd
+        self._listening = listening
+        self._protocols = protocols
+        self._failed = failed
+        self._descriptor = listening.fileno()
+        self._timer: asyncio.TimerHandle | None = None
+        self._is_watched = False
+        listening.listen(backlog)
+        self._watch()
+
+    def ready(self, events: int) -> None:
+        """Somebody waits."""
+        for _ in range(NEWCOMERS_OF_A_TURN):
+            if not (self._is_watched and self._accept()):
+                return
+
+    def _accept(self) -> bool:
+        """Take one; whether another may wait."""
+        try:
+            connection, peer = self._listening.accept()
+        except (BlockingIOError, InterruptedError):
+            return False
+        except ConnectionAbortedError:
+            return True  # gone before it was taken
+        except OSError as error:
+            self._pause(error)
+            return False
+        connection.setblocking(False)
+        try:
+            protocol = self._protocols()
+        except Exception as error:
+            connection.close()
+            context = {"message": "no protocol for a connection that was accepted", "exception": error}
+            self._crowd.loop.call_exception_handler(context)
+            return True
+        try:
+            CrowdStream(self._crowd, connection, protocol, peer).begin()
+        except OSError as error:
+            self._pause(error)
+            return False
+        return True
+
+    def accept_no_more(self) -> None:
+        """Take no newcomer."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._unwatch()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.accept_no_more()
+        self._listening.close()
+
+    def _pause(self, error: OSError) -> None:
+        self._unwatch()
+        self._timer = self._crowd.loop.call_later(PAUSE_SECONDS, self._go_on)
+        self._failed(error)
+
+    def _go_on(self) -> None:
+        self._timer = None
+        try:
+            self._watch()
+        except OSError as error:
+            self._pause(error)
+
+    def _watch(self) -> None:
+        self._crowd.watch(self._descriptor, READABLE, self)
+        self._is_watched = True
+
+    def _unwatch(self) -> None:
+        if self._is_watched:
+            self._is_watched = False
+            self._crowd.forget(self._descriptor)
+
+
+class LoopAcceptor:
+    """What a server of the event loop accepts."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, server: asyncio.Server) -> None:
+        self._loop = loop
+        self._server = server
+
+    def accept_no_more(self) -> None:
+        """Take no newcomer. Those that are being accepted arrive within a few turns of the loop.
+
+        asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
+        nobody's hands, until the garbage collection finds it.
+        """
+        for bound in self._server.sockets:
+            with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness
+                self._loop.remove_reader(bound.fileno())
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._server.close()
