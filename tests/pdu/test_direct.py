@@ -52,6 +52,13 @@ class PlainBlock:
             self.data[2 * position : 2 * (position + count)] = data
 
 
+class DecliningBlock(PlainBlock):
+    """A block that looks at what is written, and leaves it to the long road."""
+
+    def put(self, position: int, count: int, data: bytes) -> bool:
+        return True
+
+
 class PlainDevice:
     """Four plain blocks, by both roads."""
 
@@ -201,3 +208,19 @@ def test_functions_that_need_more_than_a_block_have_no_short_road() -> None:
             assert kind.direct(NothingPlain()) is None
         else:
             assert kind.direct(PlainDevice()) is None
+
+
+@pytest.mark.parametrize(
+    "pdu", ["05 0003 FF00", "05 0003 0000", "06 0003 1234", "0F 0003 0002 01 03", "10 0003 0002 04 12345678"]
+)
+def test_a_write_that_its_block_declines_takes_the_long_road(pdu: str) -> None:
+    wire = bytes.fromhex(pdu)
+    device = PlainDevice()
+    device.blocks = {table: DecliningBlock(0, 300, table.holds_bits) for table in Table}
+    before = device.content
+    kind = STANDARD.find(wire, 0, len(wire))
+    assert kind is not None
+    answer = kind.direct(device)
+    assert answer is not None
+    assert answer(wire, 0, len(wire)) is None
+    assert device.content == before

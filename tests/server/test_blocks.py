@@ -15,6 +15,28 @@ def test_registers_are_kept_big_endian() -> None:
     assert (run.first, run.count) == (100, 3)
 
 
+@pytest.mark.parametrize("count", [1, 2, 125, 126, 300])
+def test_registers_are_put_whatever_their_number_and_the_others_stay(count: int) -> None:
+    run = RegisterRun(0, bytearray(b"\xee" * 2 * 302), threading.RLock())
+    run.put(1, count, bytes(2 * count))
+    assert run.data == b"\xee\xee" + bytes(2 * count) + b"\xee" * 2 * (301 - count)
+
+
+@pytest.mark.parametrize("count", [1, 2, 123, 125])
+def test_an_exchange_gives_the_registers_that_stood_there(count: int) -> None:
+    run = RegisterRun(0, bytearray(number & 0xFF for number in range(400)), threading.RLock())
+    before = bytes(run.data)
+    assert run.exchange(3, count, b"\xee" * 2 * count) == before[6 : 6 + 2 * count]
+    assert run.data == before[:6] + b"\xee" * 2 * count + before[6 + 2 * count :]
+
+
+def test_an_exchange_gives_the_bits_that_stood_there() -> None:
+    run = BitRun(0, 20, bytearray(bytes.fromhex("F5 FF 0F")), threading.RLock())
+    assert run.exchange(1, 3, b"\x05") == b"\x02"
+    assert run.exchange(6, 5, b"\x00") == b"\x1f"
+    assert run.data == bytes.fromhex("3B F8 0F")
+
+
 def test_bits_are_packed_from_the_lowest_and_neighbours_stay() -> None:
     run = BitRun(0, 20, bytearray(bytes.fromhex("FF FF 0F")), threading.RLock())
     run.put(6, 5, b"\x00")

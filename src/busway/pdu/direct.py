@@ -10,8 +10,8 @@ Measured: 1.0 Âµs for a read of ten registers from frame to frame, against 2.1 Â
 """
 
 import struct
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol
 
 from ..codes import Table
 
@@ -33,8 +33,19 @@ class Block(Protocol):
     def data(self) -> bytearray:
         """The items: registers big-endian, bits packed from the lowest bit of the first byte."""
 
-    def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace ``count`` items from ``position`` (counted from ``first``), safely from any thread."""
+    def put(self, position: int, count: int, data: bytes) -> bool | None:
+        """Replace ``count`` items from ``position`` (counted from ``first``), safely from any thread.
+
+        True if nothing was replaced, because somebody looks at what is written and the request has to take the long
+        road.
+        """
+
+
+class ExchangingBlock(Block, Protocol):
+    """A block that also tells what a write replaces."""
+
+    def exchange(self, position: int, count: int, data: bytes) -> bytes:
+        """Replace the ``count`` items of a request as ``put`` does, and give those that stood there, in one step."""
 
 
 class DirectModel(Protocol):
@@ -42,6 +53,23 @@ class DirectModel(Protocol):
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
         """The block of a table if nothing needs to know of accesses to it (hook, mapping, holes), else None."""
+
+
+class DeviceAnswers(dict[int, Answer]):
+    """The answers of one device by function code, each as `Request.direct` compiles it, and the device itself.
+
+    Whoever has to look at writes may compile them anew, with blocks that look (`Block.put`). A handler that changes an
+    answer hands out another mapping, so nobody is led around it.
+
+    Attributes:
+        model: the device.
+    """
+
+    __slots__ = ("model",)
+
+    def __init__(self, model: DirectModel, answers: Mapping[int, Answer]) -> None:
+        super().__init__(answers)
+        self.model = model
 
 
 class ReadPlan:
@@ -123,8 +151,7 @@ def write_register(code: int, block: Block) -> Answer:
         address = (request[1] << 8 | request[2]) - first
         if not 0 <= address < size:
             return None
-        put(address, 1, request[3:])
-        return request
+        return None if put(address, 1, request[3:]) else request
 
     return answer
 
@@ -146,10 +173,12 @@ def write_registers(code: int, limit: int, block: Block) -> Answer:
             or address + count > size
         ):
             return None
-        put(address, count, bytes(buffer[at + 6 : end]))
-        return bytes(buffer[at : at + 5])
+        return None if put(address, count, bytes(buffer[at + 6 : end])) else bytes(buffer[at : at + 5])
 
     return answer
+
+
+_COIL_VALUES: Final = {b"\xff\x00": b"\x01", b"\x00\x00": b"\x00"}
 
 
 def write_coil(code: int, block: Block) -> Answer:
@@ -163,14 +192,8 @@ def write_coil(code: int, block: Block) -> Answer:
         address = (request[1] << 8 | request[2]) - first
         if not 0 <= address < size:
             return None
-        value = request[3:]
-        if value == b"\xff\x00":
-            put(address, 1, b"\x01")
-        elif value == b"\x00\x00":
-            put(address, 1, b"\x00")
-        else:
-            return None
-        return request
+        value = _COIL_VALUES.get(request[3:])
+        return None if value is None or put(address, 1, value) else request
 
     return answer
 
@@ -193,7 +216,6 @@ def write_coils(code: int, limit: int, block: Block) -> Answer:
             or address + count > size
         ):
             return None
-        put(address, count, bytes(buffer[at + 6 : end]))
-        return bytes(buffer[at : at + 5])
+        return None if put(address, count, bytes(buffer[at + 6 : end])) else bytes(buffer[at : at + 5])
 
     return answer

@@ -2,19 +2,28 @@
 
 Knows bytes, positions and the lock that writers share; knows no table, no address rule, no hook and no request.
 
-1. ``data`` is read without a lock, in one slice. Whoever changes it holds the lock and changes it in one slice
-   assignment of equal length, or replaces it by another object, so a reader never meets half of a change.
+1. ``data`` is read without a lock, in one slice. Whoever changes it holds the lock and changes it in one call of C code
+   that leaves its length (a slice assignment, ``pack_into``), or replaces it by another object, so a reader never meets
+   half of a change.
 2. A position counts from the run's first item. Whoever gives one has checked that the items exist.
 3. Several runs change at once by `replace_all` and in no other way.
 """
 
+import struct
 import threading
 from collections import deque
 from collections.abc import Mapping
 from itertools import repeat
-from typing import Protocol
+from typing import Final, Protocol
 
 from ..pdu.bits import slice_bits, splice_bits
+
+_PACKED: Final = 125
+"""Registers at most that are packed: as many as any request has. An assignment to a slice would make a `bytearray` of
+what is assigned, 0.55 µs for 0.38 (CPython 3.11)."""
+_COPIES: Final = tuple(struct.Struct(f"{2 * count}s") for count in range(_PACKED + 1))
+_PACK: Final = tuple(copy.pack_into for copy in _COPIES)
+_UNPACK: Final = tuple(copy.unpack_from for copy in _COPIES)
 
 
 class Run(Protocol):
@@ -81,8 +90,22 @@ class RegisterRun:
 
     def put(self, position: int, count: int, data: bytes) -> None:
         """As `Run.put`."""
+        if count <= _PACKED:
+            with self._lock:
+                _PACK[count](self.data, 2 * position, data)
+        else:
+            with self._lock:
+                self.data[2 * position : 2 * (position + count)] = data
+
+    def exchange(self, position: int, count: int, data: bytes) -> bytes:
+        """As `busway.pdu.direct.ExchangingBlock.exchange`."""
+        start = 2 * position
         with self._lock:
-            self.data[2 * position : 2 * (position + count)] = data
+            items = self.data
+            old: bytes
+            (old,) = _UNPACK[count](items, start)
+            _PACK[count](items, start, data)
+        return old
 
 
 class BitRun:
@@ -124,6 +147,13 @@ class BitRun:
         """As `Run.put`."""
         with self._lock:
             splice_bits(self.data, position, count, data)
+
+    def exchange(self, position: int, count: int, data: bytes) -> bytes:
+        """As `busway.pdu.direct.ExchangingBlock.exchange`."""
+        with self._lock:
+            old = slice_bits(self.data, position, count)
+            splice_bits(self.data, position, count, data)
+        return old
 
 
 class RegisterBits:

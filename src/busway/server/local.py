@@ -16,7 +16,7 @@ from enum import Enum
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
-from ..pdu.direct import Answer, ReadPlan
+from ..pdu.direct import Answer, DeviceAnswers, ReadPlan
 from ..pdu.file_records import WriteFileRecord
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
@@ -125,7 +125,7 @@ class LocalHandler:
             return {}
         offered = [function for function in self.functions if device.enabled(function.code)]
         found = {function.code: function.direct(device) for function in offered if function.sub_code is None}
-        return {code: answer for code, answer in found.items() if answer is not None}
+        return DeviceAnswers(device, {code: answer for code, answer in found.items() if answer is not None})
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Execute a request on the unit's device."""

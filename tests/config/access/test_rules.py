@@ -5,7 +5,7 @@ import pytest
 from busway.codes import Table
 from busway.config.access.networks import Networks
 from busway.config.access.question import Asker, Question
-from busway.config.access.rules import Action, Limits, Policy, Rule
+from busway.config.access.rules import DEFAULT_RULE, Action, Limits, Policy, Rule, Zone, zones_of
 from busway.errors import ConfigError
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, FunctionTable
@@ -315,3 +315,37 @@ def test_defaults_by_word():
     assert Policy.allow_all().default is Action.ALLOW
     with pytest.raises(ConfigError):
         Policy.of(default="perhaps")
+
+
+@pytest.mark.parametrize("limits", [Limits(10, 20), Limits(-3, 3, True), Limits(0, 0xFFFF), Limits(-0x8000, -1, True)])
+@pytest.mark.parametrize("registers", [(0,), (10, 20), (10, 21), (9,), (0xFFFD, 3, 0), (0xFFFC,), (0x8000, 0x7FFF)])
+def test_registers_on_the_wire_are_judged_as_one_by_one(limits, registers):
+    wire = WriteMultipleRegisters.of(0, registers).data
+    assert limits.permit_all(wire) == all(limits.permit(register) for register in registers)
+
+
+def test_the_zones_of_writes_say_which_rule_decides_where():
+    small = Limits(0, 9)
+    policy = Policy.of(
+        Rule.of(name="low", addresses="holding:10-19", values=small),
+        Rule.of(name="shut", action="deny", addresses="holding:15-24"),
+        Rule.of(name="slow", addresses="holding:25-26", rate=1),
+        Rule.of(name="rest", addresses="holding:0-29"),
+        default="read-only",
+    )
+    assert zones_of(policy, 1, 6, Table.HOLDING_REGISTERS) == (
+        Zone(0, 10, "rest", None),
+        Zone(10, 20, "low", small),
+        Zone(27, 30, "rest", None),
+    )
+    assert zones_of(policy, 1, 5, Table.COILS) == ()
+    assert zones_of(Policy.read_only(), 1, 6, Table.HOLDING_REGISTERS) == ()
+    (everywhere,) = zones_of(Policy.allow_all(), 1, 5, Table.COILS)
+    assert (everywhere.first, everywhere.rule, everywhere.limits) == (0, DEFAULT_RULE, None)
+
+
+def test_the_zones_of_a_unit_are_those_of_the_unit_that_its_device_is_listed_as_too():
+    policy = Policy.of(Rule.of(name="shut", action="deny", units=3), default="allow")
+    assert zones_of(policy, 255, 6, Table.HOLDING_REGISTERS, listed=3) == ()
+    assert len(zones_of(policy, 255, 6, Table.HOLDING_REGISTERS)) == 1
+    assert zones_of(Policy.of(Rule.of(values=(1, 2))), 1, 5, Table.COILS)[0].limits is None

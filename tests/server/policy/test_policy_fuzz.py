@@ -59,6 +59,10 @@ class SpiedBlock:
         self._touched.append("put")
         self._block.put(position, count, data)
 
+    def exchange(self, position: int, count: int, data: bytes) -> bytes:
+        self._touched.append("exchange")
+        return self._block.exchange(position, count, data)
+
 
 class SpiedDevice(Device):
     """A device that notes every access to what it holds."""
@@ -333,9 +337,11 @@ def plainly(
 class World:
     """A policed device behind conversations of several clients, and its twin without a policy."""
 
-    def __init__(self, policy: Policy, audit: AuditLog | None = None) -> None:
+    def __init__(
+        self, policy: Policy, audit: AuditLog | None = None, handler: type[PolicyHandler] = PolicyHandler
+    ) -> None:
         self.device, self.twin = device(), device()
-        self.handler = PolicyHandler(LocalHandler({1: self.device}), policy, audit)
+        self.handler = handler(LocalHandler({1: self.device}), policy, audit, now=lambda: 1_772_366_400.25)
         self.plain = LocalHandler({1: self.twin})
         self.sessions = [
             TcpServerSession(
@@ -415,3 +421,24 @@ def test_a_log_changes_nothing_in_what_is_permitted(tmp_path_factory, policy, as
     path = tmp_path_factory.mktemp("audit") / "log"
     with AuditLog(path, schedule=lambda seconds, function: True) as audit:
         check(World(policy, audit), asked)
+
+
+class LongRoadOnly(PolicyHandler):
+    """A policy without a short road."""
+
+    def direct(self, context: RequestContext) -> dict[int, Any]:
+        return {}
+
+
+@given(policies, asked_often)
+@settings(max_examples=150, deadline=None)
+def test_both_roads_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, asked):
+    folder = tmp_path_factory.mktemp("audit")
+    found = []
+    for handler in (PolicyHandler, LongRoadOnly):
+        path = folder / handler.__name__
+        with AuditLog(path, schedule=lambda seconds, function: True) as audit:
+            world = World(policy, audit, handler)
+            replies = [world.ask(who, unit, pdu) for who, unit, pdu in asked]
+        found.append((path.read_bytes(), replies, contents(world.device)))
+    assert found[0] == found[1]

@@ -14,6 +14,7 @@ Knows the facts of a request (`busway.config.access.question`); knows no clock, 
 5. No role and no right is built in: what is not written in the rules is decided by the default.
 """
 
+import struct
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -88,6 +89,13 @@ class Limits:
     def permit(self, register: int) -> bool:
         """Whether a register 0…65535 is within."""
         return self.low <= self._number(register) <= self.high
+
+    def permit_all(self, registers: bytes) -> bool:
+        """Whether each of one or more registers, as they stand on the wire, is within."""
+        numbers = struct.unpack(f">{len(registers) // 2}{'h' if self.signed else 'H'}", registers)
+        least: int = min(numbers)
+        most: int = max(numbers)
+        return self.low <= least and most <= self.high
 
     def permit_masks(self, and_mask: int, or_mask: int) -> bool:
         """Whether function 22 can only give what is within, whatever stands there."""
@@ -292,6 +300,22 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True)
+class Zone:
+    """Items that one kind of write may touch, and why.
+
+    Attributes:
+        first, end: the items, to before ``end``.
+        rule: the name of the rule that decides there; ``default`` where none does.
+        limits: what may be written to each register; None where all may, and where there are no registers.
+    """
+
+    first: int
+    end: int
+    rule: str
+    limits: Limits | None
+
+
+@dataclass(frozen=True, slots=True)
 class Policy:
     """Rules in their order, and what holds where none fits. Frozen and pure.
 
@@ -418,6 +442,32 @@ class Policy:
                 return
         for first, end in left:
             yield None, first, end
+
+
+def zones_of(policy: Policy, unit: int, function: int, table: Table, *, listed: int | None = None) -> tuple[Zone, ...]:
+    """Where one kind of write is permitted without a rate, zone by zone, ascending.
+
+    What lies within one zone, and within its limits, is permitted by the rule of the zone; all else has to be decided
+    as a whole.
+
+    Args:
+        policy: a policy `Policy.for_asker`: who asks is not looked at.
+        unit: the unit asked, 0…255.
+        function: the function code, of a function that writes one range and has no sub-functions.
+        table: where it writes.
+        listed: the unit as which the device is listed, where that is another one.
+    """
+    relevant = [rule for rule in policy.rules if rule.is_about(unit, function, None, listed=listed)]
+    found = []
+    for rule, first, end in policy._parts(relevant, Piece(table, 0, END, True)):
+        if not (policy.default if rule is None else rule.action).permits(True):
+            continue
+        if rule is None:
+            found.append(Zone(first, end, DEFAULT_RULE, None))
+        elif rule.rate is None:
+            limits = rule.limits if table is Table.HOLDING_REGISTERS else None
+            found.append(Zone(first, end, rule.name, limits))
+    return tuple(sorted(found, key=lambda zone: zone.first))
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,14 +116,13 @@ class AuditLog:
                 return
             self._lines.append(line)
             self._size += len(line)
-            now = self._clock()
             if self._due is None:
                 waits = _RETRY if self.is_failing else self._interval
                 if not waits or not self._schedule(waits, self.flush):
                     self.flush()
                 else:
-                    self._due = now + waits
-            elif now > self._due + _LATE or (self._size >= _CHUNK and not self.is_failing):
+                    self._due = self._clock() + waits
+            elif (self._size >= _CHUNK and not self.is_failing) or self._clock() > self._due + _LATE:
                 self.flush()
 
     def flush(self) -> None:

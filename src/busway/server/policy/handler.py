@@ -7,7 +7,8 @@ Knows requests, contexts and the policy; knows no connection and no device.
    it, and may try again.
 2. The short road and the plans of reads that are offered hold what the rights of whoever asks permit
    (`busway.server.policy.windows`). Who has the same rights shares plans; who has others never meets them.
-3. Every denied request and every write leaves a line. With a log no write takes the short road; reads do.
+3. Every denied request and every write leaves a line, on whatever road. With a log, the short road has the writes that
+   leave theirs there (`busway.server.policy.writes`).
 4. A policy can be replaced at any time: ``generation`` changes, and conversations ask anew before their next requests.
    No connection is dropped.
 5. With a log that refuses while it can not be written, a write is answered 04 and not executed.
@@ -18,6 +19,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Container, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 from ...codes import ExceptionCode
@@ -44,26 +46,48 @@ from ...session.handler import (
 from ..rates import Rates
 from ..repeats import Repeats, so_often
 from .audit import AuditLog
+from .decisions import decision_key
 from .entries import DENIED, NO_ANSWER, Clock, Entry, Replaced, outcome_of, who_text
-from .windows import permitted_answers
+from .windows import noted_writes, permitted_answers
+from .writes import Lines, NotedWrites, with_lines
 
 _log = logging.getLogger("busway.policy")
 
 _MOST_ASKERS: Final = 4096
 """Peers that are remembered; beyond, all are looked up anew."""
+_MOST_DECISIONS: Final = 1024
+"""Decisions that are remembered of each of these rights; beyond, all are made anew."""
 _MOST_RIGHTS: Final = 256
 """Different rights whose plans are shared; beyond, the oldest are forgotten, and shared no more."""
 
 
-class _Rights:
-    """What some askers may do: the rules that are about them, and the plans that they share."""
+@dataclass(frozen=True, slots=True)
+class _Offer:
+    """What those with the same rights are offered of a unit, and of what it was made.
 
-    __slots__ = ("permits_all", "plans", "policy")
+    Attributes:
+        of: what the handler inside offers.
+        answers: what all of them may use as it is.
+        writes: what each of them gets with lines of its own; None where there is none.
+    """
+
+    of: Mapping[int, Answer]
+    answers: Mapping[int, Answer]
+    writes: NotedWrites | None
+
+
+class _Rights:
+    """What some askers may do: the rules that are about them, and what they share: offers, plans and decisions."""
+
+    __slots__ = ("decided", "has_limits", "offers", "permits_all", "plans", "policy")
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
         # Nothing is about them: 9 µs of each request that takes the long road, as all do through a gateway.
         self.permits_all = not policy.rules and policy.default is Action.ALLOW
+        self.has_limits = any(rule.limits is not None for rule in policy.rules)
+        self.offers: dict[tuple[int, int | None], _Offer] = {}  # by unit asked and listed
+        self.decided: dict[object, tuple[Decision, bool]] = {}  # and whether it is about a write
         # By the plans of the handler inside, which may tell askers apart by more than the policy does.
         self.plans: dict[int, tuple[object, dict[bytes, ReadPlan]]] = {}
 
@@ -178,15 +202,24 @@ class PolicyHandler:
         answers = self.inner.direct(context)
         if not answers:
             return answers
-        policy = self._known(context).rights.policy
-        return permitted_answers(
-            policy,
-            context.unit,
-            self.inner.functions,
+        known = self._known(context)
+        listed = self._listed(context)
+        offered = known.rights.offers.get((context.unit, listed))
+        if offered is None or offered.of is not answers:
+            offered = self._offer(known.rights, context.unit, listed, answers)
+        if self.audit is None or offered.writes is None:
+            return offered.answers
+        return with_lines(offered.answers, offered.writes, Lines(self.audit, self._time, known.who, context.unit))
+
+    def _offer(self, rights: _Rights, unit: int, listed: int | None, answers: Mapping[int, Answer]) -> _Offer:
+        """What those with some rights are offered of a unit; kept for the next of them."""
+        functions, audited = self.inner.functions, self.audit is not None
+        offered = rights.offers[unit, listed] = _Offer(
             answers,
-            audited=self.audit is not None,
-            listed=self._listed(context),
+            permitted_answers(rights.policy, unit, functions, answers, audited=audited, listed=listed),
+            noted_writes(rights.policy, unit, functions, answers, listed=listed) if audited else None,
         )
+        return offered
 
     def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
         """Plans of reads, shared by those who have the same rights."""
@@ -204,9 +237,8 @@ class PolicyHandler:
             return None
         known = self._known(context)
         request = self.functions.decode_request(pdu)
-        question = Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
-        decision = known.rights.policy.decide(question)
-        if not decision.allowed or decision.rates or question.writes:
+        decision, writes = self._decide(context, request, known)
+        if not decision.allowed or decision.rates or writes:
             return None
         return self._planner.plan(context, pdu)
 
@@ -217,18 +249,34 @@ class PolicyHandler:
         known = self._known(context)
         if known.rights.permits_all and self.audit is None:
             return self.inner.handle(context, request)
-        question = Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
-        decision = known.rights.policy.decide(question)
+        decision, writes = self._decide(context, request, known)
         if decision.needs_current and self._observer is not None and isinstance(request, Request):
-            return self._write(context, request, question, known, decision)
+            return self._write(context, request, known, decision)
         if not decision.allowed:
             return self._refuse(context, request, known, decision)
         too_fast = self._too_fast(decision, known.asker)
         if too_fast is not None:
             return self._refuse(context, request, known, too_fast)
-        if self.audit is None or not question.writes:
+        if self.audit is None or not writes:
             return self.inner.handle(context, request)
-        return self._write(context, request, question, known, decision)
+        return self._write(context, request, known, decision)
+
+    def _decide(self, context: RequestContext, request: AnyRequest, known: _Known) -> tuple[Decision, bool]:
+        """What the policy decides, and whether that is about a write; as the last time, of what is asked again."""
+        rights = known.rights
+        key = decision_key(request, context.unit, self._listed(context), limits=rights.has_limits)
+        decided = rights.decided.get(key)
+        if decided is None:
+            question = self._question(context, request, known)
+            decided = rights.policy.decide(question), question.writes
+            if key is not None:
+                if len(rights.decided) >= _MOST_DECISIONS:
+                    rights.decided.clear()
+                rights.decided[key] = decided
+        return decided
+
+    def _question(self, context: RequestContext, request: AnyRequest, known: _Known) -> Question:
+        return Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
 
     def refusal_of(self, context: RequestContext, request: AnyRequest, unit: int) -> int:
         """The exception code with which the same request to another unit would be refused; 0 where it is permitted.
@@ -273,9 +321,7 @@ class PolicyHandler:
                 return _busy(rule)
         return None
 
-    def _write(
-        self, context: RequestContext, request: AnyRequest, question: Question, known: _Known, decision: Decision
-    ) -> Outcome:
+    def _write(self, context: RequestContext, request: AnyRequest, known: _Known, decision: Decision) -> Outcome:
         """Execute a write: judged by what it replaces where need be, and with a line where there is a log."""
         entry = Entry(known.who, context, request)
         entry.rule = decision.rule_name
@@ -287,7 +333,8 @@ class PolicyHandler:
                 current = replaced[0] if replaced else None
                 judged = decision
                 if current is not None:
-                    judged = known.rights.policy.decide(question.with_current(int.from_bytes(current, "big")))
+                    question = self._question(context, request, known).with_current(int.from_bytes(current, "big"))
+                    judged = known.rights.policy.decide(question)
                 if judged.allowed:
                     judged = self._too_fast(judged, known.asker) or judged
                 if not judged.allowed:

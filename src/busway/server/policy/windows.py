@@ -3,7 +3,8 @@
 Knows declarations of functions and where address and count stand on the wire; knows no handler.
 
 1. What is permitted everywhere is offered as it is; what is permitted in some windows of addresses, with one check in
-   front; what a limit or a rate is about, and what is not a plain range, not at all. It then takes the long road.
+   front; what a limit is about, with a block that looks at what is written (`busway.server.policy.writes`); what a rate
+   is about, and what is not a plain range, not at all. It then takes the long road.
 2. What the check does not let through takes the long road too, and is decided, counted and logged there. So the short
    road only ever permits what the long road permits (a property test holds them together).
 """
@@ -13,11 +14,12 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 
 from ...config.access.question import counts_as_write
-from ...config.access.rules import Policy, Window
-from ...pdu.direct import Answer
+from ...config.access.rules import Policy, Window, Zone, zones_of
+from ...pdu.direct import Answer, DeviceAnswers
 from ...pdu.fields import FixedField
 from ...pdu.functions import FunctionTable
 from ...pdu.message import Request, Touch
+from .writes import LOOKED_AT, NotedWrites, looking_answer
 
 _unpack_address = struct.Struct(">H").unpack_from
 _unpack_two = struct.Struct(">HH").unpack_from
@@ -32,7 +34,7 @@ def permitted_answers(
     audited: bool,
     listed: int | None = None,
 ) -> dict[int, Answer]:
-    """The answers that a policy leaves of those that a handler offers.
+    """The answers that a policy leaves of those that a handler offers, the same for all who have the same rights.
 
     Args:
         policy: the rules that are about whoever asks (`Policy.for_asker`).
@@ -48,9 +50,37 @@ def permitted_answers(
         if kind is None or (audited and counts_as_write(kind)):
             continue
         permitted = _permitted(policy, unit, listed, kind, answer)
+        if permitted is not answer and isinstance(answers, DeviceAnswers) and kind in LOOKED_AT:
+            zones = _zones(policy, unit, listed, kind)
+            if any(zone.limits is not None for zone in zones):
+                permitted = looking_answer(kind, answers.model, zones)
         if permitted is not None:
             found[code] = permitted
     return found
+
+
+def noted_writes(
+    policy: Policy, unit: int, functions: FunctionTable, answers: Mapping[int, Answer], *, listed: int | None = None
+) -> NotedWrites | None:
+    """The writes that may take the short road where each has to leave a line; None where none may.
+
+    The arguments are those of `permitted_answers`.
+    """
+    if not isinstance(answers, DeviceAnswers):
+        return None
+    found = {}
+    for code in answers:
+        kind = functions.find(bytes((code,)), 0, 1)
+        if kind in LOOKED_AT:
+            zones = _zones(policy, unit, listed, kind)
+            if zones:
+                found[code] = kind, zones
+    return NotedWrites(answers.model, found) if found else None
+
+
+def _zones(policy: Policy, unit: int, listed: int | None, kind: type[Request]) -> tuple[Zone, ...]:
+    assert kind.writes is not None  # or it would not be among those `LOOKED_AT`
+    return zones_of(policy, unit, kind.code, kind.writes.table, listed=listed)
 
 
 def _permitted(policy: Policy, unit: int, listed: int | None, kind: type[Request], answer: Answer) -> Answer | None:
