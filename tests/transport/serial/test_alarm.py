@@ -4,12 +4,13 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 import pytest
 
 from busway.transport.serial import alarm as module
-from busway.transport.serial.alarm import Alarm
+from busway.transport.serial.alarm import LONGEST_LEAD, Alarm
 
 
 @pytest.fixture(params=["exact", "loop"])
@@ -103,3 +104,82 @@ def test_an_alarm_whose_loop_was_closed_under_it_gives_its_descriptor_back_when_
     alarm = asyncio.run(forget())
     del alarm
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+@dataclass
+class LateTimer:
+    """Stands for the system's timer and its clock: it wakes the loop so many seconds late as it is told."""
+
+    now: float = 1000.0
+    set_to: float = 0.0
+    ends: tuple[int, int] = field(default_factory=os.pipe)
+
+    def monotonic(self) -> float:
+        self.now += 1e-6  # whoever waits for a time gets there
+        return self.now
+
+    def set(self, descriptor: int, when: tuple[int, int]) -> None:
+        self.set_to = when[0] + when[1] / 1e9
+
+    async def wake(self, late: float) -> None:
+        self.now = self.set_to + late
+        os.write(self.ends[1], bytes(8))
+        await turns(3)
+
+
+@pytest.fixture
+def timer(monkeypatch: pytest.MonkeyPatch) -> Iterator[LateTimer]:
+    late_timer = LateTimer()
+    monkeypatch.setattr(module, "time", late_timer)
+    monkeypatch.setattr(module, "_new_timer", lambda: late_timer.ends[0])
+    monkeypatch.setattr(module, "_set_timer", late_timer.set)
+    yield late_timer
+    os.close(late_timer.ends[1])  # the other end is the alarm's
+
+
+needs_selectors = pytest.mark.skipif(sys.platform == "win32", reason="its loop watches no pipes")
+
+
+async def lead_after(timer: LateTimer, alarm: Alarm, late: float, times: int) -> float:
+    """How much earlier the timer is set once it was so late so many times."""
+    for _ in range(times):
+        alarm.set(timer.now + 1)
+        await timer.wake(late)
+    alarm.set(2000.0)
+    return 2000.0 - timer.set_to
+
+
+@needs_selectors
+async def test_the_timer_is_set_as_much_earlier_as_it_was_late_lately(timer: LateTimer) -> None:
+    alarm = Alarm(lambda: None)
+    assert await lead_after(timer, alarm, 60e-6, 0) == pytest.approx(0, abs=1e-6)
+    assert 0 < await lead_after(timer, alarm, 60e-6, 1) < 10e-6
+    assert await lead_after(timer, alarm, 60e-6, 200) == pytest.approx(60e-6, abs=2e-6)
+    assert await lead_after(timer, alarm, 20e-6, 1) == pytest.approx(20e-6, abs=2e-6)
+    assert await lead_after(timer, alarm, 0.5, 200) == pytest.approx(LONGEST_LEAD, abs=1e-6)
+    alarm.close()
+
+
+@needs_selectors
+async def test_it_does_not_ring_before_its_time_where_the_timer_is_quicker_than_it_was(timer: LateTimer) -> None:
+    rung: list[float] = []
+    alarm = Alarm(lambda: rung.append(timer.now))
+    assert await lead_after(timer, alarm, 80e-6, 200) > 70e-6
+    assert timer.set_to < 2000.0 - 70e-6
+    await timer.wake(1e-6)
+    assert 2000.0 <= rung[-1] < 2000.0 + 5e-6
+    alarm.close()
+
+
+@needs_selectors
+async def test_a_time_that_has_passed_makes_no_later_alarm_ring_early(timer: LateTimer) -> None:
+    rung: list[float] = []
+    alarm = Alarm(lambda: rung.append(timer.now))
+    alarm.set(0.0)
+    timer.set_to = timer.now
+    await timer.wake(0.0)
+    alarm.set(3000.0)
+    assert timer.set_to >= 3000.0 - LONGEST_LEAD
+    await timer.wake(0.0)
+    assert rung[-1] >= 3000.0
+    alarm.close()
