@@ -146,7 +146,7 @@ def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) 
         tracemalloc.stop()
     # What may be kept is bounded: 4096 clients with their connection, and 64 blocks of 20 bytes for each of 256 units.
     assert len(line._link_of) <= 4096
-    memory: Any = line._memory
+    memory: Any = line.memory
     assert len(memory._units) <= 256
     assert all(len(unit.blocks) <= 64 and not unit.reading for unit in memory._units.values())
     assert grown < 6_000_000, grown

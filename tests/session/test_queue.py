@@ -119,7 +119,7 @@ def test_what_is_taken_out_is_gone_and_what_is_not_in_is_not_taken_out() -> None
     assert not queue.remove(one)
     assert not queue.remove(demand("c"))
     assert not queue.remove(demand("b"))
-    assert (queue.size, queue.sole_caller, list(queue)) == (1, True, [other])
+    assert (queue.size, queue.share(9), list(queue)) == (1, 9, [other])
     assert serve(queue) == [other]
     assert queue.pick() is None
 

@@ -88,6 +88,8 @@ class Link:
     Attributes:
         shared: whether all users of the endpoint share it.
         home: the event loop it lives on.
+        watch: called when something has come, or time has passed, after the demands that are complete: for whoever looks
+            at those that are not.
         opened, last_used: when the connection was made, and last used, in the clock of the loop.
         sent_bytes, received_bytes: of all its connections.
     """
@@ -113,6 +115,7 @@ class Link:
         self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
         self.shared = shared
         self.home: asyncio.AbstractEventLoop | None = self._loop
+        self.watch: Callable[[], None] | None = None
         self.opened = self.last_used = 0.0
         self.sent_bytes = self.received_bytes = 0
         self._asked_before = 0  # requests before this connection
@@ -301,7 +304,7 @@ class Link:
         session.receive(buffer, size, now)
         if self.reconnect.state is not ConnectionState.UP or self.reconnect.failures:
             self._note_life(now)
-        if session.finished:
+        if session.finished or self.watch is not None:
             self._wake()
         if session.recycle or (session.has_demands and self._scope is None):
             self._pump(now)
@@ -503,6 +506,8 @@ class Link:
             future = demand.owner
             if future is not None and not future.done():
                 future.set_result(None)
+        if self.watch is not None:
+            self.watch()
 
     def _arm(self, when: float) -> None:
         self._timer_at = when

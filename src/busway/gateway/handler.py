@@ -16,14 +16,18 @@ from dataclasses import dataclass
 from typing import Final
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
+from ..errors import InvalidRequest
 from ..pdu.direct import Answer
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest
 from ..pdu.message import Message, Request
+from ..pdu.read_items import ReadBits, ReadRegisters
+from ..session.forwarding import Plans
 from ..session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
+from .bunches import BunchPlan, ReadWay
 from .lines import Line
 from .routes import Action, FrontRoutes, Route, Straddles
-from .translation import echo
+from .translation import behind, echo
 
 _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
@@ -94,11 +98,15 @@ class FrontHandler:
         self._routes = FrontRoutes(())
         self._lines: Mapping[str, Line] = {}
         self._serial_units: set[int] = set()
+        self._plans: Plans = {}
+        self._ways: dict[tuple[str, int, float | None], ReadWay] = {}
 
     def follow(self, routes: FrontRoutes, lines: Mapping[str, Line]) -> None:
         """Route by these from now on; what is on its way stays there."""
         self._routes = routes
         self._lines = lines
+        self._plans = {}
+        self._ways = {}
         # The same set for ever: listeners hold it as a live view.
         self._serial_units.clear()
         self._serial_units.update(unit for unit in routes.units if 1 <= unit <= LAST_SERIAL_UNIT)
@@ -114,6 +122,36 @@ class FrontHandler:
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
         """There is no short road: every answer comes from a line."""
         return {}
+
+    def forward_plans(self, context: RequestContext) -> Plans:
+        """What is known of the reads that clients ask together; all clients of a front have the same rights."""
+        return self._plans
+
+    def forward_plan(self, context: RequestContext, pdu: bytes) -> BunchPlan | None:
+        """What becomes of a read, where it goes to a server on TCP as one request and is not remembered."""
+        request = self.functions.decode_request(pdu)
+        if not isinstance(request, ReadRegisters | ReadBits):
+            return None
+        found = self._routes.find(context.unit, request)
+        if not isinstance(found, Route) or found.action is not Action.FORWARD or found.cache is not None:
+            return None
+        line = self._lines.get(found.line)
+        if line is None or not line.takes_bunches:
+            return None
+        try:
+            sent = behind(request, found)
+        except InvalidRequest:
+            return None
+        if len(sent) > 1:
+            return None
+        (asked,) = sent
+        assert isinstance(asked, ReadRegisters | ReadBits)
+        unit = found.unit_behind(context.unit)
+        key = line.name, unit, found.timeout
+        way = self._ways.get(key)
+        if way is None:
+            way = self._ways[key] = ReadWay(self, line, unit, found.timeout)
+        return BunchPlan(way, context.unit, asked)
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Forward, answer for the gateway itself, or say why not."""

@@ -28,11 +28,13 @@ from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
 from ..pdu.wide import MAX_DATA, NARROW, wide
 from ..session.breaker import BreakerState
+from ..session.client import TcpClientSession
 from ..session.demand import Demand
 from ..session.handler import LATER, Deferral, RequestContext
 from ..session.ledger import ClientCounters
 from ..session.serial_client import SerialClientSession
 from .answers import code_for
+from .bunches import FOR_EVER, Bunch, Bunches
 from .memory import Key, Memory, Place
 from .routes import Route
 from .translation import behind, in_front
@@ -40,8 +42,6 @@ from .translation import behind, in_front
 MAX_CONNECTIONS = 16
 _READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 0.15 µs
 _CLIENTS_REMEMBERED = 4096
-_FOR_EVER = 86_400.0
-"""Seconds that a client waits who has no deadline, where the one before it has one."""
 
 
 @dataclass(slots=True)
@@ -182,7 +182,8 @@ class Line:
         self._link_of: OrderedDict[str, Link] = OrderedDict()  # by client; who asked last comes last
         self._users: dict[Link, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
-        self._memory: Memory[_Exchange] = Memory(self._width)
+        self.memory: Memory[_Exchange | Bunch] = Memory(self._width)
+        self.bunches = Bunches(self)
         self._open = 0
         self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open
 
@@ -196,7 +197,10 @@ class Line:
             session = conversation_for(self.settings)
             session.serve_units_in_turn()
             connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
-            self._links.append(Link(connector, session, self.settings))
+            link = Link(connector, session, self.settings)
+            if isinstance(session, TcpClientSession):
+                link.watch = partial(self.bunches.look, session)
+            self._links.append(link)
 
     def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
         """Leave units alone for so many seconds after their replies; on serial lines only."""
@@ -217,6 +221,17 @@ class Line:
         if self._open:
             self._answered = asyncio.Event()
             await self._answered.wait()
+
+    def add_open(self, count: int) -> None:
+        """So many requests more are open; fewer, if the number is negative."""
+        self._open += count
+        if not self._open and self._answered is not None:
+            self._answered.set()
+
+    @property
+    def takes_bunches(self) -> bool:
+        """Whether reads that are asked together may go there together."""
+        return self.settings.line is None and self._width == NARROW
 
     @property
     def open_requests(self) -> int:
@@ -260,22 +275,23 @@ class Line:
             if self._width != NARROW and isinstance(request, ReadRegisters) and request.count * self._width > MAX_DATA:
                 return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_VALUE)
             if route.cache is not None:
-                data = self._memory.recall(unit, _place(request, route), self._clock(), for_seconds=route.cache)
+                data = self.memory.recall(unit, _place(request, route), self._clock(), for_seconds=route.cache)
                 if data is not None:
                     self.counters.recalled += 1
                     return self._recalled(request, data)
             limit = route.max_bits if isinstance(request, ReadBits) else route.max_registers
             if self.share_reads or route.cache is not None:
                 key = (request.code, request.address + route.shift, request.count, limit or 0)
-            exchange = self._memory.reading(unit, key) if self.share_reads and key is not None else None
+            exchange = self.memory.reading(unit, key) if self.share_reads and key is not None else None
             if exchange is not None:
+                assert isinstance(exchange, _Exchange)  # by its key
                 self._share(exchange, (context, request, route), deadline)
                 return LATER
         try:
             sent = behind(request, route, self._width)
         except InvalidRequest:
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_ADDRESS)
-        link = self._link_for(context)
+        link = self.link_for(context.peer)
         if link is None:
             self.counters.no_path += 1
             return ExceptionResponse(context.function, ExceptionCode.GATEWAY_PATH_UNAVAILABLE)
@@ -283,7 +299,7 @@ class Line:
         exchange.key = key
         error = self._begin(exchange, sent, route, deadline, context)
         if error is not None:
-            return ExceptionResponse(context.function, self._refused(error))
+            return ExceptionResponse(context.function, self.refused(error))
         return LATER
 
     def broadcast(
@@ -308,7 +324,7 @@ class Line:
         waiter[0].gone = partial(self.gone, exchange, waiter[0])
         demand = exchange.demand
         if demand.deadline is not None:  # whoever came first may have less time than who comes now
-            patience = _FOR_EVER if deadline is None else deadline
+            patience = FOR_EVER if deadline is None else deadline
             demand.deadline = max(demand.deadline, exchange.link.now() + patience)
 
     def _begin(
@@ -335,11 +351,11 @@ class Line:
         )
         demand.owner = exchange
         # All before it begins: it may end at once, while a connection is made anew.
-        self._open += 1
+        self.add_open(1)
         if is_write:
-            self._memory.write_begins(exchange.unit)
+            self.memory.write_begins(exchange.unit)
         elif exchange.key is not None:
-            exchange.since = self._memory.read_begins(exchange.unit, exchange.key, exchange)
+            exchange.since = self.memory.read_begins(exchange.unit, exchange.key, exchange)
             if route.cache is not None:
                 exchange.began = self._clock()
         try:
@@ -350,12 +366,11 @@ class Line:
         self.counters.forwarded += 1
         return None
 
-    def _link_for(self, context: RequestContext) -> Link | None:
-        """The connection that a client's requests use; None while the line is closed."""
+    def link_for(self, client: str) -> Link | None:
+        """The connection that the requests of a client (``host:port``) use; None while the line is closed."""
         links = self._links
         if len(links) < 2:
             return links[0] if links else None
-        client = context.peer
         link = self._link_of.get(client)
         if link is None:
             if len(self._link_of) >= _CLIENTS_REMEMBERED:
@@ -379,7 +394,7 @@ class Line:
             if isinstance(outcome, Message):
                 replies.append(outcome)
             elif outcome is not None:
-                code = self._refused(outcome)
+                code = self.refused(outcome)
                 for context, _, _ in exchange.waiters:
                     context.refuse(code)
                 return
@@ -394,9 +409,9 @@ class Line:
         if isinstance(request, ReadRegisters | ReadBits):
             assert isinstance(reply, ReadRegisters.Reply | ReadBits.Reply)
             place = _place(request, route)
-            self._memory.remember(exchange.unit, place, reply.data, since=exchange.since, read_at=exchange.began)
+            self.memory.remember(exchange.unit, place, reply.data, since=exchange.since, read_at=exchange.began)
 
-    def _refused(self, error: ModbusError) -> int:
+    def refused(self, error: ModbusError) -> int:
         """The exception code for an error, counted."""
         code = code_for(error)
         counters = self.counters
@@ -420,13 +435,11 @@ class Line:
             exchange.link.give_up(demand)
 
     def _leave(self, exchange: _Exchange) -> None:
-        self._open -= 1
-        if not self._open and self._answered is not None:
-            self._answered.set()
+        self.add_open(-1)
         if exchange.is_write:
-            self._memory.write_ended(exchange.unit)
+            self.memory.write_ended(exchange.unit)
         elif exchange.key is not None:
-            self._memory.read_ended(exchange.unit, exchange.key, exchange)
+            self.memory.read_ended(exchange.unit, exchange.key, exchange)
 
 
 def _suspended(link: Link) -> tuple[SuspendedUnit, ...]:

@@ -36,6 +36,9 @@ from .parameters import ClientParameters, MismatchPolicy
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _FIRST = (0,)
 _EXPIRED_LIMIT = 4096
+_BURST = 4
+"""Requests of a gateway's client that are sent before the next one's turn, where there is room for them. What leaves
+together comes back together, and costs the client and the gateway one segment: 9 µs of a transaction's 25."""
 _LATE_FACTOR = 2
 """A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
 helps: so many times more timeouts are borne while late replies come."""
@@ -121,7 +124,8 @@ class TcpClientSession:
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""
-        self._ledger.queue.units_in_turn = True
+        self._queue.units_in_turn = True
+        self._queue.burst = _BURST
 
     @property
     def has_demands(self) -> bool:
@@ -135,8 +139,8 @@ class TcpClientSession:
 
     @property
     def queued(self) -> int:
-        """Demands with something left to send."""
-        return self._queue.size
+        """What waits to be sent: calls, or requests of a gateway's clients."""
+        return self._queue.waiting
 
     @property
     def in_flight(self) -> int:
@@ -198,11 +202,18 @@ class TcpClientSession:
         if now < self._not_before:
             return out
         self._not_before = 0.0
+        free = self._free
         gap = self.parameters.request_gap
-        while self._free and (demand := queue.pick()) is not None:
-            self._send(demand, now, out, at_most=len(self._free) if queue.sole_caller and not gap else 1)
-            if not demand.has_more:
-                queue.remove(demand)
+        room = len(free)
+        while free and (demand := queue.pick()) is not None:
+            turn = 1 if gap else min(len(free), queue.share(room))
+            while demand is not None:
+                before = len(free)
+                self._send(demand, now, out, at_most=turn)
+                sent = before - len(free)
+                queue.sent(demand, sent)
+                turn -= sent
+                demand = queue.pick_same() if turn > 0 else None
             if gap:
                 break
         return out
@@ -387,6 +398,16 @@ class TcpClientSession:
         if good:
             self._answered(good, now)
         return at
+
+    def in_work(self) -> list[Demand]:
+        """The demands of several requests of which some are in flight, or are ended while others wait for their turn.
+
+        One may be named more than once, and others that are in flight may be named too.
+        """
+        found = [volley.demand for volley in self._volleys]
+        found += [flight.demand for flight in self._pending.values() if flight.demand is not None]
+        found += self._queue.begun
+        return found
 
     # What time brings.
 

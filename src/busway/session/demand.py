@@ -34,6 +34,8 @@ class Demand:
         submitted: when it was asked for.
         owner: whatever the driver wants to find here again.
         attempts: attempts begun, by position; only positions that were tried more than once appear.
+        places: how many places of the queue it takes. A call takes one, whatever it asks; what a gateway asks for a
+            client takes one for each request.
     """
 
     # What most calls never set are class attributes, shared until they are: building a demand takes 0.5 µs so, and
@@ -47,6 +49,7 @@ class Demand:
     attempts: Mapping[int, int] = _NO_ATTEMPTS
     submitted: float = 0.0
     ended: bool = False
+    places: int = 1
 
     def __init__(
         self,

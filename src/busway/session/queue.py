@@ -8,6 +8,8 @@ Knows callers, units and the order among them; knows no clock and no bytes.
 3. A unit that must not be asked now (``eligible``) holds up its own requests only.
 4. The queue is bounded; what does not fit is refused before anything was sent.
 5. Where a caller stands for many (a client of a gateway), its units can be served in turn too (``units_in_turn``).
+6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``): what leaves
+   together comes back together. It waits for no room: where one request may be sent, one is a turn.
 """
 
 from collections import deque
@@ -67,14 +69,20 @@ class RequestQueue:
     Attributes:
         limit: how many there may be.
         size: how many there are.
+        waiting: how many places they take (`Demand.places`): what the limit is about.
+        burst: requests of one caller that may be sent before the next one's turn, where there is room for all of them.
+        begun: those of several requests of which some are sent, where turns may be more than one.
         units_in_turn: whether the units of a caller are served in turn, and not its requests in their order.
     """
 
-    __slots__ = ("_callers", "_last", "_ring", "limit", "size", "units_in_turn")
+    __slots__ = ("_callers", "_last", "_ring", "begun", "burst", "limit", "size", "units_in_turn", "waiting")
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.size = 0
+        self.waiting = 0
+        self.burst = 1
+        self.begun: dict[Demand, None] = {}
         self.units_in_turn = False
         self._callers: dict[object, _Caller] = {}
         self._ring: deque[_Caller] = deque()
@@ -82,7 +90,7 @@ class RequestQueue:
 
     def add(self, demand: Demand) -> None:
         """Put a demand behind the others of its caller. Raises `Overloaded` where the queue is full."""
-        if self.size >= self.limit:
+        if self.waiting + demand.places > self.limit:
             raise Overloaded(f"{self.limit} calls wait on this link already; nothing was sent")
         caller = self._callers.get(demand.caller) or self._new_caller(demand.caller)
         caller.demands.append(demand)
@@ -111,6 +119,41 @@ class RequestQueue:
         if caller.served is not None:
             caller.units[demand.unit] = caller.units.get(demand.unit, 0) + 1
         self.size += 1
+        self.waiting += demand.places
+
+    def share(self, room: int) -> int:
+        """How many requests are a turn, where ``room`` of them may be sent at once: the burst, or more for few."""
+        callers = len(self._ring)
+        if callers == 1:
+            return room
+        return 1 if self.burst == 1 else max(self.burst, room // callers)
+
+    def sent(self, demand: Demand, count: int) -> None:
+        """So many requests of a demand that was picked were sent; with the last one it leaves the queue."""
+        if not demand.has_more:
+            self.remove(demand)
+            return
+        if self.burst > 1:
+            self.begun[demand] = None
+            freed = min(count, demand.places)
+            demand.places -= freed
+            self.waiting -= freed
+
+    def pick_same(self) -> Demand | None:
+        """The next demand of the caller that was picked last, while it is its turn; None where it has no more."""
+        caller = self._last
+        if caller is None or not caller.demands:
+            return None
+        demand = caller.pick(None)
+        assert demand is not None  # nothing is held up where turns are more than one request
+        self._note_unit(caller, demand)
+        return demand
+
+    def _note_unit(self, caller: _Caller, demand: Demand) -> None:
+        served = caller.served
+        if served is not None and len(caller.units) > 1:
+            served.pop(demand.unit, None)
+            served[demand.unit] = None
 
     def pick(self, eligible: Eligible | None = None) -> Demand | None:
         """The demand whose next request is due, or None. Its caller goes to the end of the round."""
@@ -121,21 +164,13 @@ class RequestQueue:
             demand = caller.pick(eligible)
             if demand is not None:
                 self._last = caller
-                served = caller.served
-                if served is not None and len(caller.units) > 1:
-                    served.pop(demand.unit, None)
-                    served[demand.unit] = None
+                self._note_unit(caller, demand)
                 return demand
         return None
 
     def peek(self, eligible: Eligible | None = None) -> Demand | None:
         """What `pick` would give now; the round stays where it is."""
         return next((demand for caller in self._ring if (demand := caller.pick(eligible)) is not None), None)
-
-    @property
-    def sole_caller(self) -> bool:
-        """Whether nobody else waits: then one demand may be sent from without asking for each request."""
-        return len(self._ring) == 1
 
     def remove(self, demand: Demand) -> bool:
         """Take a demand out, sent to the end or given up; whether it was in."""
@@ -156,6 +191,9 @@ class RequestQueue:
             if left:
                 caller.units[demand.unit] = left
         self.size -= 1
+        self.waiting -= demand.places
+        if self.begun:
+            self.begun.pop(demand, None)
         if not demands:
             del self._callers[demand.caller]
             if self._ring[-1] is caller:  # who was just served

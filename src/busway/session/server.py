@@ -22,6 +22,7 @@ from ..pdu.direct import Answer, ReadPlan
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import CommunicationState
+from .forwarding import READ_SIZE, ForwardedReads, Plans, ReadForwarder, is_read, learn
 from .handler import LATER, Deferral, Handler, Outcome, ReadPlanner, Refusal, RequestContext
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
@@ -91,6 +92,7 @@ class TcpServerSession:
         "_peer",
         "_planner",
         "_plans",
+        "_reads",
         "_role",
         "_slots",
         "_waiting",
@@ -125,6 +127,11 @@ class TcpServerSession:
         self._generation = handler.generation
         self._planner = handler if isinstance(handler, ReadPlanner) else None
         self._plans = self._planned()
+        self._reads = None
+        if isinstance(handler, ReadForwarder):
+            self._reads = ForwardedReads(
+                self._forwarded(handler), peer=peer, slots=slots, diagnostics=diagnostics, deliver=deliver
+            )
         # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
         self._waiting: set[RequestContext] | None = None
         self.broken = ""
@@ -137,7 +144,8 @@ class TcpServerSession:
     @property
     def waiting(self) -> int:
         """Requests whose reply is still to come."""
-        return len(self._waiting) if self._waiting else 0
+        waiting = len(self._waiting) if self._waiting else 0
+        return waiting if self._reads is None else waiting + self._reads.waiting
 
     @property
     def unfinished(self) -> int:
@@ -154,12 +162,15 @@ class TcpServerSession:
             self._generation = self._handler.generation
             self._memo.clear()
             self._plans = self._planned()
+            if self._reads is not None and isinstance(self._handler, ReadForwarder):
+                self._reads.plans = self._forwarded(self._handler)
         if buffer.__class__ is not bytes:
             buffer = bytes(memoryview(buffer)[:size])
         diagnostics = self._diagnostics
         muted = diagnostics.listen_only
         memo = self._memo if not muted else {}
         plans = self._plans if not muted else {}
+        reads = self._reads if not muted else None
         out: list[bytes] = []
         at = direct = 0
         # The loop below is the hot path of a server. A read that was asked before needs one look-up of its ten bytes
@@ -172,6 +183,11 @@ class TcpServerSession:
                 direct += 1
                 at += 12
                 continue
+            if reads is not None:
+                begin, at = at, reads.take(buffer, at, size)
+                if at > begin:
+                    self.requests += (at - begin) // READ_SIZE
+                    continue
             transaction, protocol, length, unit, function = _unpack(buffer, at)
             end = at + 6 + length
             if not MIN_LENGTH <= length <= MAX_LENGTH:
@@ -197,6 +213,8 @@ class TcpServerSession:
                 if direct:
                     self._count(direct)
                     direct = 0
+                if reads is not None and self._can_forward(reads, unit, buffer[at:end]):
+                    continue
                 adu = self._long_road(transaction, unit, bytes(buffer[at + 7 : end]))
                 if adu:
                     out.append(adu)
@@ -204,6 +222,7 @@ class TcpServerSession:
                 muted = diagnostics.listen_only
                 memo = self._memo if not muted else {}
                 plans = self._plans if not muted else {}
+                reads = self._reads if not muted else None
             else:
                 self.discarded += 1
             at = end
@@ -219,6 +238,8 @@ class TcpServerSession:
 
     def close(self) -> None:
         """The connection has ended: what is still waiting gets no reply, and its slots are free."""
+        if self._reads is not None:
+            self._reads.close()
         waiting, self._waiting = self._waiting, None
         for context in waiting or ():
             self._slots.used -= 1
@@ -244,6 +265,19 @@ class TcpServerSession:
         plan = self._planner.plan(self._context(unit, adu[7], 0), adu[7:])
         if plan is not None:
             self._plans[adu[2:]] = plan
+
+    def _forwarded(self, handler: ReadForwarder) -> Plans:
+        """What is known of reads that a handler hands on."""
+        return handler.forward_plans(self._context(0, 0, 0))
+
+    def _can_forward(self, reads: ForwardedReads, unit: int, adu: bytes) -> bool:
+        """Ask, once, what becomes of a read: whether it is handed on from now on."""
+        key = adu[2:]
+        if not is_read(adu) or key in reads.plans or not isinstance(self._handler, ReadForwarder):
+            return False  # where it is known, no slot is left, or it has to go the long road
+        plan = self._handler.forward_plan(self._context(unit, adu[7], 0), adu[7:])
+        learn(reads.plans, key, plan)
+        return plan is not None
 
     def _count(self, direct: int) -> None:
         self.requests += direct

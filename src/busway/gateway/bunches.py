@@ -1,0 +1,305 @@
+"""Reads of a client that came together, on their way to a server on TCP and back as one demand.
+
+Knows lines, demands and who asked; knows no route.
+
+1. What was asked together, of one unit, is one demand, a bunch: it waits for its turn and leaves as one, and as many of
+   its reads as the turn allows.
+2. Each read is answered as soon as its own reply is there. None waits for the others of its bunch.
+3. A read that is identical to one in flight may share its answer, under the rules of `busway.gateway.memory`. Reads in
+   bunches share among themselves; those that take the long road, because they are split or remembered, share too, and
+   the two do not meet.
+4. A client that goes away takes those of its reads with it that nobody else waits for.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from ..client.link import Link
+from ..errors import ModbusError, Overloaded
+from ..pdu.message import Message
+from ..pdu.read_items import ReadBits, ReadRegisters
+from ..session.client import TcpClientSession
+from ..session.demand import Demand, Outcome
+from ..session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan
+from .answers import NO_PATH
+from .memory import Key
+
+if TYPE_CHECKING:
+    from .handler import FrontHandler
+    from .lines import Line
+
+_IN_BUNCHES = -1
+"""Where the key of a read has the limit it was split by, which is none here: so the keys of both roads differ."""
+FOR_EVER = 86_400.0
+"""Seconds that a client waits who has no deadline, where the one before it has one."""
+
+
+class ReadWay:
+    """A unit behind a line, as a front reaches it.
+
+    Args:
+        front: whose clients ask.
+        line: where.
+        unit: the unit that is asked behind.
+        timeout: seconds to wait for it; None: as the line does.
+    """
+
+    __slots__ = ("front", "line", "timeout", "unit")
+
+    def __init__(self, front: "FrontHandler", line: "Line", unit: int, timeout: float | None) -> None:
+        self.front = front
+        self.line = line
+        self.unit = unit
+        self.timeout = timeout or line.settings.parameters.timeout
+
+    def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        """Ask reads of one client; each gets its answer, or an exception code."""
+        self.line.bunches.ask(self, asker, reads)
+
+
+class BunchPlan(ForwardPlan):
+    """What becomes of a read that is asked in bunches.
+
+    Attributes:
+        request: as it is asked behind.
+        key: what it is found by while it is in flight.
+    """
+
+    __slots__ = ("key", "request")
+
+    def __init__(self, way: ReadWay, unit: int, request: ReadRegisters | ReadBits) -> None:
+        request.prepare()
+        super().__init__(way, unit, request.code, request.expected_size - 2)
+        self.request = request
+        self.key: Key = (request.code, request.address, request.count, _IN_BUNCHES)
+
+
+class Bunch(Demand):
+    """Reads of one client, and whoever shares some of them. It has the face of a future for `Link.begin`.
+
+    Attributes:
+        asker: whose they are; None when the client has gone.
+        reads: what was asked, in the order of ``requests``.
+        told: positions that were answered one by one; empty where all are answered together.
+        joined: others who wait for a read, by its position.
+    """
+
+    def __init__(
+        self,
+        bunches: "Bunches",
+        link: Link,
+        way: ReadWay,
+        asker: ForwardedReads,
+        reads: list[ForwardedRead],
+        deadline: float | None,
+    ) -> None:
+        # Any: plans of this gateway are `BunchPlan`s, and an assertion for each would be a twentieth of the way.
+        plans: list[Any] = [plan for _, plan in reads]
+        super().__init__(
+            way.unit,
+            [plan.request for plan in plans],
+            is_write=False,
+            timeout=way.timeout,
+            retries=bunches.line.settings.parameters.retries,
+            caller=asker.peer,
+            deadline=deadline,
+        )
+        self.owner = self
+        self.places = len(reads)
+        self.bunches = bunches
+        self.link = link
+        self.asker: ForwardedReads | None = asker
+        self.reads = reads
+        self.told: set[int] = set()
+        self.joined: dict[int, list[tuple[ForwardedReads, ForwardedRead]]] = {}
+        self.keys: list[Key] = [plan.key for plan in plans] if bunches.line.share_reads else []
+
+    def done(self) -> bool:
+        """Never: `set_result` is called once."""
+        return False
+
+    def set_result(self, result: None) -> None:
+        """All outcomes are there."""
+        self.bunches.tell(self)
+
+    def asker_gone(self, asker: ForwardedReads) -> None:
+        """A client has gone."""
+        self.bunches.gone(self, asker)
+
+    @property
+    def left(self) -> int:
+        """How many reads have not been answered."""
+        return len(self.reads) - len(self.told)
+
+    def waiters(self, position: int) -> list[tuple[ForwardedReads, ForwardedRead]]:
+        """Whoever waits for a read."""
+        own = [] if self.asker is None else [(self.asker, self.reads[position])]
+        return own + self.joined.get(position, [])
+
+
+class Bunches:
+    """The bunches of one line."""
+
+    __slots__ = ("line",)
+
+    def __init__(self, line: "Line") -> None:
+        self.line = line
+
+    def ask(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        """Ask reads of one client."""
+        line = self.line
+        link = line.link_for(asker.peer)
+        if link is None:
+            self._refuse(asker, reads, NO_PATH)
+            line.counters.no_path += len(reads)
+            return
+        again: list[ForwardedRead] = []
+        if line.share_reads:
+            reads, again = self._share(way, asker, reads)
+        if reads:
+            self._ask(way, link, asker, reads)
+        if again:
+            self.ask(way, asker, again)  # now the first of those that are alike is in flight
+
+    def _ask(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        error = self._begin(way, link, asker, reads)
+        if isinstance(error, Overloaded) and len(reads) > 1:  # some of them may have room
+            for read in reads:
+                self._ask(way, link, asker, [read])
+        elif error is not None:
+            for read in reads:
+                self._refuse(asker, [read], self.line.refused(error))
+
+    def _begin(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> ModbusError | None:
+        """Hand reads to the link; the error if they were not taken."""
+        line = self.line
+        now = link.now()
+        patience = way.front.deadline
+        bunch = Bunch(self, link, way, asker, reads, None if patience is None else now + patience)
+        # All before it begins: it may end at once, while a connection is made anew.
+        line.add_open(len(reads))
+        asker.works[bunch] = None
+        for key in bunch.keys:
+            line.memory.read_begins(way.unit, key, bunch)
+        try:
+            link.begin(bunch, now)
+        except ModbusError as error:
+            self._leave(bunch)
+            return error
+        line.counters.forwarded += len(reads)
+        return None
+
+    def _refuse(self, asker: ForwardedReads, reads: list[ForwardedRead], code: int) -> None:
+        for read in reads:
+            asker.refuse(read, code)
+
+    # Sharing.
+
+    def _share(
+        self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]
+    ) -> tuple[list[ForwardedRead], list[ForwardedRead]]:
+        """Let reads wait for others that are in flight; what has to be asked, and what is the same as one of those."""
+        memory = self.line.memory
+        left: list[ForwardedRead] = []
+        again: list[ForwardedRead] = []
+        asked: set[Key] = set()
+        for read in reads:
+            plan: Any = read[1]  # a `BunchPlan`, as in `Bunch`
+            bunch = memory.reading(way.unit, plan.key)
+            if bunch is not None:
+                assert isinstance(bunch, Bunch)  # by its key
+                self._join(bunch, way, asker, read, plan.key)
+            elif plan.key in asked:
+                again.append(read)
+            else:
+                asked.add(plan.key)
+                left.append(read)
+        return left, again
+
+    def _join(self, bunch: Bunch, way: ReadWay, asker: ForwardedReads, read: ForwardedRead, key: Key) -> None:
+        self.line.counters.shared += 1
+        bunch.joined.setdefault(bunch.keys.index(key), []).append((asker, read))
+        asker.works[bunch] = None
+        if bunch.deadline is not None:  # whoever came first may have less time than who comes now
+            patience = FOR_EVER if way.front.deadline is None else way.front.deadline
+            bunch.deadline = max(bunch.deadline, bunch.link.now() + patience)
+
+    # What comes back.
+
+    def look(self, session: TcpClientSession) -> None:
+        """Something has come: answer what is there of bunches that are not complete."""
+        for demand in session.in_work():
+            if (
+                isinstance(demand, Bunch)
+                and demand.owner is not None
+                and len(demand.outcomes) - demand.open != len(demand.told)
+            ):
+                self.tell(demand)
+
+    def tell(self, bunch: Bunch) -> None:
+        """Answer what has an outcome."""
+        asker = bunch.asker
+        if asker is not None and not (bunch.open or bunch.told or bunch.joined):
+            data = [one.data for one in bunch.outcomes if isinstance(one, _REPLIES)]
+            if len(data) == len(bunch.reads):
+                self.line.counters.answered += len(data)
+                self._leave(bunch)
+                asker.answer(bunch.reads, data)
+                return
+        for position, outcome in enumerate(bunch.outcomes):
+            if outcome is not None and position not in bunch.told:
+                self._tell_one(bunch, position, outcome)
+        if not bunch.open:
+            self._leave(bunch)
+
+    def _tell_one(self, bunch: Bunch, position: int, outcome: Outcome) -> None:
+        bunch.told.add(position)
+        self._left(bunch, position)
+        waiters = bunch.waiters(position)
+        if isinstance(outcome, Message):
+            assert isinstance(outcome, _REPLIES)  # the session has seen that it answers a read
+            self.line.counters.answered += 1
+            for asker, read in waiters:
+                asker.answer((read,), (outcome.data,))
+        else:
+            code = self.line.refused(outcome)
+            for asker, read in waiters:
+                asker.refuse(read, code)
+
+    def gone(self, bunch: Bunch, asker: ForwardedReads) -> None:
+        """A client has gone: what nobody else waits for is taken back as far as it can be."""
+        counters = self.line.counters
+        if bunch.asker is asker:
+            bunch.asker = None
+            counters.abandoned += bunch.left
+        for position, others in list(bunch.joined.items()):
+            staying = [one for one in others if one[0] is not asker]
+            counters.abandoned += 0 if position in bunch.told else len(others) - len(staying)
+            if staying:
+                bunch.joined[position] = staying
+            else:
+                del bunch.joined[position]
+        if bunch.asker is None and not bunch.ended and bunch.joined.keys() <= bunch.told:
+            self._leave(bunch)
+            bunch.link.give_up(bunch)
+
+    def _leave(self, bunch: Bunch) -> None:
+        """Nobody waits for a bunch any more."""
+        self.line.add_open(-bunch.left)
+        for position, key in enumerate(bunch.keys):
+            if position not in bunch.told:
+                self.line.memory.read_ended(bunch.unit, key, bunch)
+        if bunch.asker is not None:
+            bunch.asker.works.pop(bunch, None)
+        for others in bunch.joined.values():
+            for asker, _ in others:
+                asker.works.pop(bunch, None)
+        bunch.owner = None  # it is its own owner: else only the collector of garbage would free it
+
+    def _left(self, bunch: Bunch, position: int) -> None:
+        """A single read has its answer."""
+        self.line.add_open(-1)
+        if bunch.keys:
+            self.line.memory.read_ended(bunch.unit, bunch.keys[position], bunch)
+
+
+_REPLIES = (ReadRegisters.Reply, ReadBits.Reply)

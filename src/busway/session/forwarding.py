@@ -1,0 +1,187 @@
+"""Reads that are handed on: those of one connection that came together go to where they lead in one step.
+
+Knows how a read and its answer look on TCP, and the slots of a connection; knows no line and no route: a `Way` does.
+
+1. A read is known by its ten bytes behind the transaction, as those that a server plans are; what they mean is asked
+   of the handler once for all who have the same rights.
+2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). Where none is left, nothing is
+   taken here, and the long road says so.
+3. Each read that was taken is answered once, by `answer` or `refuse`, with the unit and the transaction it was asked
+   with; or it ends with the connection, and whoever works on it is told.
+4. What goes this road gets the same answers, and is counted as, what goes the long one.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from ..framing.mbap import HEAD
+
+if TYPE_CHECKING:
+    from .diagnostics import CommunicationState
+    from .handler import RequestContext
+    from .server import Deliver, TransactionSlots
+
+READ_SIZE = 12
+"""Bytes of a read of one of the four tables."""
+_READ_LENGTH = b"\0\0\0\6"
+"""Protocol and length of such a read."""
+_LAST_READ = 4
+"""The greatest function code among them."""
+_PLAN_LIMIT = 4096
+
+
+class Way(Protocol):
+    """Where reads go."""
+
+    def ask(self, asker: "ForwardedReads", reads: "list[ForwardedRead]") -> None:
+        """Ask them. Each is answered by ``asker``, perhaps before this returns."""
+
+
+class Asked(Protocol):
+    """Something that is asked for a connection."""
+
+    def asker_gone(self, asker: "ForwardedReads") -> None:
+        """The client has gone: nobody waits for its reads any more."""
+
+
+class ForwardPlan:
+    """What becomes of one particular read.
+
+    Attributes:
+        way: where it goes.
+        head: of its answer, what stands between the transaction and the data.
+    """
+
+    __slots__ = ("head", "way")
+
+    def __init__(self, way: Way, unit: int, function: int, byte_count: int) -> None:
+        self.way = way
+        self.head = HEAD.pack(0, 0, 3 + byte_count, unit)[2:] + bytes((function, byte_count))
+
+    def refusal(self, code: int) -> bytes:
+        """What stands behind the transaction of an exception."""
+        return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
+
+
+ForwardedRead = tuple[bytes, ForwardPlan]
+"""A read that was asked: the two bytes of its transaction, and what becomes of it."""
+Plans = dict[bytes, ForwardPlan | None]
+"""By the ten bytes of a read behind its transaction; None for one that goes the long road."""
+
+
+@runtime_checkable
+class ReadForwarder(Protocol):
+    """A handler that hands reads on."""
+
+    def forward_plans(self, context: "RequestContext") -> Plans:
+        """What is known for whoever has the rights of ``context``, of all units; shared by all who have the same."""
+
+    def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
+        """What becomes of a read; None where it has to go the long road."""
+
+
+class ForwardedReads:
+    """The reads of one connection that are handed on.
+
+    Attributes:
+        peer: ``host:port`` of the client.
+        waiting: reads whose answer is still to come.
+        works: what is asked for the connection; whoever asks puts it in and takes it out.
+    """
+
+    __slots__ = ("_deliver", "_diagnostics", "_is_open", "_slots", "peer", "plans", "waiting", "works")
+
+    def __init__(
+        self,
+        plans: Plans,
+        *,
+        peer: str,
+        slots: "TransactionSlots",
+        diagnostics: "CommunicationState",
+        deliver: "Deliver",
+    ) -> None:
+        self.plans = plans
+        self.peer = peer
+        self._slots = slots
+        self._diagnostics = diagnostics
+        self._deliver = deliver
+        self._is_open = True
+        self.waiting = 0
+        self.works: dict[Asked, None] = {}
+
+    def take(self, buffer: bytes, at: int, size: int) -> int:
+        """Take the reads that are known from ``at`` on, as many as there are slots; where the first other begins."""
+        plans = self.plans
+        slots = self._slots
+        start = at
+        stop = at + READ_SIZE * min((size - at) // READ_SIZE, slots.limit - slots.used)
+        way: Way | None = None
+        reads: list[ForwardedRead] = []
+        others: dict[Way, list[ForwardedRead]] | None = None
+        while at < stop:
+            plan = plans.get(buffer[at + 2 : at + READ_SIZE])
+            if plan is None:
+                break
+            if plan.way is not way:
+                if way is None:
+                    way = plan.way
+                else:  # rarely: a client of one device asks the same way all the time
+                    others = {way: reads} if others is None else others
+                    way = plan.way
+                    reads = others.setdefault(way, [])
+            reads.append((buffer[at : at + 2], plan))
+            at += READ_SIZE
+        if way is not None:
+            count = (at - start) // READ_SIZE
+            slots.used += count
+            self.waiting += count
+            if others is None:
+                way.ask(self, reads)
+            else:
+                for way, reads in others.items():
+                    way.ask(self, reads)
+        return at
+
+    def answer(self, reads: Sequence[ForwardedRead], data: Sequence[bytes]) -> None:
+        """The data of some reads have come."""
+        if self._is_open:
+            count = len(reads)
+            self.waiting -= count
+            self._slots.used -= count
+            self._diagnostics.exchanged += count
+            deliver = self._deliver
+            for (transaction, plan), one in zip(reads, data, strict=True):
+                deliver(transaction + plan.head + one)
+
+    def refuse(self, read: ForwardedRead, code: int) -> None:
+        """A read is answered with an exception code."""
+        if self._is_open:
+            self.waiting -= 1
+            self._slots.used -= 1
+            self._diagnostics.received()
+            self._diagnostics.answered(exception=code)
+            self._deliver(read[0] + read[1].refusal(code))
+
+    def close(self) -> None:
+        """The connection has ended: what still waits gets no answer, and its slots are free."""
+        self._is_open = False
+        self._slots.used -= self.waiting
+        for _ in range(self.waiting):
+            self._diagnostics.received()
+            self._diagnostics.kept_silent()
+        self.waiting = 0
+        works, self.works = self.works, {}
+        for work in works:
+            work.asker_gone(self)
+
+
+def is_read(adu: bytes) -> bool:
+    """Whether a frame is a read of one of the four tables."""
+    return len(adu) == READ_SIZE and 0 < adu[7] <= _LAST_READ and adu[2:6] == _READ_LENGTH
+
+
+def learn(plans: Plans, key: bytes, plan: ForwardPlan | None) -> None:
+    """Keep what becomes of a read."""
+    if len(plans) >= _PLAN_LIMIT:
+        plans.clear()
+    plans[key] = plan
