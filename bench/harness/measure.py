@@ -4,6 +4,8 @@ Rules:
 1. Contenders take turns: every round measures each of them once, so that a noisy minute hits all alike.
 2. A figure is the median of its rounds; its spread is half the distance between the extremes, in per cent of it.
 3. A ratio is built round by round and then its median taken, never from two medians.
+4. Where a few per cent between two contenders are asked for, they follow each other in many short turns: in pairs, each
+   of which begins with the one that ended the pair before.
 """
 
 import statistics
@@ -87,4 +89,29 @@ def alternate(
                 continue
             one.samples.append(sample)
             say(f"round {number}/{rounds}  {name:<42} {sample.rate:>12,.0f}/s")
+    return series
+
+
+def in_pairs(
+    contenders: Mapping[str, Callable[[], Sample]],
+    pairs: int,
+    failures: tuple[type[Exception], ...],
+    say: Callable[[str], None],
+) -> dict[str, Series]:
+    """Measures two contenders `pairs` times, one right after the other, in front by turns; both end when one fails."""
+    series = {name: Series(name) for name in contenders}
+    order = list(contenders)
+    for _ in range(pairs):
+        found = alternate({name: contenders[name] for name in order}, 1, failures, lambda text: None)
+        for name, one in found.items():
+            series[name].missing = one.missing
+        failed = [one for one in found.values() if one.missing is not None]
+        if failed:
+            for one in failed:
+                series[one.name].samples.clear()
+                say(f"{one.name}: left out. {one.missing}")
+            break
+        for name, one in found.items():
+            series[name].samples += one.samples
+        order.reverse()
     return series

@@ -1,7 +1,9 @@
 """Medians, spreads, ratios and exponents of the benchmark, and what becomes of a contender that fails."""
 
+from collections.abc import Callable
+
 import pytest
-from harness.measure import Sample, Series, alternate, ratio, spread
+from harness.measure import Sample, Series, alternate, in_pairs, ratio, spread
 from harness.report import Bar
 from harness.window import BURST, burst
 from offline.timing import exponent
@@ -62,3 +64,28 @@ def test_callers_report_less_at_a_time_where_they_are_many() -> None:
     assert burst(1) == burst(16) == BURST
     assert burst(64) == 2
     assert burst(1000) == 1
+
+
+def test_two_contenders_follow_each_other_in_pairs_and_are_in_front_by_turns() -> None:
+    calls: list[str] = []
+
+    def contender(name: str) -> Callable[[], Sample]:
+        return lambda: calls.append(name) or Sample(float(len(calls)))  # type: ignore[func-returns-value]
+
+    found = in_pairs({name: contender(name) for name in "ab"}, 3, (OSError,), lambda text: None)
+    assert calls == ["a", "b", "b", "a", "a", "b"]
+    assert (found["a"].values("rate"), found["b"].values("rate")) == ([1, 4, 5], [2, 3, 6])
+
+
+def test_pairs_end_when_one_of_both_fails() -> None:
+    said: list[str] = []
+    samples = iter([Sample(1.0)])
+
+    def fails_later() -> Sample:
+        for sample in samples:
+            return sample
+        raise OSError("it is gone")
+
+    found = in_pairs({"a": lambda: Sample(2.0), "b": fails_later}, 5, (OSError,), said.append)
+    assert (found["a"].values("rate"), found["b"].values("rate")) == ([2.0], [])
+    assert (found["b"].missing, said) == ("it is gone", ["b: left out. it is gone"])
