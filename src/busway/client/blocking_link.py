@@ -121,13 +121,14 @@ class BlockingLink:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
                 self._let_go(now)
+            may_have_ended = now - self.last_used > _IDLE_SECONDS and not self._is_line
+            if may_have_ended and self._socket is not None and not self.session.in_flight:
+                self._look_at_idle_socket(now)  # before the session has the demand: what ends here has failed nobody
             self._refuse_while_down(demand, now)
             self.session.submit(demand, now)
             if self._socket is not None:
                 if self._is_line:
                     self._look_at_line()
-                elif now - self.last_used > _IDLE_SECONDS and not self.session.in_flight:
-                    self._look_at_idle_socket(now)
                 self._transmit(now)
             try:
                 leads = self._wait_for_turn(demand)
