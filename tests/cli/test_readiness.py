@@ -31,7 +31,7 @@ def told(receiver: socket.socket) -> dict[str, str]:
     return dict(line.split("=", 1) for line in receiver.recv(4096).decode().split("\n"))
 
 
-@pytest.mark.parametrize("name", ["", f"busway-test-{os.getpid()}"])
+@pytest.mark.parametrize("name", ["", f"busway-test-{os.getpid()}"], ids=["path", "abstract name"])
 def test_ready_reloading_stopping_and_alive_are_told(name: str) -> None:
     with manager_socket(name) as (address, receiver):
         manager = Manager({"NOTIFY_SOCKET": address})
