@@ -19,7 +19,8 @@ from busway.session.handler import Handler, Outcome
 from busway.testing.line import PacedLine
 
 BAUD = 115_200
-SIZES = (0, 1, 2, 3, 7, 62, 252)
+SIZES = (0, 1, 2, 3, 7, 61, 252)
+"""With 62 bytes one of the answers begins with a whole frame and its check: a pause just there would make two of it."""
 
 pytestmark = [pytest.mark.clause("T32"), pytest.mark.clause("S8")]
 
