@@ -98,3 +98,11 @@ def test_the_clock_keeps_its_text_for_a_second_and_no_longer():
     first = clock()
     now[0] += 0.001
     assert (first, clock()) == ("2026-03-01T11:59:59.999Z", "2026-03-01T12:00:00.000Z")
+
+
+@given(st.data())
+def test_bits_are_told_one_by_one_as_far_as_there_are_any(data):
+    bits = data.draw(st.lists(st.booleans(), min_size=1, max_size=40))
+    packed = WriteMultipleCoils.of(0, bits).data
+    found = line(WriteMultipleCoils.of(0, bits), (packed,))
+    assert found["old"] == found["new"] == [int(bit) for bit in bits]

@@ -190,6 +190,10 @@ class AuditLog:
 
     def _keep(self, data: bytes, at: int) -> None:
         """Count the lines that stand in the file before ``at``, and keep what is behind."""
+        if at == len(data):
+            self.written += len(self._lines) + bool(self._begun)
+            self._lines, self._size, self._begun = [], 0, b""
+            return
         self.written += data.count(b"\n", 0, at)
         left = data[at:]
         is_inside = data[at - 1] != ord("\n") if at else bool(self._begun)

@@ -32,7 +32,6 @@ from json.encoder import encode_basestring_ascii as quoted
 from typing import Any, Final
 
 from ...config.access.question import masked
-from ...pdu.bits import unpack_bits
 from ...pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from ...pdu.functions import AnyRequest
 from ...pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
@@ -133,6 +132,10 @@ def done_line(who: str, unit: int, function: int, rule: str) -> tuple[str, str]:
     )
 
 
+def _done_bit(address: int, count: int, old: bytes, new: bytes) -> str:
+    return f'{address},"count":1,"old":[{old[0]}],"new":[{new[0]}]'
+
+
 def _done_register(address: int, count: int, old: bytes, new: bytes) -> str:
     return f'{address},"count":1,"old":[{old[0] << 8 | old[1]}],"new":[{new[0] << 8 | new[1]}]'
 
@@ -147,7 +150,7 @@ def _done_bits(address: int, count: int, old: bytes, new: bytes) -> str:
 
 Done = Callable[[int, int, bytes, bytes], str]
 DONE: Final[dict[type[Request], Done]] = {
-    WriteSingleCoil: _done_bits,
+    WriteSingleCoil: _done_bit,
     WriteSingleRegister: _done_register,
     WriteMultipleCoils: _done_bits,
     WriteMultipleRegisters: _done_registers,
@@ -251,4 +254,8 @@ def _registers(data: bytes | None) -> str:
 
 
 def _bits(data: bytes | None, count: int) -> str:
-    return _NULL if data is None else str([int(bit) for bit in unpack_bits(data, count)])
+    if data is None:
+        return _NULL
+    above = 1 << min(count, 8 * len(data))  # keeps the zeros below it
+    digits = f"{int.from_bytes(data, 'little') & above - 1 | above:b}"
+    return f"[{', '.join(digits[:0:-1])}]"
