@@ -14,6 +14,7 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 
 from collections.abc import Awaitable, Mapping
 from dataclasses import dataclass
+from struct import Struct
 from typing import Protocol
 
 from ..codes import ExceptionCode, FunctionCode
@@ -22,11 +23,13 @@ from ..pdu.direct import Answer, ReadPlan
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import CommunicationState
-from .forwarding import READ_SIZE, ForwardedReads, Plans, ReadForwarder, is_read, learn
+from .forwarding import READ_SIZE, DeliverTogether, ForwardedReads, Plans, ReadForwarder, is_read, learn
 from .handler import LATER, Deferral, Handler, Outcome, ReadPlanner, Refusal, RequestContext
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
+_cut_reads = Struct("2s10s").iter_unpack
+"""A read's transaction, and what it is known by."""
 _MEMO_LIMIT = 256
 _PLAN_LIMIT = 4096
 """A poller of 4096 different ranges is planned whole; whoever asks at random finds no plan, and loses 0.1 µs."""
@@ -76,6 +79,7 @@ class TcpServerSession:
         broken: why the stream can not be followed any more; empty while it can. The driver closes the connection.
         deferred: what the driver has to await; it empties the list.
         failures: failures of handlers to log; the driver empties the list.
+        unfinished: bytes of a frame that has begun and not ended.
         requests: requests received so far.
         discarded: frames that got no answer: foreign protocol, function above 127.
         refused_busy: requests answered 06 because all slots were taken.
@@ -102,6 +106,7 @@ class TcpServerSession:
         "failures",
         "refused_busy",
         "requests",
+        "unfinished",
     )
 
     def __init__(
@@ -111,6 +116,7 @@ class TcpServerSession:
         diagnostics: CommunicationState,
         slots: TransactionSlots,
         deliver: Deliver,
+        deliver_together: DeliverTogether | None = None,
         peer: str = "",
         listener: str = "",
         role: str | None = None,
@@ -130,13 +136,18 @@ class TcpServerSession:
         self._reads = None
         if isinstance(handler, ReadForwarder):
             self._reads = ForwardedReads(
-                self._forwarded(handler), peer=peer, slots=slots, diagnostics=diagnostics, deliver=deliver
+                self._forwarded(handler),
+                peer=peer,
+                slots=slots,
+                diagnostics=diagnostics,
+                deliver=deliver_together or self._deliver_each,
             )
         # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
         self._waiting: set[RequestContext] | None = None
         self.broken = ""
         self.deferred: list[Deferred] = []
         self.failures: list[HandlerFailure] = []
+        self.unfinished = 0
         self.requests = 0
         self.discarded = 0
         self.refused_busy = 0
@@ -147,35 +158,45 @@ class TcpServerSession:
         waiting = len(self._waiting) if self._waiting else 0
         return waiting if self._reads is None else waiting + self._reads.waiting
 
-    @property
-    def unfinished(self) -> int:
-        """Bytes of a frame that has begun and not ended."""
-        return len(self._buffer.kept)
-
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
         """Work through the first ``size`` bytes of ``buffer``; the ADUs to send, in order."""
         if self.broken:
             return []
-        if self._buffer.kept:
+        if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
+            self.unfinished = 0
         if self._generation != self._handler.generation:
             self._generation = self._handler.generation
             self._memo.clear()
             self._plans = self._planned()
             if self._reads is not None and isinstance(self._handler, ReadForwarder):
                 self._reads.plans = self._forwarded(self._handler)
-        if buffer.__class__ is not bytes:
-            buffer = bytes(memoryview(buffer)[:size])
         diagnostics = self._diagnostics
         muted = diagnostics.listen_only
-        memo = self._memo if not muted else {}
         plans = self._plans if not muted else {}
-        reads = self._reads if not muted else None
         out: list[bytes] = []
         at = direct = 0
-        # The loop below is the hot path of a server. A read that was asked before needs one look-up of its ten bytes
-        # behind the transaction: 0.4 µs. Another request of the short road takes 1.0 µs, of which the call of the
-        # compiled answer is the half.
+        if plans and not size % READ_SIZE:
+            # What a poller sends: reads alone, and those that were asked before. Cut by one call, without a copy of
+            # what came, they take 0.47 µs each, of which 0.2 are the answer put together; by the loop below 0.6.
+            for transaction, asked in _cut_reads(memoryview(buffer)[:size]):
+                plan = plans.get(asked)
+                if plan is None:
+                    break
+                out.append(transaction + plan.head + plan.block.data[plan.start : plan.stop])
+            direct = len(out)
+            at = READ_SIZE * direct
+            if at == size:
+                self.requests += direct
+                diagnostics.exchanged += direct
+                return out
+        if buffer.__class__ is not bytes:
+            buffer = bytes(memoryview(buffer)[:size])
+        memo = self._memo if not muted else {}
+        reads = self._reads if not muted else None
+        # The loop below is the hot path of a server whose clients ask in many ways. A read that was asked before needs
+        # one look-up of its ten bytes behind the transaction. Another request of the short road takes 1.0 µs, of which
+        # the call of the compiled answer is the half.
         while size - at >= 8:
             plan = plans.get(buffer[at + 2 : at + 12])
             if plan is not None:
@@ -234,6 +255,7 @@ class TcpServerSession:
                 self.broken = impossible_length(length)
         if at < size and not self.broken:
             self._buffer.keep(buffer, at, size)
+            self.unfinished = size - at
         return out
 
     def close(self) -> None:
@@ -278,6 +300,10 @@ class TcpServerSession:
         plan = self._handler.forward_plan(self._context(unit, adu[7], 0), adu[7:])
         learn(reads.plans, key, plan)
         return plan is not None
+
+    def _deliver_each(self, adus: list[bytes]) -> None:
+        for adu in adus:
+            self._deliver(adu)
 
     def _count(self, direct: int) -> None:
         self.requests += direct

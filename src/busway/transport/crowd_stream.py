@@ -56,7 +56,8 @@ class CrowdStream(asyncio.Transport):
     def __init__(self, crowd: Crowd, connection: socket.socket, protocol: asyncio.BaseProtocol, peer: object) -> None:
         # Without the dictionary that the base class would make: `get_extra_info` asks the socket.
         self._crowd = crowd
-        self._socket: socket.socket | None = connection
+        # A socket, and None behind the end. To say so would cost an assertion at every receive and every write.
+        self._socket: Any = connection
         self._descriptor = connection.fileno()
         self._protocol: Any = protocol  # of either kind, and buffered where it receives
         self._peer = peer
@@ -95,13 +96,10 @@ class CrowdStream(asyncio.Transport):
 
     def ready(self, events: int) -> None:
         """The socket is ready to be read or to be written to, or has come to its end."""
-        if self._events & READABLE and events != WRITABLE:
-            self._receive()
-        if self._events & WRITABLE and events != READABLE:
+        if events != READABLE and self._events & WRITABLE:
             self._send_rest()
-
-    def _receive(self) -> None:
-        assert self._socket is not None  # since it is watched
+        if not self._events & READABLE or events == WRITABLE:
+            return
         protocol = self._protocol
         try:
             buffer = protocol.get_buffer(-1)
@@ -113,18 +111,17 @@ class CrowdStream(asyncio.Transport):
         except BaseException as error:
             self._fail(error, "nothing could be received into protocol.get_buffer()")
             return
-        if not size:
-            if len(buffer):
-                self._end()
-            else:
-                self._fail(RuntimeError("get_buffer() returned an empty buffer"), "nowhere to receive into")
-            return
-        try:
-            protocol.buffer_updated(size)
-        except (SystemExit, KeyboardInterrupt):
-            raise
-        except BaseException as error:
-            self._fail(error, "protocol.buffer_updated() call failed")
+        if size:
+            try:
+                protocol.buffer_updated(size)
+            except (SystemExit, KeyboardInterrupt):
+                raise
+            except BaseException as error:
+                self._fail(error, "protocol.buffer_updated() call failed")
+        elif len(buffer):
+            self._end()
+        else:
+            self._fail(RuntimeError("get_buffer() returned an empty buffer"), "nowhere to receive into")
 
     def _end(self) -> None:
         """The peer sends no more: close, unless the protocol has something left to say."""
@@ -154,7 +151,7 @@ class CrowdStream(asyncio.Transport):
             self._write_behind(data)
             return
         try:
-            sent = self._socket.send(data)  # type: ignore[union-attr]  # plain: it is there
+            sent = self._socket.send(data)
         except (BlockingIOError, InterruptedError):
             sent = 0
         except OSError as error:
@@ -188,8 +185,7 @@ class CrowdStream(asyncio.Transport):
         self._ask_to_pause()
 
     def _send_rest(self) -> None:
-        assert self._socket is not None  # since it is watched
-        assert self._unsent is not None
+        assert self._unsent is not None  # since it is watched for
         try:
             sent = self._socket.send(self._unsent)
         except (BlockingIOError, InterruptedError):
@@ -227,7 +223,6 @@ class CrowdStream(asyncio.Transport):
         return True
 
     def _shut_down_sending(self) -> None:
-        assert self._socket is not None  # it is not closed before it is lost
         with contextlib.suppress(OSError):  # it has ended, which will be heard of otherwise
             self._socket.shutdown(socket.SHUT_WR)
 
