@@ -3,11 +3,12 @@
 Run from `bench/`: python -m servers.paced_line BAUD…
 
 1. `line PATH PATH …` on the first line: the ports of the master and of the server of each line, 8E1.
-2. SIGUSR1 forgets what has passed: `forgotten 0`.
+2. SIGUSR1 forgets what has passed, and measures anew how long a pty takes: `forgotten 0`.
 3. SIGUSR2 tells the medians of the silences before replies and before requests, in seconds, and how many replies there
    were, on all lines together: `silences R Q N`.
-4. All lines take the same time for the way through a pty, the quickest that one of them has found: figures of two lines
-   can be compared to a microsecond. 20 µs more in that measure make a read at 115 200 baud 1 % longer.
+4. All lines take the same time for the way through a pty: figures of two lines can be compared to a microsecond. 20 µs
+   less in that measure make a read at 115 200 baud 1 % longer; it swings by as much, and a busy machine makes the way
+   longer. So it is taken anew for each turn, and many turns make the swing even out.
 """
 
 import itertools
@@ -29,16 +30,12 @@ MASTER = 0
 
 def main(bauds: list[int]) -> None:
     real_time(WIRE)
-    with on_all_cores():  # a line measures how long a pty takes from one core to another, as it will be used
-        lines = [PacedLine(ports=2, baud=baud) for baud in bauds]
-    transit = min(line._transit for line in lines)
-    for line in lines:
-        line._transit = transit
     with ExitStack() as running:
-        for line in lines:
-            running.enter_context(line)
+        lines = [running.enter_context(PacedLine(ports=2, baud=baud)) for baud in bauds]
+        agree_on_transit(lines)
 
         def forget(number: int, frame: FrameType | None) -> None:
+            agree_on_transit(lines)
             for line in lines:
                 line.forget()
             print("forgotten 0", flush=True)
@@ -55,6 +52,14 @@ def main(bauds: list[int]) -> None:
         signal.signal(signal.SIGUSR2, tell)
         print("line", *(path for line in lines for path in line.paths), flush=True)
         threading.Event().wait()
+
+
+def agree_on_transit(lines: list[PacedLine]) -> None:
+    """Give all lines what a new one measures now."""
+    with on_all_cores(), PacedLine(ports=1) as measured:  # from one core to another, as they are used
+        transit = measured._transit
+    for line in lines:
+        line._transit = transit
 
 
 @contextmanager

@@ -32,8 +32,8 @@ READS = 8
 """Of one turn; one more opens the port."""
 STARTING = 0.4
 """Seconds that one program takes to start, on a busy machine."""
-OPENING = 0.03
-"""Seconds of a turn that go into opening and closing its port."""
+OPENING = 0.07
+"""Seconds of a turn that go into opening and closing its port, and into asking how quick the line's ports are."""
 LEAST_ROUNDS, MOST_ROUNDS = 3, 40
 REGISTERS = 10
 CHARACTERS = 8 + 5 + 2 * REGISTERS
