@@ -4,6 +4,7 @@ Knows defaults and checks; knows no link and does no IO.
 """
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
@@ -15,6 +16,8 @@ from ..session.demand import Demand
 from ..session.parameters import ClientParameters
 from .operations import CallOptions
 from .settings import CALL_DEFAULTS, LinkSettings
+
+_IS_WRITE = attrgetter("is_write")
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
@@ -40,7 +43,6 @@ def demand_for(
     requests: Sequence[Request],
     defaults: ClientParameters,
     call: CallOptions,
-    *,
     now: float,
     caller: object = None,
 ) -> Demand:
@@ -54,12 +56,12 @@ def demand_for(
     return Demand(
         unit,
         requests,
-        is_write=requests[0].is_write if len(requests) == 1 else any(request.is_write for request in requests),
-        timeout=timeout,
-        retries=retries,
-        idempotent=idempotent,
-        caller=caller,
-        deadline=None if deadline is None else now + deadline,
+        requests[0].is_write if len(requests) == 1 else any(map(_IS_WRITE, requests)),
+        timeout,
+        retries,
+        idempotent,
+        caller,
+        None if deadline is None else now + deadline,
     )
 
 

@@ -88,10 +88,11 @@ class Link:
     Attributes:
         shared: whether all users of the endpoint share it.
         home: the event loop it lives on.
-        watch: called when something has come, or time has passed, after the demands that are complete: for whoever looks
-            at those that are not.
+        watch: called when something has come, or time has passed, after the demands that are complete: for whoever
+            looks at those that are not.
         opened, last_used: when the connection was made, and last used, in the clock of the loop.
         sent_bytes, received_bytes: of all its connections.
+        now: the clock of demands.
     """
 
     def __init__(
@@ -110,7 +111,8 @@ class Link:
         self._framing = settings.endpoint.framing
         self.session: Conversation = session
         self._line = session if isinstance(session, SerialClientSession) else None
-        self._clock = self._loop.time if self._line is None else time.monotonic
+        self._clock = _clock_of(self._loop) if self._line is None else time.monotonic
+        self.now = self._clock
         management = settings.management
         self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
         self.shared = shared
@@ -145,10 +147,6 @@ class Link:
         LOCAL.add(self)
 
     # What the interface asks.
-
-    def now(self) -> float:
-        """The clock of demands."""
-        return self._clock()
 
     def start(self, demand: Demand, now: float) -> "asyncio.Future[None]":
         """Begin a demand; the future is done when all its outcomes are in it. Raises `Overloaded`, `LinkDown`.
@@ -561,6 +559,12 @@ class Link:
         if self._trace is None:
             self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._transport)
         return self._trace
+
+
+def _clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
+    """The clock of a loop; of asyncio's own loops the clock of the system, without the call around it."""
+    is_plain = getattr(loop.time, "__func__", None) is asyncio.BaseEventLoop.time
+    return time.monotonic if is_plain else loop.time
 
 
 def _new_alarm(ring: Callable[[], None]) -> "Alarm":

@@ -20,7 +20,6 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
 """
 
 from collections import deque
-from collections.abc import Sequence
 
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
@@ -34,7 +33,6 @@ from .ledger import Ledger
 from .parameters import ClientParameters, MismatchPolicy
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
-_FIRST = (0,)
 _EXPIRED_LIMIT = 4096
 _BURST = 4
 """Requests of a gateway's client that are sent before the next one's turn, where there is room for them. What leaves
@@ -233,7 +231,8 @@ class TcpClientSession:
         if count == 1:
             self._ledger.begin(demand, now)
             demand.next = 1
-            return self._launch(demand, _FIRST, now)[0]
+            self.counters.requests += 1
+            return self._launch(demand, 0, now)
         if self.parameters.request_gap or self.parameters.single_adu_segments or demand.is_write:
             return None
         adus = self._launch_volley(demand, count, now)
@@ -249,7 +248,8 @@ class TcpClientSession:
             if together is not None:
                 out.append(together)
                 return
-        adus = self._launch(demand, demand.take(at_most), now)
+        adus = [self._launch(demand, position, now) for position in demand.take(at_most)]
+        self.counters.requests += len(adus)
         if len(adus) == 1 or self.parameters.single_adu_segments:
             out += adus
         else:
@@ -280,32 +280,21 @@ class TcpClientSession:
         self.counters.requests += count
         return plan.encode(transactions)
 
-    def _launch(self, demand: Demand, positions: Sequence[int], now: float) -> list[bytes]:
-        """Put requests in flight, one for each free place; their ADUs."""
-        pending, expired, free = self._pending, self._expired, self._free
-        requests = demand.requests
-        unit = demand.unit
-        expires = now + demand.timeout
-        transaction = self._transaction
-        adus: list[bytes] = []
-        for position in positions:
-            request = requests[position]
-            route = route_of(request, unit)
+    def _launch(self, demand: Demand, position: int, now: float) -> bytes:
+        """Put a request in flight, on a place that is free; its ADU."""
+        pending, expired = self._pending, self._expired
+        route = route_of(demand.requests[position], demand.unit)
+        transaction = self._transaction + _STEP & 0xFFFF
+        while transaction in pending or transaction in expired:
             transaction = transaction + _STEP & 0xFFFF
-            while transaction in pending or transaction in expired:
-                transaction = transaction + _STEP & 0xFFFF
-            flight = free.pop()
-            flight.demand = demand
-            flight.request = request
-            flight.position = position
-            flight.route = route
-            flight.sent = now
-            flight.expires = expires
-            pending[transaction] = flight
-            adus.append(transaction.to_bytes(2, "big") + route.tail)
         self._transaction = transaction
-        self.counters.requests += len(adus)
-        return adus
+        flight = pending[transaction] = self._free.pop()
+        flight.demand = demand
+        flight.position = position
+        flight.route = route
+        flight.sent = now
+        flight.expires = now + demand.timeout
+        return transaction.to_bytes(2, "big") + route.tail
 
     def _scatter(self) -> None:
         """Take all volleys apart: from here on each of their requests flies by itself."""
@@ -329,17 +318,18 @@ class TcpClientSession:
         # 1.0 µs per reply: one that answers its request is told by the seven bytes behind its transaction, and
         # `Request.take` makes it of its data. All else goes through _odd_frame.
         while size - at >= 8:
-            flight = pending.get(data[at] << 8 | data[at + 1])
+            transaction = data[at] << 8 | data[at + 1]
+            flight = pending.get(transaction)
             if flight is not None and data[at + 2 : at + 9] == flight.route.head:
-                demand = flight.demand
-                end = at + flight.route.reply_size
+                demand, route = flight.demand, flight.route
+                end = at + route.reply_size
                 if end > size:
                     break
                 if demand is not None:
-                    del pending[data[at] << 8 | data[at + 1]]
+                    del pending[transaction]
                     free.append(flight)
                     good += 1
-                    demand.outcomes[flight.position] = flight.request.take(data[at + HEAD_SIZE : end])
+                    demand.outcomes[flight.position] = route.take(data[at + HEAD_SIZE : end])
                     demand.open -= 1
                     if not demand.open:
                         ledger.finish(demand)
@@ -508,7 +498,8 @@ class TcpClientSession:
 
     def _confirm(self, flight: Flight, demand: Demand, protocol: int, unit: int, adu: bytes, now: float) -> None:
         pdu = adu[7:]
-        function = flight.request.wire[0]
+        request = demand.requests[flight.position]
+        function = request.wire[0]
         reason = ""
         if protocol:
             self.counters.foreign_protocol += 1
@@ -530,17 +521,18 @@ class TcpClientSession:
 
     def _accept(self, flight: Flight, demand: Demand, pdu: bytes, now: float) -> None:
         """Take a reply or an exception that belongs to ``flight``. Raises `MalformedPdu` where it is broken."""
+        request = demand.requests[flight.position]
         if pdu[0] & 0x80:
             code = decode_exception(pdu).exception
             self.counters.exceptions += 1
             self._answered(0, now)
             error = ExceptionReply(code, raw=pdu)
-            if code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and flight.request.is_write:
+            if code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and request.is_write:
                 self._failed(flight, demand, error, now, again=False)
             else:
                 self._ledger.conclude(demand, flight.position, self._ledger.placed(error, demand, flight.position, now))
             return
-        reply = flight.request.accept(pdu)
+        reply = request.accept(pdu)
         self._answered(1, now)
         self._ledger.conclude(demand, flight.position, reply)
 
@@ -554,7 +546,7 @@ class TcpClientSession:
         if policy is MismatchPolicy.AUTOMATIC and (
             flight.demand is None
             or not self._unit_fits(flight, unit, alone=True)
-            or not self._fits(flight.request, adu[7:])
+            or not self._fits(flight.demand.requests[flight.position], adu[7:])
         ):
             return None
         self.counters.tolerated_replies += 1

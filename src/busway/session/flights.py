@@ -31,11 +31,12 @@ class Route:
         tail: the ADU of the request without its transaction.
         head: the seven bytes behind the transaction of a reply that fits. Empty where they do not tell whether it does.
         reply_size: bytes of the ADU of a reply that fits.
+        take: what makes that reply of its data.
         others: the routes of the same request to all units.
         plan: of the last volley that this request was the first of.
     """
 
-    __slots__ = ("head", "others", "plan", "reply_size", "tail", "unit")
+    __slots__ = ("head", "others", "plan", "reply_size", "tail", "take", "unit")
 
     def __init__(self, request: Request, unit: int, others: dict[int, "Route"]) -> None:
         wire = request.prepare()
@@ -43,6 +44,7 @@ class Route:
         self.unit = unit
         self.tail = HEAD.pack(0, 0, len(wire) + 1, unit)[2:] + wire
         self.reply_size = 7 + size
+        self.take = request.take
         self.head = b""
         if request.take is not None and size > 0 and len(prefix) == 2 == request.Reply.layout.head.size:
             self.head = HEAD.pack(0, 0, size + 1, unit)[2:] + prefix
@@ -68,10 +70,9 @@ def route_of(request: Request, unit: int) -> Route:
 class Flight:
     """One place among the requests in flight; the same few objects serve a connection for ever."""
 
-    __slots__ = ("demand", "expires", "position", "request", "route", "sent")
+    __slots__ = ("demand", "expires", "position", "route", "sent")
 
     demand: Demand | None  # None: cancelled
-    request: Request
     position: int
     route: Route
     sent: float
@@ -107,7 +108,7 @@ class VolleyPlan:
         self.heads = tuple(route.head for route in routes)
         self.reply_sizes = tuple(route.reply_size for route in routes)
         self.reply_size = sum(self.reply_sizes)
-        self.takers = tuple(request.take for request in requests)
+        self.takers = tuple(route.take for route in routes)
         self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
         if self.fits:
             out, back = _shapes(tuple(len(route.tail) for route in routes), self.reply_sizes)
@@ -193,8 +194,7 @@ class Volley:
             flight = self.places.pop()
             flight.demand = demand
             flight.position = self.first + index
-            flight.request = demand.requests[flight.position]
-            flight.route = route_of(flight.request, demand.unit)
+            flight.route = route_of(demand.requests[flight.position], demand.unit)
             flight.sent = self.sent
             flight.expires = self.expires
             yield self.transactions[index], flight
