@@ -11,6 +11,7 @@ Knows lines, demands and who asked; knows no route.
 4. A client that goes away takes those of its reads with it that nobody else waits for.
 """
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from ..client.link import Link
@@ -66,7 +67,8 @@ class BunchPlan(ForwardPlan):
 
     __slots__ = ("key", "request")
 
-    def __init__(self, way: ReadWay, unit: int, request: ReadRegisters | ReadBits) -> None:
+    def __init__(self, way: ReadWay, unit: int, asked: ReadRegisters | ReadBits) -> None:
+        request = _as_bytes(type(asked)).decode(asked.encode())
         request.prepare()
         super().__init__(way, unit, request.code, request.expected_size - 2)
         self.request = request
@@ -139,13 +141,19 @@ class Bunch(Demand):
 class Bunches:
     """The bunches of one line."""
 
-    __slots__ = ("line",)
+    __slots__ = ("_answered", "line")
 
     def __init__(self, line: "Line") -> None:
         self.line = line
+        self._answered: dict[ForwardedReads, None] = {}  # who has answers that have not left yet
 
     def ask(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         """Ask reads of one client."""
+        self._ask_or_share(way, asker, reads)
+        if self._answered:
+            self._send()
+
+    def _ask_or_share(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         line = self.line
         link = line.link_for(asker.peer)
         if link is None:
@@ -158,7 +166,7 @@ class Bunches:
         if reads:
             self._ask(way, link, asker, reads)
         if again:
-            self.ask(way, asker, again)  # now the first of those that are alike is in flight
+            self._ask_or_share(way, asker, again)  # now the first of those that are alike is in flight
 
     def _ask(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         error = self._begin(way, link, asker, reads)
@@ -191,6 +199,7 @@ class Bunches:
     def _refuse(self, asker: ForwardedReads, reads: list[ForwardedRead], code: int) -> None:
         for read in reads:
             asker.refuse(read, code)
+        self._answered[asker] = None
 
     # Sharing.
 
@@ -225,6 +234,12 @@ class Bunches:
 
     # What comes back.
 
+    def _send(self) -> None:
+        """Let the answers go: those of one client together."""
+        answered, self._answered = self._answered, {}
+        for asker in answered:
+            asker.send()
+
     def look(self, session: TcpClientSession) -> None:
         """Something has come: answer what is there of bunches that are not complete."""
         for demand in session.in_work():
@@ -234,16 +249,20 @@ class Bunches:
                 and len(demand.outcomes) - demand.open != len(demand.told)
             ):
                 self.tell(demand)
+        if self._answered:
+            self._send()
 
     def tell(self, bunch: Bunch) -> None:
         """Answer what has an outcome."""
         asker = bunch.asker
         if asker is not None and not (bunch.open or bunch.told or bunch.joined):
-            data = [one.data for one in bunch.outcomes if isinstance(one, _REPLIES)]
+            outcomes: list[Any] = bunch.outcomes  # Any: bytes, see `_as_bytes`
+            data = [one for one in outcomes if one.__class__ is bytes]
             if len(data) == len(bunch.reads):
                 self.line.counters.answered += len(data)
                 self._leave(bunch)
                 asker.answer(bunch.reads, data)
+                self._answered[asker] = None
                 return
         for position, outcome in enumerate(bunch.outcomes):
             if outcome is not None and position not in bunch.told:
@@ -251,19 +270,23 @@ class Bunches:
         if not bunch.open:
             self._leave(bunch)
 
-    def _tell_one(self, bunch: Bunch, position: int, outcome: Outcome) -> None:
+    def _tell_one(self, bunch: Bunch, position: int, outcome: Outcome | bytes) -> None:
         bunch.told.add(position)
         self._left(bunch, position)
         waiters = bunch.waiters(position)
-        if isinstance(outcome, Message):
+        if isinstance(outcome, Message):  # it did not come in its turn
             assert isinstance(outcome, _REPLIES)  # the session has seen that it answers a read
+            outcome = outcome.data
+        if isinstance(outcome, bytes):
             self.line.counters.answered += 1
             for asker, read in waiters:
-                asker.answer((read,), (outcome.data,))
+                asker.answer((read,), (outcome,))
+                self._answered[asker] = None
         else:
             code = self.line.refused(outcome)
             for asker, read in waiters:
                 asker.refuse(read, code)
+                self._answered[asker] = None
 
     def gone(self, bunch: Bunch, asker: ForwardedReads) -> None:
         """A client has gone: what nobody else waits for is taken back as far as it can be."""
@@ -300,6 +323,12 @@ class Bunches:
         self.line.add_open(-1)
         if bunch.keys:
             self.line.memory.read_ended(bunch.unit, bunch.keys[position], bunch)
+
+
+@lru_cache(maxsize=32)
+def _as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
+    """The same read, whose reply is its data as it came: a message around it would be taken off again (0.4 µs)."""
+    return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})
 
 
 _REPLIES = (ReadRegisters.Reply, ReadBits.Reply)

@@ -188,6 +188,10 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _send_late(self) -> None:
         late, self._late = self._late, None
+        self.deliver_together(late or [])
+
+    def deliver_together(self, late: list[bytes]) -> None:
+        """Send late replies at once: all that there will be of them for now."""
         if self.session is not None and not self._transport.is_closing():
             if late:
                 self._write(late)

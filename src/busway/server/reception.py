@@ -72,6 +72,9 @@ class Guest(Protocol):
     def deliver(self, adu: bytes) -> None:
         """Send a late reply."""
 
+    def deliver_together(self, replies: list[bytes]) -> None:
+        """Send several late replies at once."""
+
     def attend(self) -> None:
         """The session has come to something by itself."""
 
@@ -167,6 +170,7 @@ class Reception:
             diagnostics=self.diagnostics,
             slots=slots,
             deliver=guest.deliver,
+            deliver_together=guest.deliver_together,
             peer=guest.peer,
             listener=self.listener,
             role=guest.role,

@@ -277,6 +277,11 @@ class _Peer:
             if TRACE.level:
                 self._traced().sent(adu)
 
+    def deliver_together(self, replies: list[bytes]) -> None:
+        """Send several replies, each in a datagram of its own."""
+        for reply in replies:
+            self.deliver(reply)
+
     def close(self) -> None:
         """Nothing is answered any more."""
         for task in self._tasks:

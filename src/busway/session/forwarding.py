@@ -11,7 +11,8 @@ Knows how a read and its answer look on TCP, and the slots of a connection; know
 4. What goes this road gets the same answers, and is counted as, what goes the long one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from struct import Struct
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ..framing.mbap import HEAD
@@ -19,7 +20,7 @@ from ..framing.mbap import HEAD
 if TYPE_CHECKING:
     from .diagnostics import CommunicationState
     from .handler import RequestContext
-    from .server import Deliver, TransactionSlots
+    from .server import TransactionSlots
 
 READ_SIZE = 12
 """Bytes of a read of one of the four tables."""
@@ -28,6 +29,10 @@ _READ_LENGTH = b"\0\0\0\6"
 _LAST_READ = 4
 """The greatest function code among them."""
 _PLAN_LIMIT = 4096
+_cut = Struct("2s10s").iter_unpack
+"""The transaction of a read, and what it is known by."""
+DeliverTogether = Callable[[list[bytes]], None]
+"""Takes the bytes of late replies to the connection."""
 
 
 class Way(Protocol):
@@ -89,7 +94,7 @@ class ForwardedReads:
         works: what is asked for the connection; whoever asks puts it in and takes it out.
     """
 
-    __slots__ = ("_deliver", "_diagnostics", "_is_open", "_slots", "peer", "plans", "waiting", "works")
+    __slots__ = ("_deliver", "_diagnostics", "_is_open", "_ready", "_slots", "peer", "plans", "waiting", "works")
 
     def __init__(
         self,
@@ -98,7 +103,7 @@ class ForwardedReads:
         peer: str,
         slots: "TransactionSlots",
         diagnostics: "CommunicationState",
-        deliver: "Deliver",
+        deliver: DeliverTogether,
     ) -> None:
         self.plans = plans
         self.peer = peer
@@ -106,6 +111,7 @@ class ForwardedReads:
         self._diagnostics = diagnostics
         self._deliver = deliver
         self._is_open = True
+        self._ready: list[bytes] = []
         self.waiting = 0
         self.works: dict[Asked, None] = {}
 
@@ -113,54 +119,52 @@ class ForwardedReads:
         """Take the reads that are known from ``at`` on, as many as there are slots; where the first other begins."""
         plans = self.plans
         slots = self._slots
-        start = at
-        stop = at + READ_SIZE * min((size - at) // READ_SIZE, slots.limit - slots.used)
+        count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         way: Way | None = None
         reads: list[ForwardedRead] = []
-        others: dict[Way, list[ForwardedRead]] | None = None
-        while at < stop:
-            plan = plans.get(buffer[at + 2 : at + READ_SIZE])
+        others: dict[Way, list[ForwardedRead]] = {}
+        for transaction, key in _cut(buffer[at : at + READ_SIZE * count]):
+            plan = plans.get(key)
             if plan is None:
                 break
-            if plan.way is not way:
-                if way is None:
-                    way = plan.way
-                else:  # rarely: a client of one device asks the same way all the time
-                    others = {way: reads} if others is None else others
-                    way = plan.way
-                    reads = others.setdefault(way, [])
-            reads.append((buffer[at : at + 2], plan))
-            at += READ_SIZE
-        if way is not None:
-            count = (at - start) // READ_SIZE
-            slots.used += count
-            self.waiting += count
-            if others is None:
-                way.ask(self, reads)
-            else:
-                for way, reads in others.items():
-                    way.ask(self, reads)
-        return at
+            if plan.way is not way:  # rarely: a client of one device asks the same way all the time
+                way = plan.way
+                reads = others.setdefault(way, [])
+            reads.append((transaction, plan))
+        if way is None:
+            return at
+        count = sum(map(len, others.values()))
+        slots.used += count
+        self.waiting += count
+        for way, reads in others.items():
+            way.ask(self, reads)
+        return at + READ_SIZE * count
 
     def answer(self, reads: Sequence[ForwardedRead], data: Sequence[bytes]) -> None:
-        """The data of some reads have come."""
+        """The data of some reads have come; what is said to the client leaves with `send`."""
         if self._is_open:
             count = len(reads)
             self.waiting -= count
             self._slots.used -= count
             self._diagnostics.exchanged += count
-            deliver = self._deliver
-            for (transaction, plan), one in zip(reads, data, strict=True):
-                deliver(transaction + plan.head + one)
+            self._ready += [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
-        """A read is answered with an exception code."""
+        """A read is answered with an exception code, which leaves with `send`."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
             self._diagnostics.received()
             self._diagnostics.answered(exception=code)
-            self._deliver(read[0] + read[1].refusal(code))
+            self._ready.append(read[0] + read[1].refusal(code))
+
+    def send(self) -> None:
+        """Let go what is ready: what has come together leaves together."""
+        ready = self._ready
+        if ready:
+            self._ready = []
+            if self._is_open:
+                self._deliver(ready)
 
     def close(self) -> None:
         """The connection has ended: what still waits gets no answer, and its slots are free."""
