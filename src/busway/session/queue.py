@@ -18,6 +18,11 @@ from collections.abc import Callable, Iterator
 from ..errors import Overloaded
 from .demand import Demand
 
+BURST = 8
+"""What is a turn of a gateway's client at most, where others wait and there is room. What leaves together comes back
+together, and is one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, and one by one
+they take 45. Half of what may be in flight, so that two clients have their turns at once."""
+
 Eligible = Callable[[Demand], bool]
 """Whether the unit of a demand may be asked now."""
 
