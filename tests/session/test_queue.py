@@ -205,6 +205,57 @@ def test_no_newcomer_keeps_another_waiting_for_ever() -> None:
     assert "first" in served
 
 
+def test_a_turn_is_a_burst_or_a_share_of_the_room_where_that_is_asked_for() -> None:
+    queue = filled(*(demand(caller) for caller in "abcd"))
+    assert queue.share(16) == 1
+    queue.burst = 2
+    assert [queue.share(room) for room in (1, 2, 8, 12, 16)] == [2, 2, 2, 3, 4]
+    for one in list(queue)[1:]:
+        queue.remove(one)
+    assert queue.share(16) == 16  # nobody else waits
+
+
+def test_in_its_turn_a_caller_gets_what_it_would_get_next_and_then_the_next_one_is_due() -> None:
+    first, write, batch, other = demand("a"), demand("a", 2, write=True), demand("a", 3, requests=4), demand("b")
+    queue = filled(first, write, batch, other)
+    queue.burst = 4
+    order = []
+    picked = queue.pick()
+    while picked is not None and len(order) < 4:
+        picked.take(1)
+        order.append(picked)
+        queue.sent(picked, 1)
+        picked = queue.pick_same()
+    assert order == [write, first, batch, batch]
+    assert list(queue.begun) == [batch]
+    assert queue.pick() is other
+    queue.remove(other)
+    assert queue.pick_same() is None
+    queue.remove(batch)
+    assert not queue.begun
+
+
+def test_what_takes_several_places_gives_each_free_when_it_is_sent() -> None:
+    queue = RequestQueue(5)
+    queue.burst = 4
+    bunch = demand("a", requests=4)
+    bunch.places = 4
+    queue.add(bunch)
+    too_much = demand("b", requests=2)
+    too_much.places = 2
+    with pytest.raises(Overloaded):
+        queue.add(too_much)
+    assert (queue.size, queue.waiting) == (1, 4)
+    assert queue.pick() is bunch
+    bunch.take(3)
+    queue.sent(bunch, 3)
+    assert (queue.size, queue.waiting) == (1, 1)
+    queue.add(too_much)
+    assert queue.waiting == 3
+    assert queue.remove(bunch)
+    assert (queue.size, queue.waiting) == (1, 2)
+
+
 def test_units_of_a_caller_are_served_in_turn_where_that_is_asked_for() -> None:
     demands = [demand(unit=unit) for unit in (1, 1, 1, 2, 2, 3)]
     queue = RequestQueue(64)
