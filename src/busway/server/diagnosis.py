@@ -3,8 +3,8 @@
 Knows when something happened; knows no bytes and no clock.
 
 1. Communication: on while frames come or go.
-2. Error: steady for an internal fault (a handler failed), flashing for a fault of communication or configuration (a
-   damaged frame, a port that is not there). The steady one goes before.
+2. Error: steady for an internal fault (a handler failed, no newcomer can be accepted), flashing for a fault of
+   communication or configuration (a damaged frame, a port that is not there). The steady one goes before.
 3. Device status: on when it answers, flashing in listen-only mode, off otherwise.
 """
 
@@ -43,7 +43,7 @@ class Diagnosis:
         is_open: whether it can be reached.
         traffic: when a frame came or went, in seconds of whatever clock ``now`` is of.
         communication_fault: when one was damaged.
-        internal_fault: when a handler failed.
+        internal_fault: when a handler failed, or the system had nothing left for a newcomer.
     """
 
     __slots__ = ("communication_fault", "internal_fault", "is_open", "traffic")
