@@ -17,9 +17,11 @@ from busway.gateway.lines import Line
 from busway.gateway.routes import Action, AddressRange, FrontRoutes, Route
 from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest, FunctionTable
+from busway.server.policy.handler import PolicyHandler
 from busway.session.client import TcpClientSession
 from busway.session.demand import Demand
 from busway.session.diagnostics import CommunicationState
+from busway.session.forwarding import ReadForwarder
 from busway.session.handler import Outcome, RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
 
@@ -166,13 +168,22 @@ class Client:
 class Plant:
     """A front, a line and a device; clients come as they are asked for."""
 
-    def __init__(self, *routes: Route, bunches: bool = True, share_reads: bool = True, **options: Any) -> None:
+    def __init__(
+        self,
+        *routes: Route,
+        bunches: bool = True,
+        share_reads: bool = True,
+        policy: busway.Policy | None = None,
+        **options: Any,
+    ) -> None:
         options = {"max_transactions": 16, "retries": 0, "queue": 200, **options}
         self.line = Line("line", link_settings("tcp://127.0.0.1:1", options), share_reads=share_reads)
         self.link = WireLink(self.line)
         self.front = FrontHandler("front", busway.STANDARD)
         self.front.follow(FrontRoutes(routes or (Route(line="line"),)), {"line": self.line})
         self.handler: Any = self.front if bunches else LongRoad(self.front)
+        if policy is not None:
+            self.handler = PolicyHandler(self.handler, policy)
 
     def client(self, name: str, **options: Any) -> Client:
         return Client(self.handler, name, **options)
@@ -200,15 +211,23 @@ STEPS = st.one_of(
 )
 
 
+POLICY = busway.Policy.of(
+    busway.Rule.of(name="all", peers=["10.0.0.1"]),
+    busway.Rule.of(name="some", units="1-2", table="holding", addresses="0-7", action="allow"),
+    busway.Rule.of(name="coils", functions=[1], action="allow"),
+    default="deny",
+)
+
+
 @settings(max_examples=200, deadline=None)
-@given(st.lists(STEPS, max_size=14), st.booleans(), st.sampled_from([1, 3, 16]))
+@given(st.lists(STEPS, max_size=14), st.booleans(), st.sampled_from([1, 3, 16]), st.sampled_from([None, POLICY]))
 def test_whoever_asks_gets_the_answers_of_the_long_road(
-    steps: list[tuple[Any, Any, Any, Any]], share_reads: bool, room: int
+    steps: list[tuple[Any, Any, Any, Any]], share_reads: bool, room: int, policy: busway.Policy | None
 ) -> None:
     found = []
     for bunches in (True, False):
-        plant = Plant(*ROUTES, bunches=bunches, share_reads=share_reads, max_transactions=room)
-        clients = [plant.client(f"client {number}", slots=200) for number in range(3)]
+        plant = Plant(*ROUTES, bunches=bunches, share_reads=share_reads, max_transactions=room, policy=policy)
+        clients = [plant.client(f"10.0.0.{number}:500", slots=200) for number in range(3)]
         for action, who, unit, pdus in steps:
             if action == "ask":
                 clients[who].ask(*pdus, unit=unit)
@@ -377,6 +396,23 @@ def test_a_muted_front_answers_nothing_and_asks_nothing() -> None:
     client.diagnostics.listen_only = True
     client.ask(read(0))
     assert (client.got(), plant.link.asked) == ({}, [])
+
+
+def test_reads_that_a_policy_permits_go_together_and_those_that_it_denies_go_nowhere() -> None:
+    plant = Plant(policy=POLICY)
+    client = plant.client("10.9.9.9:500")
+    for _ in range(2):
+        plant.link.segments.clear()
+        client.ask(read(0), read(1), read(9), read(2), read(3))
+        plant.link.answer()
+        got = list(client.got().values())
+        assert sorted(got) == sorted([bytes((0x83, 1)), *(answer_of(read(address)) for address in range(4))])
+    assert plant.link.segments == [2, 2]
+    plant.handler.replace_policy(busway.Policy.of(default="deny"))
+    client.ask(read(0))
+    assert list(client.got().values()) == [bytes((0x83, 1))]
+    assert isinstance(plant.handler, ReadForwarder)
+    assert not isinstance(PolicyHandler(LongRoad(plant.front), POLICY), ReadForwarder)
 
 
 # Turns.

@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Container, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from ...codes import ExceptionCode
@@ -30,6 +31,7 @@ from ...pdu.direct import Answer, ReadPlan
 from ...pdu.functions import AnyRequest, FunctionTable
 from ...pdu.general import ExceptionResponse
 from ...pdu.message import Message, Request
+from ...session.forwarding import ForwardPlan, Plans, ReadForwarder
 from ...session.handler import (
     LATER,
     SILENCE,
@@ -79,7 +81,7 @@ class _Offer:
 class _Rights:
     """What some askers may do: the rules that are about them, and what they share: offers, plans and decisions."""
 
-    __slots__ = ("decided", "has_limits", "offers", "permits_all", "plans", "policy")
+    __slots__ = ("decided", "forwards", "has_limits", "offers", "permits_all", "plans", "policy")
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
@@ -90,6 +92,7 @@ class _Rights:
         self.decided: dict[object, tuple[Decision, bool]] = {}  # and whether it is about a write
         # By the plans of the handler inside, which may tell askers apart by more than the policy does.
         self.plans: dict[int, tuple[object, dict[bytes, ReadPlan]]] = {}
+        self.forwards: dict[int, tuple[object, Plans]] = {}
 
 
 class _Known:
@@ -142,9 +145,13 @@ class PolicyHandler:
     Attributes:
         refusals: how many requests each rule has refused, by the name of the rule (``default`` where none decided).
         serial_units: as the handler inside has it, if it has.
+        forward_plans, forward_plan: those of a `ReadForwarder`, if the handler inside is one: reads that are permitted
+            without a rate are handed on as they are without a policy.
     """
 
     serial_units: Container[int]
+    forward_plans: Callable[[RequestContext], Plans]
+    forward_plan: Callable[[RequestContext, bytes], ForwardPlan | None]
 
     def __init__(
         self,
@@ -170,6 +177,9 @@ class PolicyHandler:
         # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
+        if isinstance(inner, ReadForwarder):
+            self.forward_plans = partial(self._forward_plans, inner)
+            self.forward_plan = partial(self._forward_plan, inner)
         self._rates: dict[str, Rates] = {} if rates is None else rates
         self._repeats = Repeats()
 
@@ -241,6 +251,22 @@ class PolicyHandler:
         if not decision.allowed or decision.rates or writes:
             return None
         return self._planner.plan(context, pdu)
+
+    def _forward_plans(self, inner: ReadForwarder, context: RequestContext) -> Plans:
+        """What is known of reads that are handed on, shared by those who have the same rights."""
+        inside = inner.forward_plans(context)
+        found = self._known(context).rights.forwards
+        if len(found) >= _MOST_RIGHTS:
+            found.clear()
+        return found.setdefault(id(inside), (inside, {}))[1]
+
+    def _forward_plan(self, inner: ReadForwarder, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
+        """What becomes of a read, if it is permitted without a rate."""
+        request = self.functions.decode_request(pdu)
+        decision, writes = self._decide(context, request, self._known(context))
+        if not decision.allowed or decision.rates or writes:
+            return None
+        return inner.forward_plan(context, pdu)
 
     # ---- the long road
 
