@@ -1,6 +1,7 @@
 """A busway gateway on TCP, everything to one server behind.
 
-Run from `bench/`: python -m servers.busway_gateway URL [--connections N] [--uvloop] [--no-sharing] [--real-time]
+Run from `bench/`:
+    python -m servers.busway_gateway URL [--connections N] [--join] [--uvloop] [--no-sharing] [--real-time]
 """
 
 import argparse
@@ -13,8 +14,8 @@ from harness.priority import PROGRAM, real_time
 from busway.gateway.gateway import Gateway, simple_plan
 
 
-async def main(url: str, connections: int, share_reads: bool) -> None:
-    options = {"max_transactions": 16, "queue": 4096, "join": True} if url.startswith("tcp:") else {}
+async def main(url: str, connections: int, share_reads: bool, join: bool) -> None:
+    options = {"max_transactions": 16, "queue": 4096, "join": join} if url.startswith("tcp:") else {}
     if connections > 1:
         options["connections"] = connections
     plan = simple_plan(["tcp://127.0.0.1:0"], url, share_reads=share_reads, **options)
@@ -26,13 +27,14 @@ async def main(url: str, connections: int, share_reads: bool) -> None:
 parser = argparse.ArgumentParser()
 parser.add_argument("url")
 parser.add_argument("--connections", type=int, default=1)
+parser.add_argument("--join", action="store_true")
 parser.add_argument("--uvloop", action="store_true")
 parser.add_argument("--no-sharing", action="store_true")
 parser.add_argument("--real-time", action="store_true")
 asked = parser.parse_args()
 if asked.real_time:
     real_time(PROGRAM)
-serving = main(asked.url, asked.connections, not asked.no_sharing)
+serving = main(asked.url, asked.connections, not asked.no_sharing, asked.join)
 if asked.uvloop:
     import uvloop
 
