@@ -27,7 +27,8 @@ from tables.line import OPENING, REGISTERS, STARTING, least
 BAUD = 115_200
 READS = 16
 """Of one turn; a gateway's clients share them."""
-LEAST_ROUNDS, MOST_ROUNDS = 5, 60
+LEAST_TURNS, MOST_TURNS = 5, 20
+"""Of a contender: in all, and for each round that the run has; between them the budget decides."""
 PEERS_EVERY = 5
 """Rounds of which the peers take part in one: theirs take four times as long, and swing less."""
 PEERS_READ = 5
@@ -98,11 +99,11 @@ def _ways(bench: Bench) -> dict[str, Way]:
 
 
 def _rounds(bench: Bench, ways: int) -> int:
-    """As many as the budget allows."""
+    """Short ones, as many as the budget allows."""
     turn = (READS + 2) * least(BAUD) * 1.1
     one = 3 * (turn + OPENING) + (ways - 1) * 2 * (turn * PEERS_READ + OPENING) / PEERS_EVERY
     left = bench.budget - STARTING * (2 + 4 * ways)
-    return min(max(int(left / one), LEAST_ROUNDS), MOST_ROUNDS)
+    return min(max(int(left / one), LEAST_TURNS), MOST_TURNS * bench.rounds)
 
 
 def _start(bench: Bench, running: ExitStack, ways: dict[str, Way], askers: dict[str, Asker]) -> None:

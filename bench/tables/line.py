@@ -34,7 +34,8 @@ STARTING = 0.4
 """Seconds that one program takes to start, on a busy machine."""
 OPENING = 0.07
 """Seconds of a turn that go into opening and closing its port, and into asking how quick the line's ports are."""
-LEAST_ROUNDS, MOST_ROUNDS = 3, 40
+LEAST_TURNS, MOST_TURNS = 3, 20
+"""Of a contender: in all, and for each round that the run has; between them the budget decides."""
 REGISTERS = 10
 CHARACTERS = 8 + 5 + 2 * REGISTERS
 CHARACTER_BITS = 11
@@ -91,10 +92,10 @@ def run(bench: Bench) -> Table:
 
 
 def _rounds(bench: Bench, masters: list[Master]) -> int:
-    """As many as the budget allows."""
+    """Short ones, as many as the budget allows."""
     one = sum((READS + 1) * least(master.baud) * 1.05 + OPENING for master in masters)
     left = bench.budget - STARTING * (len(masters) + 5)
-    return min(max(int(left / one), LEAST_ROUNDS), MOST_ROUNDS)
+    return min(max(int(left / one), LEAST_TURNS), MOST_TURNS * bench.rounds)
 
 
 def _limits() -> list[tuple[int, str, float]]:
