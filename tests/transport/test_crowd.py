@@ -136,6 +136,17 @@ async def test_descriptor_that_can_not_be_watched_is_refused_and_nothing_stays()
     assert (len(crowd), settled_handles()) == (0, before)
 
 
+async def test_descriptor_that_was_closed_under_its_member_can_still_be_forgotten() -> None:
+    crowd = Crowd(asyncio.get_running_loop())
+    here, there = socket.socketpair()
+    with here, there:
+        crowd.watch(here.fileno(), READABLE, Member())
+        descriptor = here.fileno()
+        here.close()
+        crowd.forget(descriptor)
+        assert len(crowd) == 0
+
+
 @pytest.mark.parametrize("loop", LOOPS)
 def test_loops_of_asyncio_and_uvloop_have_a_crowd(loop: str) -> None:
     async def main() -> None:

@@ -16,6 +16,7 @@ the transports of asyncio take 1.9 µs.
 """
 
 import asyncio
+import contextlib
 import select
 from typing import Final, Protocol
 
@@ -28,7 +29,7 @@ MEMBERS_OF_A_LOOK: Final = 64
 
 
 _MAKERS: Final = frozenset({"asyncio.base_events", "uvloop.loop"})
-"""Where the loops say how a server is made whose descriptors can be watched like any other."""
+"""Where the loops say how connections are made whose descriptors can be watched like any other."""
 
 
 class Member(Protocol):
@@ -81,7 +82,8 @@ class Crowd:
         """Call its member no more, before the descriptor is closed."""
         assert self._epoll is not None  # since it is watched
         del self._watched[descriptor]
-        self._epoll.unregister(descriptor)
+        with contextlib.suppress(OSError):  # somebody else has closed it, and the system has forgotten it already
+            self._epoll.unregister(descriptor)
         self._close_if_empty()
 
     def _open(self) -> None:
@@ -120,5 +122,8 @@ def can_watch(loop: asyncio.AbstractEventLoop) -> bool:
 
     A loop that makes connections in a way of its own, as one without a network for tests does, is left to it.
     """
-    maker = next(kind for kind in type(loop).__mro__ if "create_server" in vars(kind))
-    return hasattr(select, "epoll") and maker.__module__ in _MAKERS
+    makers = {
+        next(kind.__module__ for kind in type(loop).__mro__ if name in vars(kind))
+        for name in ("create_server", "create_connection")
+    }
+    return hasattr(select, "epoll") and makers <= _MAKERS
