@@ -8,9 +8,7 @@
 # PYTHON=/path/to/python chooses the interpreter (3.11 or newer).
 
 SHELL := /bin/sh
-ifndef SIDE_BY_SIDE
 .NOTPARALLEL:
-endif
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 
@@ -26,9 +24,14 @@ OTHER_PYTHONS := 3.12 3.13
 # Exact versions: the interop tests compare values, and these programs change from release to release.
 PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1
 
-UNIT_TESTS := -m "not interop and not packaging and not soak"
-ONCE_ONLY := tests/network tests/load tests/browser tests/docs
+# Every second unit test waits for something, so there is room for one more than there are processors.
+JOBS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
+SIDE_BY_SIDE := --numprocesses=$(JOBS) --maxprocesses=4 --dist=worksteal
+UNIT_TESTS := -m "not (real_time or interop or packaging or soak)" $(SIDE_BY_SIDE)
 PYTEST_FLAGS ?=
+
+# Tests start hundreds of programs: where the environment forbids bytecode, half of their time goes into compiling.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help
 help: ## this list
@@ -43,7 +46,7 @@ demo: $(VENV)/.installed ## a small plant on 127.0.0.1, polled and shown for ten
 # --- what developers run ----------------------------------------------------------------------------------------------
 
 .PHONY: test
-test: check test-unit test-interop test-packaging test-versions ## everything that tests the project
+test: check test-unit test-real-time test-interop test-packaging test-versions ## everything that tests the project
 
 .PHONY: check
 check: $(VENV)/.installed-dev ## format, lint and types
@@ -53,9 +56,14 @@ check: $(VENV)/.installed-dev ## format, lint and types
 	@$(RUN)/mypy --no-error-summary
 
 .PHONY: test-unit
-test-unit: $(VENV)/.installed-dev ## unit tests
+test-unit: $(VENV)/.installed-dev ## unit tests, side by side
 	@echo "== unit tests"
 	@$(RUN)/python -m pytest $(UNIT_TESTS) $(PYTEST_FLAGS)
+
+.PHONY: test-real-time
+test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, one after the other
+	@echo "== tests in real time"
+	@$(RUN)/python -m pytest -m "real_time and not (interop or soak)" $(PYTEST_FLAGS)
 
 .PHONY: test-interop
 test-interop: $(VENV)/.installed-dev peers ## tests against programs that are not ours
@@ -68,8 +76,7 @@ test-packaging: $(VENV)/.installed-dev ## wheel and sdist, built, installed and 
 	@$(RUN)/python -m pytest -m packaging tests/packaging $(PYTEST_FLAGS)
 
 .PHONY: test-versions
-test-versions: ## unit tests on the other Pythons that are present, side by side
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target SIDE_BY_SIDE=yes $(OTHER_PYTHONS:%=test-python-%)
+test-versions: $(OTHER_PYTHONS:%=test-python-%) ## unit tests on the other Pythons that are present
 
 .PHONY: $(OTHER_PYTHONS:%=test-python-%)
 $(OTHER_PYTHONS:%=test-python-%): test-python-%:
@@ -82,10 +89,10 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 		echo "== Python $* is not here: its unit tests are left out"; \
 	fi
 
-# What is about the system and not about Python (namespaces, load, browsers) has been tried once already.
+# What is about the system and not about Python has been tried once already, and so has the documentation.
 .PHONY: test-unit-quietly
 test-unit-quietly: $(VENV)/.installed-dev
-	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONCE_ONLY:%=--ignore=%) $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) --ignore=tests/docs $(PYTEST_FLAGS)
 
 .PHONY: soak
 soak: $(VENV)/.installed-dev ## tests that take minutes

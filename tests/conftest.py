@@ -4,15 +4,21 @@
    Its fixtures are ordinary ones; whatever must live inside the loop is opened in the test with ``async with``.
 2. It has `LIMIT` seconds; a test that hangs fails where it hangs, instead of stopping the run.
 3. It must leave no task behind: a task that outlives its test is a leak of the code under test.
+4. Any other test has the seconds of ``timeout`` in pyproject.toml, and a hang shows the stack of each thread.
+5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder.
+   It runs while nothing else does, and once more if it fails, which the summary names. No other test is repeated.
+6. No example of a property has a time limit: what a machine that pauses takes longer is not wrong.
 """
 
 import asyncio
 import inspect
 import signal
 from collections.abc import Awaitable
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # A shell that starts the tests in the background makes them, and the programs that they start, deaf to interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -24,6 +30,22 @@ LIMIT = 60.0
 
 TURNS_TO_END = 3
 """Turns of the loop that a cancelled or finishing task gets: its last step, its callbacks, and one to spare."""
+
+TESTS = Path(__file__).parent
+REAL_TIME_FOLDERS = tuple(TESTS / name for name in ("browser", "interop/serial", "load", "network", "soak"))
+"""Where every test is about time, load or the system."""
+
+settings.register_profile("no deadline", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("no deadline")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what depends on real time, and give it its second attempt."""
+    for item in items:
+        if any(folder in item.path.parents for folder in REAL_TIME_FOLDERS):
+            item.add_marker(pytest.mark.real_time)
+        if item.get_closest_marker("real_time"):
+            item.add_marker(pytest.mark.flaky(reruns=1))
 
 
 @pytest.hookimpl(tryfirst=True)

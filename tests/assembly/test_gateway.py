@@ -182,6 +182,7 @@ async def test_what_a_front_tells_its_requests_changes_without_its_connections()
             assert link.counters.connections == 1
 
 
+@pytest.mark.real_time
 async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_request() -> None:
     with PacedLine(ports=2, baud=115_200) as wire:
         near, far = (f"rtu://{path}?baud=115200" for path in wire.paths)

@@ -34,6 +34,7 @@ def test_it_prints_a_block_a_second_and_ends_with_a_summary_and_three_commands()
     assert len([line for line in lines if line.startswith("  busway ")]) == 3
 
 
+@pytest.mark.real_time
 def test_a_device_dies_and_comes_back_while_the_others_are_answered() -> None:
     ended = subprocess.run(
         [*PROGRAM, "demo", "--seconds", "9.5", "--port", "0"], capture_output=True, text=True, timeout=60, check=False

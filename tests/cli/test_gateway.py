@@ -102,6 +102,7 @@ def write(url: str) -> str:
 
 @pytest.mark.clause("T24")
 @pytest.mark.clause("T32")
+@pytest.mark.real_time
 def test_urls_are_enough_for_the_common_case() -> None:
     with serial_line() as (line, behind), running(LOOPBACK, "rtu+tcp://127.0.0.1:0", line) as (program, urls):
         for url in urls:
@@ -194,6 +195,7 @@ def test_lists_of_who_may_connect_hold_at_every_front() -> None:
 
 
 @pytest.mark.clause("M6")
+@pytest.mark.real_time
 def test_the_audit_log_has_a_line_for_each_write_through_the_gateway(tmp_path: Path) -> None:
     log = tmp_path / "audit.jsonl"
     with (
@@ -211,6 +213,7 @@ def test_the_audit_log_has_a_line_for_each_write_through_the_gateway(tmp_path: P
 
 
 @pytest.mark.clause("M6")
+@pytest.mark.real_time
 def test_roles_decide_at_a_secure_front_what_reaches_the_serial_line(
     tmp_path: Path, write_file: Callable[..., Path]
 ) -> None:
@@ -344,6 +347,7 @@ def test_a_service_manager_is_told_of_start_reading_and_end(
 
 
 @pytest.mark.clause("T26")
+@pytest.mark.real_time
 def test_status_shows_fronts_lines_and_units_that_are_not_asked() -> None:
     with short_directory() as folder, serial_line() as (line, _):
         control = str(folder / "control")

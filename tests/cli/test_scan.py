@@ -73,6 +73,7 @@ def summary_of(result: Any) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.real_time
 def test_the_units_of_a_line_are_found_named_and_nothing_is_written(run: Run, line: PacedLine) -> None:
     result = run("scan", url(line), "--units", "2-4,7", "--timeout", "300ms", "--listen", "50ms")
     assert result.code == 0
@@ -86,6 +87,7 @@ def test_the_units_of_a_line_are_found_named_and_nothing_is_written(run: Run, li
     assert requests == {0x03, 0x2B, 0x11}  # reads and questions for identity
 
 
+@pytest.mark.real_time
 def test_json_tells_each_unit_and_a_summary(run: Run, line: PacedLine) -> None:
     result = run(
         "scan", url(line), "--units", "3,4", "--timeout", "300ms", "--listen", "50ms", "--no-identify", "--json"
@@ -101,6 +103,7 @@ def test_json_tells_each_unit_and_a_summary(run: Run, line: PacedLine) -> None:
     assert requests == {0x03}
 
 
+@pytest.mark.real_time
 def test_several_rates_and_parities_are_tried_in_turn(run: Run, line: PacedLine) -> None:
     result = run(
         *("scan", url(line), "--units", "3", "--baud", "38400,57600", "--parity", "even, none"),
@@ -111,6 +114,7 @@ def test_several_rates_and_parities_are_tried_in_turn(run: Run, line: PacedLine)
     assert lines == [each for each in ("38400 8E1", "38400 8N2", "57600 8E1", "57600 8N2") for _ in ("unit", "summary")]
 
 
+@pytest.mark.real_time
 def test_a_busy_line_is_left_alone(line: PacedLine) -> None:
     with Busway("scan", url(line), "--listen", "20s") as scanning:
         scanning.wait_for("listening to")
@@ -123,12 +127,14 @@ def test_a_busy_line_is_left_alone(line: PacedLine) -> None:
     assert {byte.port for byte in line.tap} == {-1}
 
 
+@pytest.mark.real_time
 def test_nobody_listens_first_where_somebody_insists(run: Run, line: PacedLine) -> None:
     result = run("scan", url(line), "--units", "3", "--force", "--no-identify")
     assert result.code == 0
     assert "listening" not in result.err
 
 
+@pytest.mark.real_time
 def test_nobody_there_is_said(run: Run, line: PacedLine) -> None:
     result = run("scan", url(line), "--units", "9", "--timeout", "100ms", "--listen", "20ms")
     assert result.code == 3

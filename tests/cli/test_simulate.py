@@ -107,6 +107,7 @@ def place(scheme: str, folder: Path) -> Iterator[tuple[str, str | None, dict[str
 
 
 @pytest.mark.parametrize("scheme", ["tls", "rtu", "ascii", "ascii+tcp"])
+@pytest.mark.real_time
 def test_points_writes_and_faults_are_the_same_on_every_transport(scheme: str, file: Path, tmp_path: Path) -> None:
     with place(scheme, tmp_path) as (listen, other_end, options):
         words = ["--listen", listen, "--speed", "1000", "--fault", "busy:functions=6"]

@@ -125,6 +125,7 @@ def test_connection_that_is_lost_costs_a_read_a_repetition_and_a_write_its_certa
 
 
 @pytest.mark.clause("T26")
+@pytest.mark.real_time
 def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(skin: Skin) -> None:
     with faulty_server(known_device(), "wedged") as server, skin.link(server.endpoint, timeout=AMPLE) as link:
         begin = time.monotonic()
@@ -139,6 +140,7 @@ def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(skin: Skin)
 
 
 @pytest.mark.clause("T26")
+@pytest.mark.real_time
 def test_deadline_ends_a_call_whatever_its_retries(skin: Skin) -> None:
     with faulty_server(known_device(), "wedged") as server, skin.link(server.endpoint, retries=50) as link:
         begin = time.monotonic()

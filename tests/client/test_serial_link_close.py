@@ -7,6 +7,8 @@ import pytest
 import busway
 from busway.testing.line import PacedLine
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.mark.clause("S15")
 def test_a_port_can_be_opened_again_as_soon_as_its_link_is_closed() -> None:

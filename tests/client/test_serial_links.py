@@ -36,6 +36,7 @@ def device() -> busway.Device:
 @pytest.mark.clause("S7")
 @pytest.mark.clause("S12")
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@pytest.mark.real_time
 def test_blocking_link_and_server_talk_over_real_ports(framing: str) -> None:
     with PacedLine(ports=2, baud=BAUD, data_bits=8 if framing == "rtu" else 7) as line:
         at = f"{framing}://{line.paths[1]}?baud={BAUD}"
@@ -53,6 +54,7 @@ def test_blocking_link_and_server_talk_over_real_ports(framing: str) -> None:
 
 @pytest.mark.clause("S7")
 @pytest.mark.parametrize("options", ["", "&precise_timing=on", "&strict_timing=off&gap_limit=0.02", "&echo=automatic"])
+@pytest.mark.real_time
 async def test_asynchronous_link_and_server_talk_over_real_ports(line: PacedLine, options: str) -> None:
     async with (
         busway.serve(url(line, 1, options.replace("&strict_timing=off&gap_limit=0.02", "")), units={1: device()}),
@@ -64,6 +66,7 @@ async def test_asynchronous_link_and_server_talk_over_real_ports(line: PacedLine
 
 @pytest.mark.clause("S15")
 @pytest.mark.parametrize("echo", ["on", "automatic"])
+@pytest.mark.real_time
 async def test_line_that_echoes(echo: str) -> None:
     with PacedLine(ports=2, baud=BAUD, echo=True) as line:
         async with (
@@ -78,6 +81,7 @@ async def test_line_that_echoes(echo: str) -> None:
 
 
 @pytest.mark.clause("S8")
+@pytest.mark.real_time
 async def test_frames_on_a_real_line_keep_t3_5(line: PacedLine) -> None:
     """Above 19 200 bit/s it is 1.75 ms. What the tap sees is late by what the pty takes, never early."""
     async with (
@@ -93,6 +97,7 @@ async def test_frames_on_a_real_line_keep_t3_5(line: PacedLine) -> None:
 
 
 @pytest.mark.clause("S2")
+@pytest.mark.real_time
 async def test_broadcast_over_a_real_line(line: PacedLine) -> None:
     one, other = device(), device()
     async with (
@@ -109,6 +114,7 @@ async def test_broadcast_over_a_real_line(line: PacedLine) -> None:
         assert link.counters.requests == 1
 
 
+@pytest.mark.real_time
 def test_many_threads_share_a_line(line: PacedLine) -> None:
     results: list[list[int]] = []
     with busway.serve_in_thread(url(line, 1), units={1: device(), 2: device()}):
@@ -127,6 +133,7 @@ def test_many_threads_share_a_line(line: PacedLine) -> None:
     assert line.collisions == 0
 
 
+@pytest.mark.real_time
 def test_what_came_while_nobody_waited_is_not_taken_for_an_answer(line: PacedLine) -> None:
     """A blocking link reads only while somebody waits; what lies in the port's buffer is late, or somebody else's."""
     with (
@@ -144,6 +151,7 @@ def test_what_came_while_nobody_waited_is_not_taken_for_an_answer(line: PacedLin
 
 
 @pytest.mark.clause("S15")
+@pytest.mark.real_time
 async def test_hot_unplug_ends_requests_at_once_and_the_port_is_found_again(line: PacedLine) -> None:
     handles = open_handles()
     for _ in range(3):
@@ -185,6 +193,7 @@ async def until(condition: object) -> None:
 
 
 @pytest.mark.clause("S15")
+@pytest.mark.real_time
 def test_port_that_is_not_there_yet_is_waited_for(line: PacedLine) -> None:
     line.unplug(0)
     back = threading.Timer(0.1, lambda: line.replug(0))
@@ -220,6 +229,7 @@ def test_what_is_no_serial_port_is_one_clear_error() -> None:
 
 
 @pytest.mark.clause("S15")
+@pytest.mark.real_time
 async def test_one_port_has_one_user_in_a_process_and_links_of_one_loop_share_it(line: PacedLine) -> None:
     async with (
         busway.serve(url(line, 1), units={1: device()}),
@@ -240,6 +250,7 @@ async def test_one_port_has_one_user_in_a_process_and_links_of_one_loop_share_it
         pass
 
 
+@pytest.mark.real_time
 def test_two_loops_can_not_share_a_port(line: PacedLine) -> None:
     async def other() -> None:
         async with busway.open(url(line)):

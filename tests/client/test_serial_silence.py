@@ -8,6 +8,8 @@ import pytest
 import busway
 from busway.testing.line import PacedLine
 
+pytestmark = pytest.mark.real_time
+
 READS = 10
 INACCURACY = 0.0003
 """Seconds by which the line may be wrong about when a program wrote and when one could read."""

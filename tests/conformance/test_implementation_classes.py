@@ -51,6 +51,7 @@ def line() -> Iterator[PacedLine]:
 
 
 @pytest.mark.parametrize("unit", [1, 2, 127, 246, 247])
+@pytest.mark.real_time
 def test_a_server_has_any_address_of_1_to_247_and_the_master_reaches_it(line: PacedLine, unit: int) -> None:
     device = busway.Device(holding_registers=[unit])
     with (
@@ -60,6 +61,7 @@ def test_a_server_has_any_address_of_1_to_247_and_the_master_reaches_it(line: Pa
         assert link.unit(unit).read_holding_registers(0, count=1) == [unit]
 
 
+@pytest.mark.real_time
 def test_every_address_of_1_to_247_can_be_one_servers_of_a_line(line: PacedLine) -> None:
     devices = {unit: busway.Device(holding_registers=[unit]) for unit in range(1, 248)}
     with (
@@ -71,6 +73,7 @@ def test_every_address_of_1_to_247_can_be_one_servers_of_a_line(line: PacedLine)
 
 
 @pytest.mark.parametrize("unit", [248, 255])
+@pytest.mark.real_time
 def test_the_reserved_addresses_are_nobodys_and_are_not_asked(line: PacedLine, unit: int) -> None:
     with busway.connect(f"rtu://{line.paths[0]}") as link, pytest.raises(InvalidRequest):
         link.unit(unit).read_holding_registers(0, count=1)
@@ -80,6 +83,7 @@ def test_the_reserved_addresses_are_nobodys_and_are_not_asked(line: PacedLine, u
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@pytest.mark.real_time
 def test_a_broadcast_reaches_every_server_and_none_answers(framing: str) -> None:
     devices = {1: busway.Device(holding_registers=2), 247: busway.Device(holding_registers=2)}
     with PacedLine(ports=2, baud=19_200, data_bits=8 if framing == "rtu" else 7) as line:
@@ -98,6 +102,7 @@ def test_a_broadcast_reaches_every_server_and_none_answers(framing: str) -> None
 
 
 @pytest.mark.parametrize("baud", [9600, 19_200])
+@pytest.mark.real_time
 def test_9600_and_19200_are_there_in_both_classes(baud: int) -> None:
     with (
         PacedLine(ports=2, baud=baud) as line,
@@ -134,6 +139,7 @@ def test_even_parity_is_there_in_both_classes_and_odd_and_none_in_the_regular_on
 
 
 @pytest.mark.parametrize(("framing", "data_bits"), [("rtu", 8), ("ascii", 7)])
+@pytest.mark.real_time
 def test_rtu_is_there_in_both_classes_and_ascii_in_the_regular_one(framing: str, data_bits: int) -> None:
     with (
         PacedLine(ports=2, baud=19_200, data_bits=data_bits) as line,

@@ -245,6 +245,7 @@ MEGABYTE = 1 << 20
         (b":0\r", 2.0),
     ],
 )
+@pytest.mark.real_time
 def test_a_megabyte_of_noise_costs_less_than_a_second_and_of_beginnings_not_much_more(
     pattern: bytes, most: float, cpu_seconds: Callable[[Callable[[], None], float], float]
 ) -> None:

@@ -685,6 +685,7 @@ PATTERNS = {
 @pytest.mark.clause("S8")
 @pytest.mark.parametrize("role", list(Role))
 @pytest.mark.parametrize("name", list(PATTERNS))
+@pytest.mark.real_time
 def test_a_megabyte_of_anything_costs_less_than_a_second(
     name: str, role: Role, cpu_seconds: Callable[[Callable[[], None], float], float]
 ) -> None:

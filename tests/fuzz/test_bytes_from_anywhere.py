@@ -188,6 +188,7 @@ def seconds(work: Callable[[bytes, int], None], stream: bytes, cut: int) -> floa
 @pytest.mark.parametrize("work", [server, client, receiver], ids=lambda work: work.__name__)
 @pytest.mark.parametrize("material", MATERIAL)
 @pytest.mark.parametrize("cut", [1 << 20, 5], ids=["in one piece", "dribbling"])
+@pytest.mark.real_time
 def test_time_grows_with_the_bytes(work: Callable[[bytes, int], None], material: str, cut: int) -> None:
     frame = MATERIAL[material]
     small = frame * (24_000 // len(frame))
@@ -197,6 +198,7 @@ def test_time_grows_with_the_bytes(work: Callable[[bytes, int], None], material:
 
 
 @pytest.mark.parametrize("direction", ["request", "reply"])
+@pytest.mark.real_time
 def test_time_to_decode_grows_with_the_items(direction: str) -> None:
     few, many = (
         (b"\x14\x31" + bytes.fromhex("06000100000001") * 7, b"\x14\xf5" + bytes.fromhex("06000100000001") * 35)

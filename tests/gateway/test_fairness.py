@@ -8,6 +8,8 @@ import busway
 from busway.gateway.gateway import Gateway, simple_plan
 from busway.testing.line import PacedLine
 
+pytestmark = pytest.mark.real_time
+
 ANY_PORT = "tcp://127.0.0.1:0"
 BAUD = 115_200
 

@@ -172,6 +172,7 @@ async def test_routes_renumber_shift_split_refuse_and_drop() -> None:
 
 
 @pytest.mark.clause("T32")
+@pytest.mark.real_time
 async def test_a_write_to_unit_0_is_broadcast_to_the_serial_lines_and_echoed() -> None:
     with PacedLine(ports=3, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
@@ -188,6 +189,7 @@ async def test_a_write_to_unit_0_is_broadcast_to_the_serial_lines_and_echoed() -
 
 
 @pytest.mark.clause("T32")
+@pytest.mark.real_time
 async def test_a_serial_front_is_silent_for_units_that_it_does_not_route() -> None:
     with PacedLine(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
@@ -204,6 +206,7 @@ async def test_a_serial_front_is_silent_for_units_that_it_does_not_route() -> No
                 assert await link.unit(3).read_holding_registers(1, count=2) == [301, 302]
 
 
+@pytest.mark.real_time
 async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> None:
     with PacedLine(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
@@ -313,6 +316,7 @@ async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) ->
         assert len(handler.contexts) == 2
 
 
+@pytest.mark.real_time
 async def test_draining_takes_nothing_new_from_a_serial_front() -> None:
     gate = Gate()
     handler = ScriptedHandler(gate.decide)

@@ -14,6 +14,8 @@ from busway.server.listener import Listener
 from busway.testing.certificates import CertificateFiles, CertificateStore
 from busway.testing.line import PacedLine
 
+pytestmark = pytest.mark.real_time
+
 BAUD = 115_200
 KINDS = ("tcp", "tls", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp", "rtu", "ascii")
 UNITS = (3, 9)

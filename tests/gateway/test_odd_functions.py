@@ -22,7 +22,7 @@ BAUD = 115_200
 SIZES = (0, 1, 2, 3, 7, 61, 252)
 """With 62 bytes one of the answers begins with a whole frame and its check: a pause just there would make two of it."""
 
-pytestmark = [pytest.mark.clause("T32"), pytest.mark.clause("S8")]
+pytestmark = [pytest.mark.clause("T32"), pytest.mark.clause("S8"), pytest.mark.real_time]
 
 
 class Serving(ScriptedHandler):

@@ -204,6 +204,7 @@ async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | 
 # --- lines ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.real_time
 async def test_a_port_that_is_pulled_out_fails_fast_and_works_again_when_it_is_back() -> None:
     before = open_handles()
     with PacedLine(ports=2, baud=BAUD) as line:

@@ -46,6 +46,7 @@ def spoken(line: PacedLine) -> list[bytes]:
 
 @pytest.mark.clause("S11")
 @pytest.mark.clause("S16")
+@pytest.mark.real_time
 async def test_server_counts_what_passes_and_speaks_for_its_own_units_alone(line: PacedLine) -> None:
     async with busway.serve(url(line), units={5: busway.Device(holding_registers=4)}) as server:
         for frame in (
@@ -70,6 +71,7 @@ async def test_server_counts_what_passes_and_speaks_for_its_own_units_alone(line
 
 
 @pytest.mark.clause("S17")
+@pytest.mark.real_time
 async def test_diagnostics_that_change_the_line_are_offered_there_and_not_over_a_network(line: PacedLine) -> None:
     units = {5: busway.Device(holding_registers=4)}
     async with busway.serve(url(line), "rtu+tcp://127.0.0.1:0", "udp://127.0.0.1:0", units=units) as server:
@@ -89,6 +91,7 @@ async def test_diagnostics_that_change_the_line_are_offered_there_and_not_over_a
 
 @pytest.mark.clause("S17")
 @pytest.mark.clause("S19")
+@pytest.mark.real_time
 async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line: PacedLine) -> None:
     async with (
         busway.serve(url(line), units={5: busway.Device(holding_registers=4)}) as server,
@@ -105,6 +108,7 @@ async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line
 
 
 @pytest.mark.clause("S12")
+@pytest.mark.real_time
 async def test_delimiter_is_changed_over_a_real_line() -> None:
     with PacedLine(ports=2, baud=BAUD, data_bits=7) as line:
         units = {5: busway.Device(holding_registers=4)}
@@ -141,6 +145,7 @@ class Slow:
 
 
 @pytest.mark.clause("T38")
+@pytest.mark.real_time
 async def test_server_that_takes_no_more_still_answers_what_it_was_asked_and_nothing_else(line: PacedLine) -> None:
     handler = Slow()
     async with busway.serve(url(line), handler=handler) as server:  # type: ignore[arg-type]
@@ -156,6 +161,7 @@ async def test_server_that_takes_no_more_still_answers_what_it_was_asked_and_not
     assert len(spoken(line)) == 1
 
 
+@pytest.mark.real_time
 async def test_answer_that_waits_for_its_silence_leaves_before_the_port_is_closed() -> None:
     with PacedLine(ports=2, baud=1200) as slow:  # a silence of 32 ms
         handler = Slow()
@@ -170,6 +176,7 @@ async def test_answer_that_waits_for_its_silence_leaves_before_the_port_is_close
 
 
 @pytest.mark.clause("S6")
+@pytest.mark.real_time
 async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: PacedLine) -> None:
     handler = Slow()
     async with busway.serve(url(line), handler=handler) as server:  # type: ignore[arg-type]
@@ -194,6 +201,7 @@ async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: 
 
 
 @pytest.mark.clause("S19")
+@pytest.mark.real_time
 async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> None:
     class Broken(Slow):
         def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
@@ -208,6 +216,7 @@ async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> No
 
 
 @pytest.mark.clause("S15")
+@pytest.mark.real_time
 async def test_taken_port_is_an_error_that_names_the_holder_and_an_absent_one_is_waited_for(line: PacedLine) -> None:
     units = {5: busway.Device(holding_registers=4)}
     with BlockingSerialPort(line.paths[1], SerialSettings(baud=BAUD)):
@@ -224,6 +233,7 @@ async def test_taken_port_is_an_error_that_names_the_holder_and_an_absent_one_is
         await until(lambda: len(spoken(line)) == 1)
 
 
+@pytest.mark.real_time
 async def test_server_can_be_stopped_and_started_again(line: PacedLine) -> None:
     server = busway.serve(url(line), units={5: busway.Device(holding_registers=4)})
     for number in range(3):

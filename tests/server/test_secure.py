@@ -493,6 +493,7 @@ async def test_clients_that_all_come_back_at_once_are_all_let_in(
         assert security_of(server).established == 60
 
 
+@pytest.mark.real_time
 async def test_a_server_stops_at_once_while_handshakes_are_under_way(server_files: CertificateFiles) -> None:
     handles = open_handles()
     async with busway.serve(f"tls://127.0.0.1:0?{server_files.query()}", units=device()) as server:

@@ -156,6 +156,7 @@ def test_option_out_of_range_is_refused_and_named(name: str, value: object) -> N
 
 
 @pytest.mark.clause("T34")
+@pytest.mark.real_time
 async def test_stop_ends_within_a_second_with_busy_clients_attached() -> None:
     gate = Gate()
     handler = ScriptedHandler(gate.decide)
@@ -181,6 +182,7 @@ async def test_stop_ends_within_a_second_with_busy_clients_attached() -> None:
 
 
 @pytest.mark.clause("T34")
+@pytest.mark.real_time
 async def test_stop_ends_within_a_second_though_a_client_takes_none_of_its_replies() -> None:
     device = busway.Device(holding_registers=1000)
     server = busway.serve(ANY_PORT, units=device, write_buffer=4096)

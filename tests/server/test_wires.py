@@ -88,6 +88,7 @@ async def test_peer_over_udp_is_a_wire_that_can_not_be_closed() -> None:
     assert told.wires == []
 
 
+@pytest.mark.real_time
 async def test_open_port_is_a_wire_as_long_as_it_is_open() -> None:
     told = Told()
     with PacedLine(ports=2, baud=115_200) as line:

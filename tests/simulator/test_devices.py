@@ -314,6 +314,7 @@ def test_the_thermostat_reaches_its_set_point_and_alarms_where_it_should() -> No
         assert caught.value.code == 3
 
 
+@pytest.mark.real_time
 def test_the_thermostat_sits_on_a_serial_line() -> None:
     with PacedLine(ports=2, baud=19_200) as line:
         near, far = (f"rtu://{path}?baud=19200&parity=even" for path in line.paths)

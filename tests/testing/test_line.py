@@ -12,6 +12,8 @@ from busway.errors import LinkDown
 from busway.testing.line import NOISE, PacedLine
 from busway.transport.serial import BlockingSerialPort, SerialConnection, SerialSettings
 
+pytestmark = pytest.mark.real_time
+
 REQUEST = bytes.fromhex("01 03 00 00 00 0A C5 CD")  # read 10 holding registers of unit 1
 REPLY = bytes([1, 3, 20]) + bytes(22)
 

@@ -201,6 +201,7 @@ ON_LINES = [name for name, one in PERSONALITIES.items() if Carrier.SERIAL in one
 
 
 @pytest.mark.parametrize("name", [name for name in ON_LINES if name != "broadcast-reply"])
+@pytest.mark.real_time
 def test_personality_on_a_serial_line(line: PacedLine, name: str) -> None:
     parameters, actions = {**BOTH, **ON_A_LINE}[name]
     board = FaultBoard()
