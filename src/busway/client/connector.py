@@ -77,23 +77,20 @@ class TcpConnector:
         """A connected transport. Raises `LinkDown`."""
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
-        loop = asyncio.get_running_loop()
+        from ..transport.dialling import open_stream
+
         try:
             async with asyncio.timeout(self._sockets.connect_timeout):
-                if self._interface is not None:
-                    from ..transport.dialling import connect_through
-
-                    connection = await connect_through(
-                        self._interface, self._host, self._endpoint.port or 0, self._sockets.local_address
-                    )
-                    transport, _ = await loop.create_connection(protocol, sock=connection)
-                else:
-                    transport, _ = await loop.create_connection(
-                        protocol, self._host, self._endpoint.port or 0, local_addr=self._local
-                    )
+                transport = await open_stream(
+                    protocol,
+                    self._host,
+                    self._endpoint.port or 0,
+                    local_address=self._sockets.local_address,
+                    interface=self._interface,
+                    prepare=self._sockets.apply,
+                )
         except (OSError, ValueError) as error:
             raise link_down(error, endpoint=self._endpoint.url) from error
-        self._sockets.apply(transport.get_extra_info("socket"))
         return transport
 
     def dial(self) -> socket.socket:
