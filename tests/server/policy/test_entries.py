@@ -100,6 +100,23 @@ def test_the_clock_keeps_its_text_for_a_second_and_no_longer():
     assert (first, clock()) == ("2026-03-01T11:59:59.999Z", "2026-03-01T12:00:00.000Z")
 
 
+@given(
+    st.lists(
+        st.one_of(
+            st.floats(1_772_366_399.99, 1_772_366_400.01),
+            st.integers(-5000, 5000).map(lambda microseconds: 1_772_366_400 + microseconds / 1e6),
+            st.integers(-50, 50).map(lambda milliseconds: 1_772_366_400 + milliseconds / 1000),
+        ),
+        max_size=30,
+    )
+)
+def test_the_clock_says_of_each_time_what_a_new_one_would_say_forwards_and_backwards(times):
+    now = [0.0]
+    clock = Clock(lambda: now[0])
+    for now[0] in times:
+        assert clock() == Clock(lambda: now[0])()
+
+
 @given(st.data())
 def test_bits_are_told_one_by_one_as_far_as_there_are_any(data):
     bits = data.draw(st.lists(st.booleans(), min_size=1, max_size=40))

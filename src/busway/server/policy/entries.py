@@ -60,30 +60,31 @@ def who_text(peer: str, role: str | None, listener: str) -> str:
 
 
 class Clock:
-    """The time as text, put together anew once a millisecond, and its seconds once a second."""
+    """The time as text, put together anew once a millisecond, and its seconds once a second. From any thread."""
 
-    __slots__ = ("_now", "_prefix", "_second", "_since", "_text", "_until")
+    __slots__ = ("_now", "_second", "_text")
 
     def __init__(self, now: Callable[[], float] = time.time) -> None:
         self._now = now
-        self._second = -1
-        self._prefix = ""
-        self._since = self._until = 0.0  # as long as ``_text`` is right, for certain
-        self._text = ""
+        # Each replaced as a whole: a second and its text; from when until when a text is right for certain, and it.
+        self._second = (-1, "")
+        self._text = (0.0, 0.0, "")
 
     def __call__(self) -> str:
         now = self._now()
-        if self._since <= now < self._until:
-            return self._text
-        second = int(now)
-        if second != self._second:
-            self._second = second
-            self._prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
-        milliseconds = int((now - second) * 1000)
+        since, until, text = self._text
+        if since <= now < until:
+            return text
+        whole = int(now)
+        second, prefix = self._second
+        if second != whole:
+            prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(whole))
+            self._second = whole, prefix
+        milliseconds = int((now - whole) * 1000)
+        text = f"{prefix}.{milliseconds:03d}Z"
         # Numbers of this size are exact to 0.2 µs: the last microsecond of each millisecond is looked at anew.
-        self._since, self._until = now, second + (milliseconds + 1) / 1000 - 1e-6
-        self._text = f"{self._prefix}.{milliseconds:03d}Z"
-        return self._text
+        self._text = now, whole + (milliseconds + 1) / 1000 - 1e-6, text
+        return text
 
 
 class Entry:
