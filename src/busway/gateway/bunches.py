@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from .handler import FrontHandler
     from .lines import Line
 
-_IN_BUNCHES = -1
-"""Where the key of a read has the limit it was split by, which is none here: so the keys of both roads differ."""
 FOR_EVER = 86_400.0
 """Seconds that a client waits who has no deadline, where the one before it has one."""
 
@@ -57,22 +55,17 @@ class ReadWay:
         self.line.bunches.ask(self, asker, reads)
 
 
-class BunchPlan(ForwardPlan):
+def bunch_plan(way: ReadWay, unit: int, asked: ReadRegisters | ReadBits) -> ForwardPlan:
     """What becomes of a read that is asked in bunches.
 
-    Attributes:
-        request: as it is asked behind.
-        key: what it is found by while it is in flight.
+    Args:
+        way: where it goes.
+        unit: as which it was asked in front.
+        asked: as it is asked behind.
     """
-
-    __slots__ = ("key", "request")
-
-    def __init__(self, way: ReadWay, unit: int, asked: ReadRegisters | ReadBits) -> None:
-        request = _as_bytes(type(asked)).decode(asked.encode())
-        request.prepare()
-        super().__init__(way, unit, request.code, request.expected_size - 2)
-        self.request = request
-        self.key: Key = (request.code, request.address, request.count, _IN_BUNCHES)
+    request = _as_bytes(type(asked)).decode(asked.encode())
+    request.prepare()
+    return ForwardPlan(way, unit, request)
 
 
 class Bunch(Demand):
@@ -94,16 +87,10 @@ class Bunch(Demand):
         reads: list[ForwardedRead],
         deadline: float | None,
     ) -> None:
-        # Any: plans of this gateway are `BunchPlan`s, and an assertion for each would be a twentieth of the way.
-        plans: list[Any] = [plan for _, plan in reads]
+        line = bunches.line
+        requests = [plan.request for _, plan in reads]
         super().__init__(
-            way.unit,
-            [plan.request for plan in plans],
-            is_write=False,
-            timeout=way.timeout,
-            retries=bunches.line.settings.parameters.retries,
-            caller=asker.peer,
-            deadline=deadline,
+            way.unit, requests, False, way.timeout, line.settings.parameters.retries, False, asker.peer, deadline
         )
         self.owner = self
         self.places = len(reads)
@@ -113,7 +100,8 @@ class Bunch(Demand):
         self.reads = reads
         self.told: set[int] = set()
         self.joined: dict[int, list[tuple[ForwardedReads, ForwardedRead]]] = {}
-        self.keys: list[Key] = [plan.key for plan in plans] if bunches.line.share_reads else []
+        self.keys: list[Key] = []  # what its reads are found by, where they may be shared
+        self.shared: dict[Key, Any] = {}  # Any: see `Memory`; where they are found
 
     def done(self) -> bool:
         """Never: `set_result` is called once."""
@@ -186,8 +174,11 @@ class Bunches:
         # All before it begins: it may end at once, while a connection is made anew.
         line.add_open(len(reads))
         asker.works[bunch] = None
-        for key in bunch.keys:
-            line.memory.read_begins(way.unit, key, bunch)
+        shared = line.memory.shared(way.unit) if line.share_reads else None
+        if shared is not None:
+            bunch.shared = shared
+            bunch.keys = [plan.request.wire for _, plan in reads]
+            shared.update(dict.fromkeys(bunch.keys, bunch))
         try:
             link.begin(bunch, now)
         except ModbusError as error:
@@ -207,20 +198,23 @@ class Bunches:
         self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]
     ) -> tuple[list[ForwardedRead], list[ForwardedRead]]:
         """Let reads wait for others that are in flight; what has to be asked, and what is the same as one of those."""
-        memory = self.line.memory
+        shared = self.line.memory.shared(way.unit)
+        keys = [plan.request.wire for _, plan in reads]
+        if shared is None or (shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys)):
+            return reads, []
         left: list[ForwardedRead] = []
         again: list[ForwardedRead] = []
         asked: set[Key] = set()
         for read in reads:
-            plan: Any = read[1]  # a `BunchPlan`, as in `Bunch`
-            bunch = memory.reading(way.unit, plan.key)
+            key = read[1].request.wire
+            bunch = shared.get(key)
             if bunch is not None:
                 assert isinstance(bunch, Bunch)  # by its key
-                self._join(bunch, way, asker, read, plan.key)
-            elif plan.key in asked:
+                self._join(bunch, way, asker, read, key)
+            elif key in asked:
                 again.append(read)
             else:
-                asked.add(plan.key)
+                asked.add(key)
                 left.append(read)
         return left, again
 
@@ -308,9 +302,10 @@ class Bunches:
     def _leave(self, bunch: Bunch) -> None:
         """Nobody waits for a bunch any more."""
         self.line.add_open(-bunch.left)
-        for position, key in enumerate(bunch.keys):
-            if position not in bunch.told:
-                self.line.memory.read_ended(bunch.unit, key, bunch)
+        shared = bunch.shared
+        for key in bunch.keys:
+            if shared.get(key) is bunch:
+                del shared[key]
         if bunch.asker is not None:
             bunch.asker.works.pop(bunch, None)
         for others in bunch.joined.values():
@@ -322,7 +317,7 @@ class Bunches:
         """A single read has its answer."""
         self.line.add_open(-1)
         if bunch.keys:
-            self.line.memory.read_ended(bunch.unit, bunch.keys[position], bunch)
+            self.line.memory.read_ended(bunch.unit, bunch.keys[position], bunch)  # nobody may join it any more
 
 
 @lru_cache(maxsize=32)

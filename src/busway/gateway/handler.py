@@ -22,9 +22,9 @@ from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
-from ..session.forwarding import Plans
+from ..session.forwarding import ForwardPlan, ForwardPlans
 from ..session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
-from .bunches import BunchPlan, ReadWay
+from .bunches import ReadWay, bunch_plan
 from .lines import Line
 from .routes import Action, FrontRoutes, Route, Straddles
 from .translation import behind, echo
@@ -98,14 +98,14 @@ class FrontHandler:
         self._routes = FrontRoutes(())
         self._lines: Mapping[str, Line] = {}
         self._serial_units: set[int] = set()
-        self._plans: Plans = {}
+        self._plans = ForwardPlans()
         self._ways: dict[tuple[str, int, float | None], ReadWay] = {}
 
     def follow(self, routes: FrontRoutes, lines: Mapping[str, Line]) -> None:
         """Route by these from now on; what is on its way stays there."""
         self._routes = routes
         self._lines = lines
-        self._plans = {}
+        self._plans = ForwardPlans()
         self._ways = {}
         # The same set for ever: listeners hold it as a live view.
         self._serial_units.clear()
@@ -123,11 +123,11 @@ class FrontHandler:
         """There is no short road: every answer comes from a line."""
         return {}
 
-    def forward_plans(self, context: RequestContext) -> Plans:
+    def forward_plans(self, context: RequestContext) -> ForwardPlans:
         """What is known of the reads that clients ask together; all clients of a front have the same rights."""
         return self._plans
 
-    def forward_plan(self, context: RequestContext, pdu: bytes) -> BunchPlan | None:
+    def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         """What becomes of a read, where it goes to a server on TCP as one request and is not remembered."""
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits):
@@ -151,7 +151,7 @@ class FrontHandler:
         way = self._ways.get(key)
         if way is None:
             way = self._ways[key] = ReadWay(self, line, unit, found.timeout)
-        return BunchPlan(way, context.unit, asked)
+        return bunch_plan(way, context.unit, asked)
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Forward, answer for the gateway itself, or say why not."""

@@ -20,8 +20,9 @@ from ..pdu.bits import slice_bits
 from ..pdu.wide import NARROW
 
 Shared = TypeVar("Shared")
-Key = tuple[int, int, int, int]
-"""Function, address, count, and the limit it was split by."""
+Key = tuple[int, int, int, int] | bytes
+"""Function, address, count, and the limit it was split by; or, of a read that is asked in a bunch, its PDU. So the two
+never meet."""
 Place = tuple[Table, int, int]
 """Table, address of the first item, count."""
 
@@ -106,6 +107,13 @@ class Memory(Generic[Shared]):
         return not any(state is not None and state.open_writes for state in states)
 
     # Reads in flight.
+
+    def shared(self, unit: int) -> dict[Key, Shared] | None:
+        """All reads of a unit that may be shared, and where new ones are put in; None while they must not be.
+
+        It is the same one for ever, and empty when something was written.
+        """
+        return self._unit(unit).reading if self._is_quiet(unit) else None
 
     def reading(self, unit: int, key: Key) -> Shared | None:
         """The read in flight that a new one may share."""

@@ -392,6 +392,8 @@ class TcpClientSession:
 
         One may be named more than once, and others that are in flight may be named too.
         """
+        if not (self._volleys or self._pending or self._queue.begun):
+            return []  # as a rule, where a server answers in one go
         found = [volley.demand for volley in self._volleys]
         found += [flight.demand for flight in self._pending.values() if flight.demand is not None]
         found += self._queue.begun

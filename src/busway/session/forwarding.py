@@ -11,11 +11,12 @@ Knows how a read and its answer look on TCP, and the slots of a connection; know
 4. What goes this road gets the same answers, and is counted as, what goes the long one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from struct import Struct
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ..framing.mbap import HEAD
+from ..pdu.message import Request
 
 if TYPE_CHECKING:
     from .diagnostics import CommunicationState
@@ -52,16 +53,23 @@ class Asked(Protocol):
 class ForwardPlan:
     """What becomes of one particular read.
 
-    Attributes:
+    Args:
         way: where it goes.
+        unit: as which it was asked.
+        request: as it is asked behind, prepared.
+
+    Attributes:
+        way, request: as above.
         head: of its answer, what stands between the transaction and the data.
     """
 
-    __slots__ = ("head", "way")
+    __slots__ = ("head", "request", "way")
 
-    def __init__(self, way: Way, unit: int, function: int, byte_count: int) -> None:
+    def __init__(self, way: Way, unit: int, request: Request) -> None:
         self.way = way
-        self.head = HEAD.pack(0, 0, 3 + byte_count, unit)[2:] + bytes((function, byte_count))
+        self.request = request
+        # Behind the head come the data: the answer is as long as the reply that is expected behind.
+        self.head = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
         """What stands behind the transaction of an exception."""
@@ -70,15 +78,42 @@ class ForwardPlan:
 
 ForwardedRead = tuple[bytes, ForwardPlan]
 """A read that was asked: the two bytes of its transaction, and what becomes of it."""
-Plans = dict[bytes, ForwardPlan | None]
-"""By the ten bytes of a read behind its transaction; None for one that goes the long road."""
+
+
+class ForwardPlans:
+    """What is known of reads, by their ten bytes behind the transaction.
+
+    Attributes:
+        known: those that are handed on.
+        others: those that go the long road.
+    """
+
+    __slots__ = ("known", "others")
+
+    def __init__(self) -> None:
+        self.known: dict[bytes, ForwardPlan] = {}
+        self.others: set[bytes] = set()
+
+    def __contains__(self, key: bytes) -> bool:
+        return key in self.known or key in self.others
+
+    def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
+        """Keep what becomes of a read; None: it goes the long road."""
+        if plan is None:
+            if len(self.others) >= _PLAN_LIMIT:
+                self.others.clear()
+            self.others.add(key)
+        else:
+            if len(self.known) >= _PLAN_LIMIT:
+                self.known.clear()
+            self.known[key] = plan
 
 
 @runtime_checkable
 class ReadForwarder(Protocol):
     """A handler that hands reads on."""
 
-    def forward_plans(self, context: "RequestContext") -> Plans:
+    def forward_plans(self, context: "RequestContext") -> ForwardPlans:
         """What is known for whoever has the rights of ``context``, of all units; shared by all who have the same."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
@@ -98,7 +133,7 @@ class ForwardedReads:
 
     def __init__(
         self,
-        plans: Plans,
+        plans: ForwardPlans,
         *,
         peer: str,
         slots: "TransactionSlots",
@@ -115,30 +150,48 @@ class ForwardedReads:
         self.waiting = 0
         self.works: dict[Asked, None] = {}
 
-    def take(self, buffer: bytes, at: int, size: int) -> int:
+    def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
         """Take the reads that are known from ``at`` on, as many as there are slots; where the first other begins."""
-        plans = self.plans
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
-        way: Way | None = None
-        reads: list[ForwardedRead] = []
-        others: dict[Way, list[ForwardedRead]] = {}
-        for transaction, key in _cut(buffer[at : at + READ_SIZE * count]):
-            plan = plans.get(key)
-            if plan is None:
-                break
-            if plan.way is not way:  # rarely: a client of one device asks the same way all the time
-                way = plan.way
-                reads = others.setdefault(way, [])
-            reads.append((transaction, plan))
-        if way is None:
+        if count <= 0:
             return at
-        count = sum(map(len, others.values()))
+        chunk = memoryview(buffer)[at : at + READ_SIZE * count]
+        known = self.plans.known
+        try:
+            reads = [(transaction, known[key]) for transaction, key in _cut(chunk)]
+        except KeyError:
+            reads = list(self._known_ones(chunk))
+            count = len(reads)
+            if not count:
+                return at
         slots.used += count
         self.waiting += count
-        for way, reads in others.items():
+        way = reads[0][1].way
+        for _, plan in reads:
+            if plan.way is not way:
+                self._ask_each(reads)
+                break
+        else:
             way.ask(self, reads)
         return at + READ_SIZE * count
+
+    def _known_ones(self, chunk: memoryview) -> Iterator[ForwardedRead]:
+        """The reads before the first one that is not known."""
+        known = self.plans.known
+        for transaction, key in _cut(chunk):
+            plan = known.get(key)
+            if plan is None:
+                return
+            yield transaction, plan
+
+    def _ask_each(self, reads: list[ForwardedRead]) -> None:
+        """Ask reads that go different ways: those of each way together."""
+        by_way: dict[Way, list[ForwardedRead]] = {}
+        for read in reads:
+            by_way.setdefault(read[1].way, []).append(read)
+        for way, those in by_way.items():
+            way.ask(self, those)
 
     def answer(self, reads: Sequence[ForwardedRead], data: Sequence[bytes]) -> None:
         """The data of some reads have come; what is said to the client leaves with `send`."""
@@ -182,10 +235,3 @@ class ForwardedReads:
 def is_read(adu: bytes) -> bool:
     """Whether a frame is a read of one of the four tables."""
     return len(adu) == READ_SIZE and 0 < adu[7] <= _LAST_READ and adu[2:6] == _READ_LENGTH
-
-
-def learn(plans: Plans, key: bytes, plan: ForwardPlan | None) -> None:
-    """Keep what becomes of a read."""
-    if len(plans) >= _PLAN_LIMIT:
-        plans.clear()
-    plans[key] = plan

@@ -31,7 +31,7 @@ from ...pdu.direct import Answer, ReadPlan
 from ...pdu.functions import AnyRequest, FunctionTable
 from ...pdu.general import ExceptionResponse
 from ...pdu.message import Message, Request
-from ...session.forwarding import ForwardPlan, Plans, ReadForwarder
+from ...session.forwarding import ForwardPlan, ForwardPlans, ReadForwarder
 from ...session.handler import (
     LATER,
     SILENCE,
@@ -92,7 +92,7 @@ class _Rights:
         self.decided: dict[object, tuple[Decision, bool]] = {}  # and whether it is about a write
         # By the plans of the handler inside, which may tell askers apart by more than the policy does.
         self.plans: dict[int, tuple[object, dict[bytes, ReadPlan]]] = {}
-        self.forwards: dict[int, tuple[object, Plans]] = {}
+        self.forwards: dict[int, tuple[object, ForwardPlans]] = {}
 
 
 class _Known:
@@ -150,7 +150,7 @@ class PolicyHandler:
     """
 
     serial_units: Container[int]
-    forward_plans: Callable[[RequestContext], Plans]
+    forward_plans: Callable[[RequestContext], ForwardPlans]
     forward_plan: Callable[[RequestContext, bytes], ForwardPlan | None]
 
     def __init__(
@@ -252,13 +252,13 @@ class PolicyHandler:
             return None
         return self._planner.plan(context, pdu)
 
-    def _forward_plans(self, inner: ReadForwarder, context: RequestContext) -> Plans:
+    def _forward_plans(self, inner: ReadForwarder, context: RequestContext) -> ForwardPlans:
         """What is known of reads that are handed on, shared by those who have the same rights."""
         inside = inner.forward_plans(context)
         found = self._known(context).rights.forwards
         if len(found) >= _MOST_RIGHTS:
             found.clear()
-        return found.setdefault(id(inside), (inside, {}))[1]
+        return found.setdefault(id(inside), (inside, ForwardPlans()))[1]
 
     def _forward_plan(self, inner: ReadForwarder, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         """What becomes of a read, if it is permitted without a rate."""
