@@ -86,6 +86,19 @@ def test_many_lines_do_not_wait_and_go_in_one_write(tmp_path, time, monkeypatch)
     assert log.path.read_text().count("\n") == 1000
 
 
+def test_many_lines_set_no_timer_while_there_is_one_and_the_last_are_written_in_time(tmp_path, time):
+    log = opened(tmp_path, time)
+    for _ in range(2000):
+        log.append("x" * 99 + "\n")
+    assert len(time.later) == 1
+    assert log.written < 2000
+    time.advance(0.2)
+    assert (log.written, time.later) == (2000, [])
+    log.append("1\n")
+    time.advance(0.2)
+    assert log.written == 2001
+
+
 def test_without_an_interval_or_without_anybody_to_call_later_each_line_is_written_at_once(tmp_path, time):
     at_once = AuditLog(tmp_path / "one", interval=0, clock=time, schedule=time.schedule)
     at_once.append("1\n")

@@ -122,26 +122,16 @@ class AuditLog:
                     self.flush()
                 else:
                     self._due = self._clock() + waits
-            elif (self._size >= _CHUNK and not self.is_failing) or self._clock() > self._due + _LATE:
+            elif self._size >= _CHUNK and not self.is_failing:
+                self._write_kept()  # the timer stays, for what comes after
+            elif self._clock() > self._due + _LATE:
                 self.flush()
 
     def flush(self) -> None:
         """Write what is kept, as far as the file takes it. Raises nothing: a failure is counted and logged."""
         with self._lock:
             self._due = None
-            data = self._begun + "".join(self._lines).encode("ascii", "backslashreplace")
-            if self._file is None or not data:
-                return
-            at = 0
-            try:
-                while at < len(data):
-                    at += os.write(self._file, data[at:] if at else data)
-            except OSError as error:
-                self._keep(data, at)
-                self._failed(error)
-            else:
-                self._keep(data, at)
-                self._recovered()
+            self._write_kept()
 
     def reopen(self) -> None:
         """Go on in the file that now has the name: after a rotation has renamed the old one.
@@ -187,6 +177,21 @@ class AuditLog:
             raise ConfigError(
                 f"the audit log can not be opened: {reason[:1].lower()}{reason[1:]}", file=str(self.path)
             ) from error
+
+    def _write_kept(self) -> None:
+        data = self._begun + "".join(self._lines).encode("ascii", "backslashreplace")
+        if self._file is None or not data:
+            return
+        at = 0
+        try:
+            while at < len(data):
+                at += os.write(self._file, data[at:] if at else data)
+        except OSError as error:
+            self._keep(data, at)
+            self._failed(error)
+        else:
+            self._keep(data, at)
+            self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
         """Count the lines that stand in the file before ``at``, and keep what is behind."""
