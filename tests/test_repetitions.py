@@ -2,6 +2,7 @@
 
 1. A test that depends on real time is repeated once and then named; no other test is repeated.
 2. A test that hangs fails by name, and is not repeated either.
+3. Whoever makes a line in real time has the mark.
 """
 
 import os
@@ -77,3 +78,11 @@ def test_test_that_hangs_fails_by_name_and_is_not_repeated(tmp_path: Path) -> No
     assert status == 1
     assert "FAILED test_it.py::test_it - Failed: Timeout (>0.5s) from pytest-timeout." in said
     assert "RERUN" not in said
+
+
+def test_every_file_that_makes_a_line_in_real_time_has_the_mark_or_is_in_a_folder_that_has() -> None:
+    for file in TESTS.rglob("test_*.py"):
+        text = file.read_text(encoding="utf-8")
+        if "import PacedLine" in text:
+            relative = file.relative_to(TESTS).as_posix()
+            assert "pytest.mark.real_time" in text or relative.startswith("interop/serial/"), relative
