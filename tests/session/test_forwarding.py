@@ -1,0 +1,245 @@
+"""Reads that a handler hands on: the stream is cut as ever, each has its slot, and each is answered once."""
+
+import struct
+from collections.abc import Mapping
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from busway.framing.mbap import MbapReceiver, encode_mbap
+from busway.pdu.direct import Answer
+from busway.pdu.functions import STANDARD, AnyRequest
+from busway.pdu.general import ExceptionResponse
+from busway.pdu.read_items import ReadHoldingRegisters
+from busway.session.diagnostics import CommunicationState
+from busway.session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
+from busway.session.handler import Outcome, RequestContext
+from busway.session.server import TcpServerSession, TransactionSlots
+
+UNITS = 3
+NOT_HANDED_ON = 100
+"""Reads of this address go the long road."""
+
+
+def data_of(unit: int, address: int, count: int) -> bytes:
+    return struct.pack(f">{count}H", *(unit * 1000 + address + n for n in range(count)))
+
+
+class Way:
+    """Where the reads of a unit go: nowhere, until the test answers them."""
+
+    def __init__(self, unit: int) -> None:
+        self.unit = unit
+        self.asked: list[tuple[ForwardedReads, ForwardedRead]] = []
+        self.bunches: list[int] = []
+        self.gone: list[ForwardedReads] = []
+
+    def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        self.bunches.append(len(reads))
+        self.asked += [(asker, read) for read in reads]
+        asker.works[self] = None
+
+    def asker_gone(self, asker: ForwardedReads) -> None:
+        self.gone.append(asker)
+
+    def answer(self) -> None:
+        askers = dict.fromkeys(asker for asker, _ in self.asked)
+        for asker in askers:
+            reads = [read for one, read in self.asked if one is asker]
+            requests = [read[1].request for read in reads]
+            asker.answer(reads, [data_of(self.unit, one.address, one.count) for one in requests])  # type: ignore[attr-defined]
+            asker.send()
+        self.asked.clear()
+
+
+class LongRoad:
+    """Answers everything at once, or what it is told to only later."""
+
+    functions = STANDARD
+    generation = 0
+
+    def __init__(self) -> None:
+        self.handled: list[int] = []
+        self.later: list[RequestContext] = []
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        return {}
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        self.handled.append(context.function)
+        if isinstance(request, ReadHoldingRegisters):
+            return request.Reply(data_of(context.unit, request.address, request.count))
+        return ExceptionResponse(context.function, 1)
+
+
+class HandingOn(LongRoad):
+    """Hands on reads of holding registers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plans = ForwardPlans()
+        self.ways = {unit: Way(unit) for unit in range(1, UNITS + 1)}
+        self.planned = 0
+
+    def forward_plans(self, context: RequestContext) -> ForwardPlans:
+        return self.plans
+
+    def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
+        self.planned += 1
+        request = STANDARD.decode_request(pdu)
+        if not isinstance(request, ReadHoldingRegisters) or request.address == NOT_HANDED_ON:
+            return None
+        request.prepare()
+        return ForwardPlan(self.ways[context.unit], context.unit, request)
+
+    def answer(self) -> None:
+        for way in self.ways.values():
+            way.answer()
+
+
+class Client:
+    def __init__(self, handler: LongRoad, slots: int = 16) -> None:
+        self.slots = TransactionSlots(slots)
+        self.diagnostics = CommunicationState()
+        self.out: list[bytes] = []
+        self.session = TcpServerSession(
+            handler, diagnostics=self.diagnostics, slots=self.slots, deliver=self.out.append, peer="client"
+        )
+
+    def send(self, stream: bytes) -> None:
+        self.out += self.session.receive(bytearray(stream), len(stream))
+
+    def got(self) -> dict[int, bytes]:
+        frames = MbapReceiver().receive(b"".join(self.out))
+        self.out.clear()
+        found = {frame.transaction: bytes((frame.unit,)) + frame.pdu for frame in frames}
+        assert len(found) == len(frames)
+        return found
+
+
+def read(transaction: int, address: int = 0, count: int = 1, unit: int = 1) -> bytes:
+    return encode_mbap(transaction, unit, struct.pack(">BHH", 3, address, count))
+
+
+FRAMES = st.one_of(
+    st.builds(
+        lambda address, count, unit: (unit, struct.pack(">BHH", 3, address, count)),
+        st.sampled_from([0, 1, 2, NOT_HANDED_ON]),
+        st.sampled_from([0, 1, 2, 125, 126]),
+        st.integers(1, UNITS),
+    ),
+    st.builds(
+        lambda pdu: (1, pdu), st.sampled_from([b"\x06\0\1\0\2", b"\x03\0", b"\x03\0\0\0\1\0", b"\x41ab", b"\x83\2"])
+    ),
+)
+
+
+@settings(max_examples=150)
+@given(st.lists(FRAMES, min_size=1, max_size=12), st.lists(st.integers(0, 200), max_size=5))
+def test_however_the_stream_is_cut_the_answers_are_those_of_the_long_road(
+    frames: list[tuple[int, bytes]], cuts: list[int]
+) -> None:
+    stream = b"".join(encode_mbap(number, unit, pdu) for number, (unit, pdu) in enumerate(frames))
+    found = []
+    for handler in (LongRoad(), HandingOn()):
+        client = Client(handler)
+        for _ in range(2):  # once they are met for the first time, then they are known
+            edges = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+            for begin, end in zip(edges, edges[1:], strict=False):
+                client.send(stream[begin:end])
+            if isinstance(handler, HandingOn):
+                handler.answer()
+            found.append(client.got())
+        counters = client.diagnostics.counters
+        found.append((client.session.requests, client.session.discarded, counters))  # type: ignore[arg-type]
+        assert (client.slots.used, client.session.waiting) == (0, 0)
+    assert found[:3] == found[3:]
+
+
+def test_reads_that_came_together_go_on_together_each_unit_by_itself() -> None:
+    handler = HandingOn()
+    client = Client(handler)
+    stream = read(1) + read(2, 5) + read(3, unit=2) + read(4, 7) + read(5, unit=2)
+    client.send(stream)
+    handler.answer()
+    for way in handler.ways.values():
+        way.bunches.clear()
+    client.send(stream)
+    assert (handler.ways[1].bunches, handler.ways[2].bunches) == ([3], [2])
+    assert client.session.waiting == client.slots.used == 5
+    assert handler.planned == 5
+
+
+def test_what_is_no_read_to_hand_on_is_asked_about_once() -> None:
+    handler = HandingOn()
+    client = Client(handler)
+    for number in range(3):
+        client.send(read(number, NOT_HANDED_ON))
+    assert (handler.planned, handler.handled) == (1, [3, 3, 3])
+
+
+def test_without_a_slot_a_read_takes_the_long_road_which_says_06() -> None:
+    handler = HandingOn()
+    client = Client(handler, slots=2)
+    client.send(read(1) + read(2) + read(3))
+    assert client.got() == {3: bytes((1, 0x83, 6))}
+    handler.answer()
+    assert list(client.got()) == [1, 2]
+    assert client.session.refused_busy == 1
+
+
+def test_a_refusal_names_function_and_unit_and_is_counted() -> None:
+    handler = HandingOn()
+    client = Client(handler)
+    client.send(read(1, unit=2))
+    ((asker, one),) = handler.ways[2].asked
+    asker.refuse(one, 0x0B)
+    asker.send()
+    assert client.got() == {1: bytes((2, 0x83, 0x0B))}
+    assert client.diagnostics.counters.bus_exception_error_count == 1
+    assert (client.slots.used, client.session.waiting) == (0, 0)
+
+
+def test_when_the_connection_ends_whoever_works_for_it_is_told_and_nothing_is_sent_any_more() -> None:
+    handler = HandingOn()
+    client = Client(handler)
+    client.send(read(1) + read(2))
+    client.session.close()
+    way = handler.ways[1]
+    assert way.gone == [way.asked[0][0]]
+    assert (client.slots.used, client.session.waiting) == (0, 0)
+    assert client.diagnostics.counters.server_no_response_count == 2
+    handler.answer()
+    way.gone[0].refuse((b"\0\1", next(iter(handler.plans.known.values()))), 4)
+    way.gone[0].send()
+    assert not client.out
+
+
+def test_a_new_generation_asks_anew_what_becomes_of_reads() -> None:
+    handler = HandingOn()
+    client = Client(handler)
+    client.send(read(1))
+    handler.plans = ForwardPlans()
+    client.send(read(2))
+    assert handler.planned == 1
+    handler.generation += 1
+    client.send(read(3))
+    assert handler.planned == 2
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_kept_of_reads_is_bounded(known: bool) -> None:
+    plans = ForwardPlans()
+    request = ReadHoldingRegisters(0, 1)
+    request.prepare()
+    plan = ForwardPlan(Way(1), 1, request) if known else None
+    for number in range(10_000):
+        plans.learn(number.to_bytes(10, "big"), plan)
+    assert number.to_bytes(10, "big") in plans
+    assert len(plans.known) + len(plans.others) <= 4096
+
+
+def test_who_hands_reads_on_is_told_from_who_does_not() -> None:
+    assert isinstance(HandingOn(), ReadForwarder)
+    assert not isinstance(LongRoad(), ReadForwarder)
