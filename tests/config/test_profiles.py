@@ -176,14 +176,14 @@ async def test_a_strict_server_and_a_strict_client_converse() -> None:
     strict: dict[str, Any] = {"profile": "strict", "standard_port": False}
     async with (
         busway.serve("tcp://127.0.0.1:0", units={1: device}, **strict) as server,
-        busway.open(server.endpoints[0] + "?profile=strict", timeout=0.3, retries=0) as link,
+        busway.open(server.endpoints[0] + "?profile=strict", timeout=10, retries=0) as link,
     ):
         assert await link.unit(1).read_holding_registers(0, count=2) == [7, 7]
         await link.unit(1).write_multiple_registers(0, [1, 2])
         assert device.holding_registers[0:2] == [1, 2]
         assert await link.unit(1).diagnostics(0x0A) == b"\0\0"  # on network listeners only where that is switched on
         with pytest.raises(busway.NoReply):
-            await link.unit(2).read_holding_registers(0, count=1)
+            await link.unit(2).read_holding_registers(0, count=1, timeout=0.2)
 
 
 def test_a_server_without_a_profile_is_as_it_was() -> None:

@@ -290,7 +290,7 @@ async def test_lost_datagrams_are_timeouts_and_late_ones_go_to_nobody() -> None:
         for address in (1, 2):
             with pytest.raises(busway.NoReply):
                 await link.unit(1).read_holding_registers(address, count=2)
-        assert await link.unit(1).read_holding_registers(3, count=2) == [3, 3]
+        assert await link.unit(1).read_holding_registers(3, count=2, timeout=10) == [3, 3]
         assert link.counters.late_replies == 1
     transport.close()
 

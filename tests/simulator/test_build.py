@@ -65,7 +65,7 @@ async def test_a_served_file_answers_as_it_declares() -> None:
     configuration = parse_configuration(GOOD, "good.toml")
     async with (
         configuration.serve(["tcp://127.0.0.1:0"]) as server,
-        busway.open(server.endpoints[0], timeout=0.2, retries=0) as link,
+        busway.open(server.endpoints[0], timeout=10, retries=0) as link,
     ):
         unit = link.unit(1)
         assert await unit.read_holding_registers(0, count=3) == [1, 2, 3]
@@ -80,4 +80,4 @@ async def test_a_served_file_answers_as_it_declares() -> None:
         with pytest.raises(busway.ExceptionReply, match="exception 01"):  # not among the functions
             await unit.read_exception_status()
         with pytest.raises(busway.NoReply):  # unlisted = "silence"
-            await link.unit(9).read_holding_registers(0, count=1)
+            await link.unit(9).read_holding_registers(0, count=1, timeout=0.1)
