@@ -260,6 +260,17 @@ def test_what_comes_together_goes_behind_in_one_segment_and_comes_back_in_one() 
     assert client.session.requests == client.diagnostics.counters.server_message_count == 10
 
 
+def test_a_server_that_takes_one_request_of_a_segment_gets_them_one_by_one() -> None:
+    plant = Plant(single_adu_segments=True)
+    client = plant.client("client")
+    for _ in range(2):
+        plant.link.segments.clear()
+        client.ask(*(read(address) for address in range(5)))
+        plant.link.answer(together=False)
+        assert plant.link.segments == [1] * 5
+        assert list(client.got().values()) == [answer_of(read(address)) for address in range(5)]
+
+
 def test_no_read_waits_for_the_others_of_its_bunch() -> None:
     plant = Plant()
     client = plant.client("client")
