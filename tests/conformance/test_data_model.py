@@ -80,11 +80,11 @@ async def test_a_request_ends_as_a_reply_as_nothing_or_as_an_exception() -> None
 
     async with (
         ScriptedPeer(lambda peer, frame: answers[frame.pdu[2]](frame)) as peer,
-        busway.open(peer.endpoint, retries=0, timeout=0.05) as link,
+        busway.open(peer.endpoint, retries=0, timeout=10) as link,
     ):
         assert await link.unit(1).read_holding_registers(0, count=1) == [7]
         with pytest.raises(busway.NoReply):
-            await link.unit(1).read_holding_registers(1, count=1)
+            await link.unit(1).read_holding_registers(1, count=1, timeout=0.05)
         with pytest.raises(busway.ExceptionReply):
             await link.unit(1).read_holding_registers(2, count=1)
 
