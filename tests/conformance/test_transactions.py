@@ -55,16 +55,18 @@ async def test_each_field_of_a_request_header_is_what_the_guide_says() -> None:
 
 @pytest.mark.clause("T11")
 @pytest.mark.parametrize(("single", "writes"), [(False, 1), (True, 4)])
-async def test_requests_of_one_execute_many_leave_joined_or_one_by_one_by_option(single: bool, writes: int) -> None:
+async def test_requests_of_one_execute_many_leave_joined_or_one_by_one_by_option(
+    single: bool, writes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async with (
         ScriptedPeer() as peer,
         busway.open(peer.endpoint, max_transactions=4, single_adu_segments=single) as link,
     ):
         await link.connect()
         sent: list[bytes] = []
-        transport = link._link._transport  # type: ignore[union-attr]
-        write = transport.write
-        transport.write = lambda data: (sent.append(bytes(data)), write(data))
+        kind = type(link._link._transport)  # type: ignore[union-attr]
+        write = kind.write
+        monkeypatch.setattr(kind, "write", lambda transport, data: (sent.append(bytes(data)), write(transport, data)))
         requests = [busway.ReadHoldingRegisters(address, 1) for address in range(4)]
         replies = await link.unit(1).execute_many(requests)
         assert [reply.registers for reply in replies] == [[0], [1], [2], [3]]

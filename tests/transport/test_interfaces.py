@@ -1,5 +1,6 @@
 """The interfaces of this host, as the system tells them."""
 
+import errno
 import socket
 import sys
 from pathlib import Path
@@ -18,6 +19,14 @@ def test_the_loopback_interface_has_its_address_and_netmask() -> None:
     assert interfaces_with("::1") == (Interface("lo", "::1", "/128"),)
     assert Interface("lo", "127.0.0.1", "255.0.0.0") in interfaces_with("0.0.0.0")
     assert interfaces_with("192.0.2.1") == ()
+
+
+def test_without_a_descriptor_left_there_is_nothing_to_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> socket.socket:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(interfaces.socket, "socket", refused)
+    assert interfaces_with("127.0.0.1") == ()
 
 
 @pytest.mark.clause("T20")

@@ -47,7 +47,8 @@ def interfaces_with(host: str) -> tuple[Interface, ...]:
 def _ipv4_interfaces() -> list[Interface]:
     gateways = _gateways()
     found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+    # Without a descriptor left, as where too many connect, there is nothing to show; whoever asks goes on.
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):  # one that has no such address
                 address, netmask = (_asked(asking, what, name) for what in (_SIOCGIFADDR, _SIOCGIFNETMASK))
