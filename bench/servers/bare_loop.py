@@ -1,9 +1,9 @@
-"""The limit of an event loop under Python: a bare `asyncio.BufferedProtocol` that checks nothing.
+"""What asyncio's own transports come to under Python: a bare `asyncio.BufferedProtocol` that checks nothing.
 
 Run from `bench/`: python -m servers.bare_loop [--uvloop] [--tls CERTIFICATE KEY AUTHORITY]
 
-For: a row in every table of servers, as the floor in C is one. What it takes is what the loop, the kernel and the least
-of Python take; a server that is made in Python can come near it, not below.
+For: a row in every table of servers, as the floor in C is one. What it takes is what the loop's transports, the kernel
+and the least of Python take; a server that leaves those transports out, as busway does, can come below it.
 Must not: be used as a server. It takes every 12 bytes for a read of holding registers.
 """
 
