@@ -95,6 +95,45 @@ class Link:
         now: the clock of demands.
     """
 
+    __slots__ = (
+        "__weakref__",
+        "_alarm",
+        "_asked_before",
+        "_clock",
+        "_closed",
+        "_connecting",
+        "_connector",
+        "_flush_planned",
+        "_frame_leaves",
+        "_framing",
+        "_hold",
+        "_last_failure",
+        "_line",
+        "_loop",
+        "_minds",
+        "_outgoing",
+        "_parameters",
+        "_paused",
+        "_protocol",
+        "_scope",
+        "_spin",
+        "_timer",
+        "_timer_at",
+        "_trace",
+        "_transport",
+        "home",
+        "last_used",
+        "name",
+        "now",
+        "opened",
+        "received_bytes",
+        "reconnect",
+        "sent_bytes",
+        "session",
+        "shared",
+        "watch",
+    )
+
     def __init__(
         self,
         connector: Connector,
@@ -293,14 +332,13 @@ class Link:
         """Bytes have come."""
         if protocol is not self._protocol:
             return
-        now = self._clock()
+        now = self.last_used = self._clock()
         if TRACE.level:
             self._traced().received(bytes(buffer[:size]))
-        self.last_used = now
         self.received_bytes += size
-        session = self.session
+        session, reconnect = self.session, self.reconnect
         session.receive(buffer, size, now)
-        if self.reconnect.state is not ConnectionState.UP or self.reconnect.failures:
+        if reconnect.state is not ConnectionState.UP or reconnect.failures:
             self._note_life(now)
         if session.finished or self.watch is not None:
             self._wake()
