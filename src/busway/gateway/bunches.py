@@ -250,9 +250,8 @@ class Bunches:
         """Answer what has an outcome."""
         asker = bunch.asker
         if asker is not None and not (bunch.open or bunch.told or bunch.joined):
-            outcomes: list[Any] = bunch.outcomes  # Any: bytes, see `_as_bytes`
-            data = [one for one in outcomes if one.__class__ is bytes]
-            if len(data) == len(bunch.reads):
+            data: list[Any] = bunch.outcomes  # Any: bytes, see `_as_bytes`
+            if set(map(type, data)) == _GOOD:
                 self.line.counters.answered += len(data)
                 self._leave(bunch)
                 asker.answer(bunch.reads, data)
@@ -326,4 +325,5 @@ def _as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a clas
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})
 
 
+_GOOD = {bytes}
 _REPLIES = (ReadRegisters.Reply, ReadBits.Reply)

@@ -99,7 +99,18 @@ class VolleyPlan:
         takers: what makes each reply of its data.
     """
 
-    __slots__ = ("_fields", "_pack", "_unpack_from", "fits", "heads", "reply_size", "reply_sizes", "requests", "takers")
+    __slots__ = (
+        "_fields",
+        "_is_plain",
+        "_pack",
+        "_unpack_from",
+        "fits",
+        "heads",
+        "reply_size",
+        "reply_sizes",
+        "requests",
+        "takers",
+    )
 
     def __init__(self, requests: tuple[Request, ...], unit: int) -> None:
         routes = [route_of(request, unit) for request in requests]
@@ -109,6 +120,7 @@ class VolleyPlan:
         self.reply_sizes = tuple(route.reply_size for route in routes)
         self.reply_size = sum(self.reply_sizes)
         self.takers = tuple(route.take for route in routes)
+        self._is_plain = set(self.takers) == {bytes}  # whoever asks wants the data as they came (a gateway)
         self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
         if self.fits:
             out, back = _shapes(tuple(len(route.tail) for route in routes), self.reply_sizes)
@@ -125,6 +137,8 @@ class VolleyPlan:
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
             return None
+        if self._is_plain:
+            return list(fields[2::3])
         return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
 
 
