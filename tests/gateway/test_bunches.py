@@ -295,6 +295,28 @@ def test_only_what_gets_no_reply_is_answered_0b() -> None:
     assert (plant.line.open_requests, client.slots.used, plant.line.counters.no_answer) == (0, 0, 1)
 
 
+def test_what_has_failed_for_good_does_not_wait_for_what_is_asked_again() -> None:
+    plant = Plant(max_transactions=2, timeout=1.0, retries=1, recycle_after_timeouts=100)
+    client = plant.client("client")
+    for _ in range(2):
+        client.ask(read(0), read(1), read(2))
+        while plant.link.asked:
+            plant.link.answer()
+        client.got()
+    client.ask(read(0), read(1), read(2))
+    plant.link.answer(0)  # its place goes to the third one, half a second later
+    plant.link.time += 0.5
+    plant.link.pump()
+    plant.link.wait(0.6)  # the second one is asked again
+    assert list(client.got().values()) == [answer_of(read(0))]
+    plant.link.wait(1.1)
+    answers = client.got()
+    plant.link.wait(1.1)
+    answers |= client.got()
+    assert list(answers.values()) == [bytes((0x83, 0x0B))] * 2
+    assert plant.line.open_requests == 0
+
+
 def test_exceptions_of_the_device_go_through_each_in_its_place() -> None:
     plant = Plant()
     client = plant.client("client")

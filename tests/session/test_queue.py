@@ -256,6 +256,20 @@ def test_what_takes_several_places_gives_each_free_when_it_is_sent() -> None:
     assert (queue.size, queue.waiting) == (1, 2)
 
 
+def test_what_is_asked_again_has_begun_until_it_is_sent_or_taken_out() -> None:
+    queue = RequestQueue(5)
+    queue.burst = 4
+    one, other = demand("a"), demand("b")
+    for each in (one, other):
+        queue.add_again(each)
+    assert list(queue.begun) == [one, other]
+    assert queue.pick() is one
+    one.take(1)
+    queue.sent(one, 1)
+    queue.remove(other)
+    assert not queue.begun
+
+
 def test_units_of_a_caller_are_served_in_turn_where_that_is_asked_for() -> None:
     demands = [demand(unit=unit) for unit in (1, 1, 1, 2, 2, 3)]
     queue = RequestQueue(64)

@@ -76,7 +76,7 @@ class RequestQueue:
         size: how many there are.
         waiting: how many places they take (`Demand.places`): what the limit is about.
         burst: requests of one caller that may be sent before the next one's turn, where there is room for all of them.
-        begun: those of several requests of which some are sent, where turns may be more than one.
+        begun: those of which some requests were sent and others wait, where turns may be more than one request.
         units_in_turn: whether the units of a caller are served in turn, and not its requests in their order.
     """
 
@@ -107,6 +107,8 @@ class RequestQueue:
         if demand not in caller.demands:  # else its other requests still wait
             caller.demands.appendleft(demand)
             self._count(caller, demand)
+        if self.burst > 1:
+            self.begun[demand] = None
 
     def _new_caller(self, key: object) -> _Caller:
         caller = self._callers[key] = _Caller(key)

@@ -10,6 +10,7 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 4. Requests start in order. Replies of deferred requests leave when they are there, each with the unit and the
    transaction it was asked with, and only while the connection lasts.
 5. Every request that gets no answer is counted.
+6. Reads that the handler hands on (`ReadForwarder`) go together, as far as they are known, and past the long road.
 """
 
 from collections.abc import Awaitable, Mapping
