@@ -174,6 +174,8 @@ def test_what_was_made_for_a_request_is_kept_for_each_unit() -> None:
     assert (first.tail[4], second.tail[4]) == (1, 2)
     assert route_of(request, 1) is first
     assert route_of(request, 2) is second
+    assert route_of(request, 3) is not first
+    assert [route_of(request, unit).unit for unit in (1, 2, 3)] == [1, 2, 3]
 
 
 def test_the_plan_of_the_same_requests_is_made_once_and_that_of_others_anew() -> None:

@@ -105,7 +105,10 @@ class AsyncUnit:
             raise
         outcome = demand.outcomes[0]
         if isinstance(outcome, ModbusError):
-            raise outcome
+            try:
+                raise outcome
+            finally:
+                del outcome, demand  # else the error and this frame, which it names, keep each other alive
         assert outcome is not None
         return outcome
 
@@ -119,7 +122,10 @@ class AsyncUnit:
         if not return_errors:
             for outcome in outcomes:
                 if isinstance(outcome, ModbusError):
-                    raise outcome
+                    try:
+                        raise outcome
+                    finally:
+                        del outcome, outcomes  # as in `_ask`
         return outcomes
 
     @documented_by(Unit.read)

@@ -486,12 +486,11 @@ class Link:
             raise LinkDown("the link is closed", endpoint=self.name, unit=demand.unit)
         if self._last_failure is not None and not self.reconnect.may_dial(now) and self._connecting is None:
             pause = self.reconnect.not_before - now
-            error = LinkDown(
+            raise LinkDown(
                 f"{self._last_failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
                 endpoint=self.name,
                 unit=demand.unit,
-            )
-            raise error from self._last_failure
+            ) from self._last_failure
 
     def _failure(self) -> LinkDown:
         failure = self._last_failure

@@ -32,13 +32,13 @@ class Route:
         head: the seven bytes behind the transaction of a reply that fits. Empty where they do not tell whether it does.
         reply_size: bytes of the ADU of a reply that fits.
         take: what makes that reply of its data.
-        others: the routes of the same request to all units.
+        others: the routes of the same request to all units, if it was sent to more than one.
         plan: of the last volley that this request was the first of.
     """
 
     __slots__ = ("head", "others", "plan", "reply_size", "tail", "take", "unit")
 
-    def __init__(self, request: Request, unit: int, others: dict[int, "Route"]) -> None:
+    def __init__(self, request: Request, unit: int) -> None:
         wire = request.prepare()
         size, prefix = request.expected_size, request.expected_prefix
         self.unit = unit
@@ -48,9 +48,8 @@ class Route:
         self.head = b""
         if request.take is not None and size > 0 and len(prefix) == 2 == request.Reply.layout.head.size:
             self.head = HEAD.pack(0, 0, size + 1, unit)[2:] + prefix
-        self.others = others
+        self.others: dict[int, Route] | None = None
         self.plan: VolleyPlan | None = None
-        others[unit] = self
 
 
 def route_of(request: Request, unit: int) -> Route:
@@ -58,13 +57,24 @@ def route_of(request: Request, unit: int) -> Route:
     try:
         route: Route = request.memo
     except AttributeError:
-        route = Route(request, unit, {})
+        route = Route(request, unit)
     else:
         if route.unit == unit:
             return route
-        route = route.others.get(unit) or Route(request, unit, route.others)
+        route = _other_route(request, unit, route)
     request.remember(route)
     return route
+
+
+def _other_route(request: Request, unit: int, known: Route) -> Route:
+    """The route to a unit where another one is kept already; from now on each finds the others."""
+    if known.others is None:
+        known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
+    found = known.others.get(unit)
+    if found is None:
+        found = known.others[unit] = Route(request, unit)
+        found.others = known.others
+    return found
 
 
 class Flight:
@@ -92,7 +102,8 @@ class VolleyPlan:
     """What requests to a unit look like together but for their transactions.
 
     Attributes:
-        requests: which; those that are equal to them have the same plan.
+        following: the requests behind the first, which keeps the plan and is not kept by it: a batch that is made for
+            one call would else be a ring of references.
         fits: whether all their replies can be known by their first bytes; if not, there is no volley of them.
         heads: of each reply, the seven bytes behind its transaction.
         reply_sizes, reply_size: bytes of the ADUs of each reply, and of all.
@@ -105,16 +116,16 @@ class VolleyPlan:
         "_pack",
         "_unpack_from",
         "fits",
+        "following",
         "heads",
         "reply_size",
         "reply_sizes",
-        "requests",
         "takers",
     )
 
-    def __init__(self, requests: tuple[Request, ...], unit: int) -> None:
-        routes = [route_of(request, unit) for request in requests]
-        self.requests = requests
+    def __init__(self, first: Route, following: tuple[Request, ...]) -> None:
+        routes = [first, *[route_of(request, first.unit) for request in following]]
+        self.following = following
         self.fits = all(route.head for route in routes)
         self.heads = tuple(route.head for route in routes)
         self.reply_sizes = tuple(route.reply_size for route in routes)
@@ -152,11 +163,11 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> VolleyPlan:
     """The plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
-    chosen = tuple(requests[first : first + count])
-    route = route_of(chosen[0], unit)
+    route = route_of(requests[first], unit)
+    following = tuple(requests[first + 1 : first + count])
     plan = route.plan
-    if plan is None or plan.requests != chosen:  # as a rule the very same objects, so this is no work
-        plan = route.plan = VolleyPlan(chosen, unit)
+    if plan is None or plan.following != following:  # as a rule the very same objects, so this is no work
+        plan = route.plan = VolleyPlan(route, following)
     return plan
 
 
