@@ -96,7 +96,7 @@ test-unit-quietly: $(VENV)/.installed-dev
 
 .PHONY: soak
 soak: $(VENV)/.installed-dev ## tests that take minutes
-	@$(RUN)/python -m pytest -m soak $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest -m soak -o faulthandler_timeout=0 $(PYTEST_FLAGS)
 
 .PHONY: bench
 bench: $(VENV)/.installed-dev bench-peers ## one table of speed, ours and the peers in the same run

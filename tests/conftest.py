@@ -32,7 +32,7 @@ TURNS_TO_END = 3
 """Turns of the loop that a cancelled or finishing task gets: its last step, its callbacks, and one to spare."""
 
 TESTS = Path(__file__).parent
-REAL_TIME_FOLDERS = tuple(TESTS / name for name in ("browser", "interop/serial", "load", "network", "soak"))
+REAL_TIME_FOLDERS = tuple(TESTS / name for name in ("browser", "interop/serial", "load", "network"))
 """Where every test is about time, load or the system."""
 
 settings.register_profile("no deadline", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -40,12 +40,14 @@ settings.load_profile("no deadline")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what depends on real time, and give it its second attempt."""
+    """Mark what depends on real time, give it its second attempt, and let take minutes what has to."""
     for item in items:
         if any(folder in item.path.parents for folder in REAL_TIME_FOLDERS):
             item.add_marker(pytest.mark.real_time)
         if item.get_closest_marker("real_time"):
             item.add_marker(pytest.mark.flaky(reruns=1))
+        if item.get_closest_marker("soak"):
+            item.add_marker(pytest.mark.timeout(0))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.packaging
-
 CHECKOUT = Path(__file__).parents[2]
 LIMIT = 300.0
 """Seconds for one step; pip may have to fetch the dependencies."""
+
+pytestmark = [pytest.mark.packaging, pytest.mark.timeout(3 * LIMIT)]
 
 ROUND_TRIP = """
 import busway
