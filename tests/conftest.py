@@ -12,6 +12,7 @@
 
 import asyncio
 import inspect
+import os
 import signal
 from collections.abc import Awaitable
 from pathlib import Path
@@ -32,7 +33,7 @@ TURNS_TO_END = 3
 """Turns of the loop that a cancelled or finishing task gets: its last step, its callbacks, and one to spare."""
 
 TESTS = Path(__file__).parent
-REAL_TIME_FOLDERS = tuple(TESTS / name for name in ("browser", "interop/serial", "load", "network"))
+REAL_TIME_FOLDERS = tuple(f"{TESTS / name}{os.sep}" for name in ("browser", "interop/serial", "load", "network"))
 """Where every test is about time, load or the system."""
 
 settings.register_profile("no deadline", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -42,7 +43,7 @@ settings.load_profile("no deadline")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what depends on real time, give it its second attempt, and let take minutes what has to."""
     for item in items:
-        if any(folder in item.path.parents for folder in REAL_TIME_FOLDERS):
+        if str(item.path).startswith(REAL_TIME_FOLDERS):
             item.add_marker(pytest.mark.real_time)
         if item.get_closest_marker("real_time"):
             item.add_marker(pytest.mark.flaky(reruns=1))
