@@ -149,7 +149,7 @@ def compile_taker(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or 
     layout: Layout = cls.layout
     if len(layout.fields) != 1 or not isinstance(layout.fields[0], RestLength) or cls.has_rule:
         return None
-    if not isinstance(layout.tail, RestField) or cls.sub_code is not None:
+    if not isinstance(layout.tail, RestField) or cls.sub_code is not None or layout.head.size != 2:
         return None
     new, put = cls.__new__, getattr(cls, layout.tail_name).__set__
 

@@ -35,6 +35,9 @@ from .queue import BURST
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
+_LAUNCHES_APART = 32
+"""So many times requests fly one by one after replies have come in another order, or one was an exception: to take a
+volley apart costs a fifth of what its requests cost."""
 _LATE_FACTOR = 2
 """A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
 helps: so many times more timeouts are borne while late replies come."""
@@ -60,6 +63,7 @@ class TcpClientSession:
         "_expired",
         "_foreign_in_row",
         "_free",
+        "_launches_apart",
         "_ledger",
         "_not_before",
         "_pending",
@@ -103,6 +107,7 @@ class TcpClientSession:
         self._timeouts_in_row = 0
         self._timeouts_since_reply = 0
         self._foreign_in_row = 0
+        self._launches_apart = 0  # how many more times requests fly one by one
 
     # What the application asks.
 
@@ -254,7 +259,16 @@ class TcpClientSession:
             out.append(b"".join(adus))
 
     def _launch_volley(self, demand: Demand, count: int, now: float) -> bytes | None:
-        """Put the next ``count`` requests in flight together, one for each free place; None if they can not go so."""
+        """Put the next ``count`` requests in flight together, one for each free place; None if they can not go so.
+
+        Where others fly by themselves the device answers one by one, or in another order: a volley would only be taken
+        apart again.
+        """
+        if count < 2 or self._pending:
+            return None
+        if self._launches_apart:
+            self._launches_apart -= 1
+            return None
         first = demand.next
         plan = plan_of(demand.requests, first, count, demand.unit)
         if not plan.fits:
@@ -265,10 +279,7 @@ class TcpClientSession:
             transactions = tuple(range(start, stop, _STEP))  # 0.1 µs less for each request than the other way
         else:
             transactions = tuple([one & 0xFFFF for one in range(start, stop, _STEP)])
-        pending, expired = self._pending, self._expired
-        if pending and not pending.keys().isdisjoint(transactions):
-            return None
-        if expired and not expired.keys().isdisjoint(transactions):
+        if self._expired and not self._expired.keys().isdisjoint(transactions):
             return None
         self._transaction = transactions[-1]
         free = self._free
@@ -375,6 +386,7 @@ class TcpClientSession:
                 volley.answered += 1
             else:
                 self._scatter()
+                self._launches_apart = _LAUNCHES_APART
                 break
             at = end
             good += len(replies)

@@ -15,10 +15,11 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
-from ..framing.mbap import HEAD
 from ..pdu.message import Message, Request
 from .demand import Demand
 
+_BEHIND = struct.Struct(">HHB")
+"""What stands behind the transaction: protocol, length, unit."""
 HEAD_SIZE = 9
 """Bytes of a reply by which it is known: transaction and the seven behind it."""
 
@@ -40,14 +41,13 @@ class Route:
 
     def __init__(self, request: Request, unit: int) -> None:
         wire = request.prepare()
-        size, prefix = request.expected_size, request.expected_prefix
+        size, prefix, take = request.expected_size, request.expected_prefix, request.take
         self.unit = unit
-        self.tail = HEAD.pack(0, 0, len(wire) + 1, unit)[2:] + wire
+        self.tail = _BEHIND.pack(0, len(wire) + 1, unit) + wire
         self.reply_size = 7 + size
-        self.take = request.take
-        self.head = b""
-        if request.take is not None and size > 0 and len(prefix) == 2 == request.Reply.layout.head.size:
-            self.head = HEAD.pack(0, 0, size + 1, unit)[2:] + prefix
+        self.take = take
+        is_known = take is not None and size > 0 and len(prefix) == 2
+        self.head = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
         self.others: dict[int, Route] | None = None
         self.plan: VolleyPlan | None = None
 
