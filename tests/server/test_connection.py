@@ -303,6 +303,28 @@ async def test_client_that_closes_its_half_still_gets_the_replies_to_come() -> N
 
 
 @pytest.mark.clause("T30")
+async def test_client_that_closes_its_half_still_gets_the_reply_that_was_given_in_the_same_turn() -> None:
+    handler = ScriptedHandler(later)
+    async with busway.serve(ANY_PORT, handler=handler) as server:
+        loop = asyncio.get_running_loop()
+        with socket.socket() as client:
+            client.setblocking(False)
+            await loop.sock_connect(client, ("127.0.0.1", _port(server)))
+            await loop.sock_sendall(client, _question(1))
+            await until(lambda: handler.contexts)
+
+            def end_and_answer() -> None:
+                client.shutdown(socket.SHUT_WR)
+                # In the turn in which the server hears of the end, and before it does.
+                loop.call_soon(handler.contexts[0].reply, registers(1))
+
+            loop.call_soon(end_and_answer)
+            async with asyncio.timeout(5):
+                assert await loop.sock_recv(client, 100) == _answer(1)
+                assert await loop.sock_recv(client, 100) == b""
+
+
+@pytest.mark.clause("T30")
 async def test_client_that_closes_its_half_is_closed_when_the_last_reply_turns_out_to_be_silence() -> None:
     handler = ScriptedHandler(later)
     async with busway.serve(ANY_PORT, handler=handler) as server:

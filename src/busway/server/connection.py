@@ -146,9 +146,10 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def eof_received(self) -> bool:
         """The client sends no more; replies that are still to come go out first."""
-        self._half_closed = (
-            self.session is not None and self.session.waiting > 0 and self._management.parameters.answer_half_closed
-        )
+        session = self.session
+        # A reply that was given in this very turn has not left yet, and is no longer waited for.
+        is_owed = session is not None and (session.waiting > 0 or bool(self._late))
+        self._half_closed = is_owed and self._management.parameters.answer_half_closed
         return self._half_closed
 
     def pause_writing(self) -> None:
