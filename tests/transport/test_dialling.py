@@ -1,6 +1,7 @@
 """Connections that are opened here: how an address is found, what they wait in, and what becomes of those that fail."""
 
 import asyncio
+import errno
 import gc
 import select
 import socket
@@ -94,9 +95,11 @@ def test_a_loop_is_kept_no_longer_than_its_connections(listening: socket.socket)
     assert kept[0]() is None
 
 
+@pytest.mark.parametrize("waits_together", [pytest.param(True, marks=CROWDED), False])
 def test_the_socket_is_prepared_once_it_is_connected_and_a_peer_that_has_gone_is_no_matter(
-    listening: socket.socket,
+    listening: socket.socket, monkeypatch: pytest.MonkeyPatch, waits_together: bool
 ) -> None:
+    monkeypatch.setattr(dialling, "can_watch", lambda loop: waits_together)
     prepared: list[Any] = []
 
     def prepare(connection: socket.socket) -> None:
@@ -134,6 +137,26 @@ def test_where_nobody_listens_the_reason_is_the_last_one(host: str) -> None:
                 await dialling.open_stream(
                     Listener, host, free[1], local_address=None, interface=None, prepare=lambda connection: None
                 )
+
+    run_on("asyncio", main)
+
+
+@CROWDED
+def test_address_of_a_family_that_the_system_does_not_have_is_left_out(
+    listening: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = listening.getsockname()
+    missing = (255, socket.SOCK_STREAM, 0, "", ("::1", address[1], 0, 0))
+    found: list[tuple[Any, ...]] = [missing, (socket.AF_INET, socket.SOCK_STREAM, 0, "", address)]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *asked, **also: found)
+
+    async def main() -> None:
+        transport, protocol = await opened(listening)
+        transport.close()
+        await until(lambda: bool(protocol.lost))
+        found[:] = [missing]
+        with pytest.raises(OSError, match=f"Errno {errno.EAFNOSUPPORT}"):
+            await opened(listening)
 
     run_on("asyncio", main)
 

@@ -50,7 +50,8 @@ async def open_stream(
     if not waits_together and interface is None:
         local = None if local_address is None else (local_address, 0)
         transport, _ = await loop.create_connection(protocol, host, port, local_addr=local)
-        prepare(transport.get_extra_info("socket"))
+        with contextlib.suppress(OSError):  # as below
+            prepare(transport.get_extra_info("socket"))
         return transport
     connection = await _connected(host, port, local_address, interface)
     with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
@@ -131,7 +132,11 @@ class _Attempts:
     def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
         """A socket for each address of the peer, on the interface and not yet connected."""
         for family, kind, protocol, _, address in found:
-            connection = socket.socket(family, kind, protocol)
+            try:
+                connection = socket.socket(family, kind, protocol)
+            except OSError as error:  # the name has an address of a family that this system does not have
+                self.problem = error
+                continue
             try:
                 if self._interface is not None:
                     connection.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, self._interface.encode() + b"\0")
