@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from busway.framing.mbap import MbapReceiver, encode_mbap
-from busway.pdu.direct import Answer
+from busway.pdu.direct import Answer, ReadPlan
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.read_items import ReadHoldingRegisters
+from busway.server.device import Device
+from busway.server.local import LocalHandler
 from busway.session.diagnostics import CommunicationState
 from busway.session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
 from busway.session.handler import Outcome, RequestContext
@@ -79,12 +81,12 @@ class HandingOn(LongRoad):
 
     def __init__(self) -> None:
         super().__init__()
-        self.plans = ForwardPlans()
+        self.known = ForwardPlans()
         self.ways = {unit: Way(unit) for unit in range(1, UNITS + 1)}
         self.planned = 0
 
     def forward_plans(self, context: RequestContext) -> ForwardPlans:
-        return self.plans
+        return self.known
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         self.planned += 1
@@ -134,6 +136,33 @@ FRAMES = st.one_of(
         lambda pdu: (1, pdu), st.sampled_from([b"\x06\0\1\0\2", b"\x03\0", b"\x03\0\0\0\1\0", b"\x41ab", b"\x83\2"])
     ),
 )
+
+
+class HandingOnSome(HandingOn):
+    """Has a device of its own beside those that reads are handed on to."""
+
+    own = LocalHandler({UNITS + 1: Device(holding_registers=[7])})
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        return self.own.direct(context)
+
+    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
+        return self.own.plans(context)
+
+    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
+        return self.own.plan(context, pdu)
+
+
+def test_reads_that_are_planned_and_reads_that_are_handed_on_are_answered_once_whichever_come_first() -> None:
+    handler = HandingOnSome()
+    client = Client(handler)
+    units = (UNITS + 1, 1)
+    for first in (0, 1, 0, 1):  # once they are met for the first time, then they are known
+        client.send(read(10, unit=units[first]) + read(11, unit=units[1 - first]))
+        handler.answer()
+        own = b"\x04\x03\x02\0\x07"
+        assert client.got() == {10 + first: own, 11 - first: b"\x01\x03\x02" + data_of(1, 0, 1)}
+    assert client.session.requests == client.diagnostics.counters.server_message_count == 8
 
 
 @settings(max_examples=150)
@@ -212,7 +241,7 @@ def test_when_the_connection_ends_whoever_works_for_it_is_told_and_nothing_is_se
     assert (client.slots.used, client.session.waiting) == (0, 0)
     assert client.diagnostics.counters.server_no_response_count == 2
     handler.answer()
-    way.gone[0].refuse((b"\0\1", next(iter(handler.plans.known.values()))), 4)
+    way.gone[0].refuse((b"\0\1", next(iter(handler.known.known.values()))), 4)
     way.gone[0].send()
     assert not client.out
 
@@ -221,7 +250,7 @@ def test_a_new_generation_asks_anew_what_becomes_of_reads() -> None:
     handler = HandingOn()
     client = Client(handler)
     client.send(read(1))
-    handler.plans = ForwardPlans()
+    handler.known = ForwardPlans()
     client.send(read(2))
     assert handler.planned == 1
     handler.generation += 1

@@ -192,7 +192,7 @@ class TcpServerSession:
                 diagnostics.exchanged += direct
                 return out
         reads = self._reads if not muted else None
-        if reads is not None and not size % READ_SIZE:
+        if reads is not None and not (direct or size % READ_SIZE):
             # What a poller sends to a gateway.
             at = reads.take(buffer, 0, size)
             self.requests += at // READ_SIZE
