@@ -17,6 +17,8 @@ from busway.gateway.lines import Line
 from busway.gateway.routes import Action, AddressRange, FrontRoutes, Route
 from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest, FunctionTable
+from busway.pdu.message import Touch
+from busway.pdu.read_items import ReadRegisters
 from busway.server.policy.handler import PolicyHandler
 from busway.session.client import TcpClientSession
 from busway.session.demand import Demand
@@ -293,6 +295,28 @@ def test_only_what_gets_no_reply_is_answered_0b() -> None:
     plant.link.wait(1.1)
     assert client.got() == {2: bytes((0x83, 0x0B))}
     assert (plant.line.open_requests, client.slots.used, plant.line.counters.no_answer) == (0, 0, 1)
+
+
+class ReadKnownValues(ReadRegisters):
+    """03 of devices that answer 7 where they know no value."""
+
+    code = 3
+    reads = Touch(Table.HOLDING_REGISTERS)
+
+    def check_reply(self, reply: Any) -> str | None:
+        return "no value" if 7 in reply.registers else None
+
+
+@pytest.mark.parametrize("bunches", [True, False])
+def test_a_reply_that_its_function_does_not_take_is_not_handed_on(bunches: bool) -> None:
+    plant = Plant(bunches=bunches)
+    plant.front.functions = FunctionTable(*(one for one in busway.STANDARD if one.code != 3), ReadKnownValues)
+    plant.handler.functions = plant.front.functions
+    client = plant.client("client")
+    for _ in range(2):
+        client.ask(read(7), read(8))
+        plant.link.answer()
+        assert sorted(client.got().values()) == sorted([bytes((0x83, 0x0B)), answer_of(read(8))])
 
 
 def test_what_has_failed_for_good_does_not_wait_for_what_is_asked_again() -> None:

@@ -130,7 +130,7 @@ class FrontHandler:
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         """What becomes of a read, where it goes to a server on TCP as one request and is not remembered."""
         request = self.functions.decode_request(pdu)
-        if not isinstance(request, ReadRegisters | ReadBits):
+        if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:  # None: it looks at its reply
             return None
         found = self._routes.find(context.unit, request)
         if not isinstance(found, Route) or found.action is not Action.FORWARD or found.cache is not None:
