@@ -142,6 +142,17 @@ def test_where_nobody_listens_the_reason_is_the_last_one(host: str) -> None:
 
 
 @CROWDED
+@pytest.mark.parametrize("name", LOOPS)
+def test_zone_of_a_link_local_address_reaches_the_system(listening: socket.socket, name: str) -> None:
+    async def main() -> None:
+        # Which error it is depends on the system; where the zone was lost, it is this one.
+        with pytest.raises(OSError, match=rf"Errno (?!{errno.EINVAL}\b)"):
+            await opened(listening, "fe80::1%lo")
+
+    run_on(name, main)
+
+
+@CROWDED
 def test_address_of_a_family_that_the_system_does_not_have_is_left_out(
     listening: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:

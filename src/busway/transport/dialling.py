@@ -87,7 +87,7 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
     for connection, address in attempts.towards(found):
         try:
             connection.setblocking(False)
-            await loop.sock_connect(connection, address)
+            await loop.sock_connect(connection, _with_zone(address))
         except OSError as error:
             connection.close()
             attempts.problem = error
@@ -97,6 +97,13 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
         else:
             return connection
     raise attempts.problem
+
+
+def _with_zone(address: Any) -> Any:  # of whatever family
+    """An address that every loop takes: uvloop leaves out the zone of a link-local one unless its host names it."""
+    if len(address) == 4 and address[3]:
+        return f"{address[0]}%{address[3]}", address[1]
+    return address
 
 
 def dial_through(interface: str, host: str, port: int, local_address: str | None, timeout: float) -> socket.socket:
