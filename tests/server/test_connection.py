@@ -339,6 +339,20 @@ async def test_client_that_closes_its_half_is_closed_when_the_last_reply_turns_o
         await _close(writer)
 
 
+@pytest.mark.clause("T29")
+async def test_reply_given_before_the_handler_returns_goes_out_before_what_breaks_the_stream_closes_it() -> None:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+        context.reply(registers(address_of(request)))
+        return busway.LATER
+
+    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+        writer.write(_question(5) + bytes.fromhex("0002 0000 0000 01 03"))  # a length of 0 can not be
+        async with asyncio.timeout(5):
+            assert await reader.read(-1) == _answer(5)
+        await _close(writer)
+
+
 # --- limits of connections -----------------------------------------------------------------------
 
 

@@ -140,7 +140,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.watch_frame(self, begun_now=session.unfinished <= nbytes)
         if session.broken:
             self._management.broken(self, session.broken)
-            self._transport.close()
+            self.close()
         elif self._is_rated:
             self._management.charge(self, session)
 
@@ -217,7 +217,9 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Close after what is written has gone out."""
+        """Close after what is written, or was given in this turn, has gone out."""
+        if self._late:
+            self._send_late()
         if self._transport is not None:
             self._transport.close()
 
