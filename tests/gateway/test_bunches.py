@@ -108,6 +108,14 @@ class WireLink:
         self._wake()
         self.pump()
 
+    def lose(self) -> None:
+        """The connection ends, with whatever is on its way, and there is another one at once."""
+        self.asked.clear()
+        self.session.disconnected(self.time, "the server closed it")
+        self._wake()
+        self.session.connected(self.time)
+        self.pump()
+
     def _wake(self) -> None:
         finished = self.session.finished[:]
         self.session.finished.clear()
@@ -244,6 +252,73 @@ def test_whoever_asks_gets_the_answers_of_the_long_road(
         reads = clients[0].session._reads
         assert reads is None or not reads.works
     assert found[0] == found[1]
+
+
+TROUBLES = st.one_of(
+    STEPS,
+    st.tuples(st.sampled_from(["lose", "leave"]), st.integers(0, 2), st.just(0), st.just([])),
+    st.tuples(st.just("wait"), st.sampled_from([0.3, 1.1]), st.just(0), st.just([])),
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(TROUBLES, max_size=25),
+    st.booleans(),
+    st.sampled_from([1, 3, 16]),
+    st.sampled_from([0, 2]),
+    st.sampled_from([None, 0.5]),
+    st.sampled_from([5, 200]),
+)
+def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_lines_and_clients(
+    steps: list[tuple[Any, Any, Any, Any]],
+    share_reads: bool,
+    room: int,
+    retries: int,
+    patience: float | None,
+    queue: int,
+) -> None:
+    options = {"max_transactions": room, "retries": retries, "queue": queue, "recycle_after_timeouts": 1000}
+    plant = Plant(share_reads=share_reads, **options)
+    plant.front.deadline = patience
+    clients = [plant.client(f"10.0.0.{number}:500") for number in range(3)]
+    asked: list[dict[int, bytes]] = [{}, {}, {}]
+
+    def look() -> None:
+        for number, client in enumerate(clients):
+            for transaction, answer in client.got().items():
+                pdu = asked[number].pop(transaction)
+                is_malformed = pdu[0] == 3 and pdu[3:] in (b"\0\0", b"\0\x7e")
+                codes = (3, 6) if is_malformed else (6, 10, 11)
+                assert answer in (answer_of(pdu), *(bytes((pdu[0] | 0x80, code)) for code in codes))
+            assert client.slots.used == client.session.waiting == len(asked[number])
+
+    for action, who, unit, pdus in steps:
+        if action == "ask":
+            asked[who].update(enumerate(pdus, clients[who].transaction + 1))
+            clients[who].ask(*pdus, unit=5)
+        elif action == "answer" and plant.link.asked:
+            plant.link.answer(unit % len(plant.link.asked)) if who else plant.link.answer()
+        elif action == "lose":
+            plant.link.lose()
+        elif action == "leave":
+            clients[who].session.close()
+            asked[who] = {}
+            look()
+            clients[who] = plant.client(f"10.0.0.{who}:501")
+        elif action == "wait":
+            plant.link.wait(who)
+        look()
+    while plant.link.asked:
+        plant.link.answer(together=False)
+    look()
+    queued = plant.link.session._queue
+    assert asked == [{}, {}, {}]
+    assert (plant.line.open_requests, queued.size, queued.waiting, len(queued.begun)) == (0, 0, 0, 0)
+    assert not any(unit.reading or unit.open_writes for unit in plant.line.memory._units.values())
+    for client in clients:
+        assert client.session._reads is not None
+        assert not client.session._reads.works
 
 
 def test_what_comes_together_goes_behind_in_one_segment_and_comes_back_in_one() -> None:
