@@ -50,6 +50,26 @@ async def test_it_rings_once_and_not_before_its_time(kind: str) -> None:
     assert bell.times[0] >= when - 0.001  # the clock of a loop may be another one
 
 
+async def test_what_the_one_who_is_rung_raises_is_reported(kind: str) -> None:
+    reported = asyncio.Event()
+    told: list[object] = []
+
+    def report(loop: asyncio.AbstractEventLoop, context: dict[str, object]) -> None:
+        told.append(context["exception"])
+        reported.set()
+
+    def ring() -> None:
+        raise error
+
+    error = BlockingIOError("a port that takes nothing")
+    asyncio.get_running_loop().set_exception_handler(report)
+    alarm = Alarm(ring)
+    alarm.set(time.monotonic())
+    await asyncio.wait_for(reported.wait(), 5)
+    alarm.close()
+    assert told == [error]
+
+
 async def test_setting_it_again_moves_it(kind: str) -> None:
     bell = Bell()
     alarm = Alarm(bell)

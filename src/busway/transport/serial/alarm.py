@@ -17,7 +17,6 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final
 
 _CLOCK_MONOTONIC = 1  # the clock of time.monotonic
@@ -83,13 +82,15 @@ class Alarm:
             self.close()
 
     def _expired(self, descriptor: int) -> None:
-        with suppress(BlockingIOError):  # it was set anew since
+        try:
             os.read(descriptor, 8)
-            late = min(time.monotonic() - self._when + self._lead, LONGEST_LEAD)
-            while time.monotonic() < self._when:
-                pass  # less than the lead
-            self._lead = min(late, self._lead + (late - self._lead) * _SLOWLY)
-            self._ring()
+        except BlockingIOError:
+            return  # it was set anew since
+        late = min(time.monotonic() - self._when + self._lead, LONGEST_LEAD)
+        while time.monotonic() < self._when:
+            pass  # less than the lead
+        self._lead = min(late, self._lead + (late - self._lead) * _SLOWLY)
+        self._ring()
 
     def _late(self) -> None:
         self._handle = None
