@@ -337,6 +337,26 @@ def test_what_comes_together_goes_behind_in_one_segment_and_comes_back_in_one() 
     assert client.session.requests == client.diagnostics.counters.server_message_count == 10
 
 
+@pytest.mark.parametrize("bunches", [True, False])
+def test_what_waits_for_its_answer_has_been_counted_as_received_and_the_log_says_when_what_was(bunches: bool) -> None:
+    plant = Plant(bunches=bunches)
+    client = plant.client("client")
+    state = client.diagnostics
+    for _ in range(2):
+        state.restart(clear_log=True)
+        client.ask(read(0), read(SIZE), read(1))
+        assert (state.counters.bus_message_count, state.counters.server_message_count) == (3, 3)
+        assert (state.event_count, state.message_count) == (0, 3)
+        plant.link.answer()
+        assert (state.counters.server_message_count, state.counters.bus_exception_error_count) == (3, 1)
+        status, events, messages, log = state.event_log()
+        assert (status, events, messages) == (0, 2, 3)
+        assert (sorted(log[:3]), log[3:]) == ([0x40, 0x40, 0x41], bytes([0x80] * 3 + [0]))
+    client.ask(read(0))
+    client.session.close()
+    assert (state.counters.server_message_count, state.counters.server_no_response_count) == (4, 1)
+
+
 def test_a_server_that_takes_one_request_of_a_segment_gets_them_one_by_one() -> None:
     plant = Plant(single_adu_segments=True)
     client = plant.client("client")

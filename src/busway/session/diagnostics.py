@@ -104,6 +104,8 @@ class CommunicationState:
     Attributes:
         exchanged: requests that came in and were answered, all well, and are not in counters and log yet. Whoever
             answers many at once adds here, 30 ns instead of 600; every reading of the counters takes it in.
+        arrived, departed: likewise, where the answers come later: requests that came in, and answers that went out,
+            all well.
         listen_only: whether nothing is answered until a restart.
         program_command_running: whether the status word of 11 and 12 is FFFF.
         diagnostic_register: what sub-function 02 returns; the application sets it.
@@ -117,8 +119,10 @@ class CommunicationState:
         "_log",
         "_message_count",
         "_restart_clears_log",
+        "arrived",
         "ascii_delimiter",
         "changes_allowed",
+        "departed",
         "diagnostic_register",
         "exchanged",
         "listen_only",
@@ -129,7 +133,7 @@ class CommunicationState:
         self._counters = Counters()
         self._event_count = 0
         self._message_count = 0
-        self.exchanged = 0
+        self.exchanged = self.arrived = self.departed = 0
         self.listen_only = False
         self.program_command_running = False
         self.diagnostic_register = 0
@@ -165,7 +169,7 @@ class CommunicationState:
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Do a sub-function of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         if sub_code in _CHANGES and not self.changes_allowed:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "this listener does not take diagnostics that change it")
@@ -218,7 +222,7 @@ class CommunicationState:
 
     def received(self, *, broadcast: bool = False) -> None:
         """A frame for this server came in, whole."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         self._counters.bus_message_count += 1
         self._counters.server_message_count += 1
@@ -232,13 +236,13 @@ class CommunicationState:
 
     def received_foreign(self) -> None:
         """A whole frame for another unit passed by."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         self._counters.bus_message_count += 1
 
     def received_damaged(self, *, overrun: bool = False) -> None:
         """A damaged frame came in."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         self._counters.bus_communication_error_count += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
@@ -249,7 +253,7 @@ class CommunicationState:
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
         """An answer goes out; ``counts`` is False for functions that leave the event counter alone (11)."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         event = SendEvent.SENT
         if exception is None:
@@ -264,7 +268,7 @@ class CommunicationState:
 
     def failed(self, exception: int) -> None:
         """A request, perhaps a broadcast, ended with an exception code."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         if exception == ExceptionCode.SERVER_DEVICE_BUSY:
             self._counters.server_busy_count += 1
@@ -275,19 +279,23 @@ class CommunicationState:
 
     def kept_silent(self) -> None:
         """A message for this server gets no answer."""
-        if self.exchanged:
+        if self.exchanged or self.arrived or self.departed:
             self._fold()
         self._counters.server_no_response_count += 1
         if self._restart_clears_log is not None:
             self.restart(clear_log=self._restart_clears_log)
 
     def _fold(self) -> None:
-        """Take what `exchanged` says into the counters and the log."""
-        count, self.exchanged = self.exchanged, 0
-        if count:
-            counters = self._counters
-            counters.bus_message_count += count
-            counters.server_message_count += count
-            self._message_count += count
-            self._event_count += count
-            self._log.extendleft(_PLAIN_EXCHANGE[::-1] * min(count, EVENT_LOG_SIZE // 2))
+        """Take what `exchanged`, `arrived` and `departed` say into the counters and the log."""
+        exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
+        self.exchanged = self.arrived = self.departed = 0
+        came = exchanged + arrived
+        counters = self._counters
+        counters.bus_message_count += came
+        counters.server_message_count += came
+        self._message_count += came
+        self._event_count += exchanged + departed
+        log = self._log
+        log.extendleft(_PLAIN_EXCHANGE[::-1] * min(exchanged, EVENT_LOG_SIZE // 2))
+        log.extendleft(_PLAIN_EXCHANGE[1:] * min(arrived, EVENT_LOG_SIZE))
+        log.extendleft(_PLAIN_EXCHANGE[:1] * min(departed, EVENT_LOG_SIZE))

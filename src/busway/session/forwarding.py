@@ -179,6 +179,7 @@ class ForwardedReads:
                 return at
         slots.used += count
         self.waiting += count
+        self._diagnostics.arrived += count
         way = self.plans.sole_way
         if way is not None:
             way.ask(self, reads)
@@ -208,7 +209,7 @@ class ForwardedReads:
             count = len(reads)
             self.waiting -= count
             self._slots.used -= count
-            self._diagnostics.exchanged += count
+            self._diagnostics.departed += count
             self._ready += [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
@@ -216,7 +217,6 @@ class ForwardedReads:
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
-            self._diagnostics.received()
             self._diagnostics.answered(exception=code)
             self._ready.append(read[0] + read[1].refusal(code))
 
@@ -233,7 +233,6 @@ class ForwardedReads:
         self._is_open = False
         self._slots.used -= self.waiting
         for _ in range(self.waiting):
-            self._diagnostics.received()
             self._diagnostics.kept_silent()
         self.waiting = 0
         works, self.works = self.works, {}
