@@ -469,6 +469,47 @@ def test_what_the_queue_can_not_take_is_0a_and_the_rest_is_asked() -> None:
     assert plant.line.counters.no_path == 6
 
 
+def test_one_read_that_is_asked_again_takes_one_place_of_the_queue_and_not_those_of_its_bunch() -> None:
+    plant = Plant(queue=4, retries=1)
+    one, two = plant.client("one"), plant.client("two")
+    for _ in range(2):
+        one.ask(*(read(address) for address in range(8)))
+        plant.link.answer(*range(7))
+        if one.transaction == 8:
+            plant.link.answer()
+    one.got()
+    plant.link.asked.clear()
+    session = plant.link.session
+    session.disconnected(0.0, "the server closed it")
+    assert session.queued == 1
+    two.ask(read(20), read(21), read(22))
+    assert two.got() == {}
+    session.connected(0.0)
+    plant.link.pump()
+    plant.link.answer()
+    assert (list(one.got().values()), len(two.got())) == ([answer_of(read(7))], 3)
+    assert session.queued == 0
+
+
+def test_reads_of_a_bunch_that_are_asked_again_take_a_place_each() -> None:
+    plant = Plant(retries=1, share_reads=False)
+    client = plant.client("client")
+    for _ in range(2):
+        client.ask(*(read(address) for address in range(8)))
+        plant.link.answer(0, 1, 2)
+        if client.transaction == 8:
+            plant.link.answer()
+    plant.link.asked.clear()
+    session = plant.link.session
+    session.disconnected(0.0, "the server closed it")
+    assert session.queued == session._queue.waiting == 5
+    session.connected(0.0)
+    plant.link.pump()
+    assert session.queued == 0
+    plant.link.answer()
+    assert len(client.got()) == 16
+
+
 def test_identical_reads_of_two_clients_are_asked_once_and_a_write_ends_the_sharing() -> None:
     plant = Plant()
     one, two = plant.client("one"), plant.client("two")

@@ -105,8 +105,12 @@ class RequestQueue:
         """Put a demand with a request to repeat before the others of its caller; the limit does not count here."""
         caller = self._callers.get(demand.caller) or self._new_caller(demand.caller)
         if demand not in caller.demands:  # else its other requests still wait
+            demand.places = 1  # those of its others were free when they were sent
             caller.demands.appendleft(demand)
             self._count(caller, demand)
+        elif self.burst > 1:
+            demand.places += 1
+            self.waiting += 1
         if self.burst > 1:
             self.begun[demand] = None
 
