@@ -25,19 +25,19 @@ class Entry:
 
 
 TABLES = {
-    "server": Entry("tables.server", 100, 12),
-    "client": Entry("tables.client", 85, 11, rounds=3),
+    "server": Entry("tables.server", 92, 12),
+    "client": Entry("tables.client", 78, 11, rounds=3),
     "policy": Entry("tables.policy", 22, 5),
     "tls": Entry("tables.tls", 24, 6),
     "gateway": Entry("tables.gateway", 26, 4),
-    "poll": Entry("tables.poll", 45, 6, rounds=1),
+    "poll": Entry("tables.poll", 88, 6, rounds=2),
     "growth": Entry("tables.growth", 20, 4),
     "codec": Entry("tables.codec", 10, 3),
     "layers": Entry("tables.layers", 8, 4, rounds=1),
     "startup": Entry("tables.startup", 18, 4),
-    "memory": Entry("tables.memory", 55, rounds=1),
+    "memory": Entry("tables.memory", 48, rounds=1),
     "gateway_line": Entry("tables.gateway_line", 30, rounds=3),
-    "line": Entry("tables.line", 65, rounds=2),
+    "line": Entry("tables.line", 52, rounds=2),
     "connections": Entry("tables.connections", 45),
     "simulator": Entry("tables.simulator", 36, rounds=1),
 }
