@@ -25,21 +25,21 @@ class Entry:
 
 
 TABLES = {
-    "server": Entry("tables.server", 92, 12),
-    "client": Entry("tables.client", 78, 11, rounds=3),
-    "policy": Entry("tables.policy", 22, 5),
-    "tls": Entry("tables.tls", 24, 6),
+    "server": Entry("tables.server", 112, 12),
+    "client": Entry("tables.client", 72, 11, rounds=3),
+    "policy": Entry("tables.policy", 20, 5),
+    "tls": Entry("tables.tls", 22, 6),
     "gateway": Entry("tables.gateway", 26, 4),
     "poll": Entry("tables.poll", 88, 6, rounds=2),
     "growth": Entry("tables.growth", 20, 4),
     "codec": Entry("tables.codec", 10, 3),
     "layers": Entry("tables.layers", 8, 4, rounds=1),
     "startup": Entry("tables.startup", 18, 4),
-    "memory": Entry("tables.memory", 48, rounds=1),
+    "memory": Entry("tables.memory", 44, rounds=1),
     "gateway_line": Entry("tables.gateway_line", 30, rounds=3),
     "line": Entry("tables.line", 52, rounds=2),
     "connections": Entry("tables.connections", 45),
-    "simulator": Entry("tables.simulator", 36, rounds=1),
+    "simulator": Entry("tables.simulator", 30, rounds=1),
 }
 QUICK_ROUNDS = 2
 ASKED_BY_NAME_SECONDS = 10.0
