@@ -1,18 +1,21 @@
 """Writes the generated parts of docs/performance.md from a kept run of the benchmark. With ``--check``: only compares.
 
     python scripts/performance_page.py                    the page, from docs/figures/benchmark.json
-    python scripts/performance_page.py --take [RESULT]    keeps a run first (the newest full one), and draws its figures
+    python scripts/performance_page.py --take [RESULT [OTHER …]]
+                                                          keeps a run first (the newest full one), draws its figures,
+                                                          and keeps of other full runs what they say of the goals
 
 Knows the file of results and the page; measures nothing.
 
 1. Only a full run is kept: one that was not cut short by options, with all tables.
 2. The page names the run that its figures are of, so that nobody takes them for those of another one.
+3. A machine that is not alone gives another figure each time: what the other runs say of a goal stands beside.
 """
 
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +46,31 @@ def machine(found: Result) -> str:
 
 def goals(found: Result) -> str:
     """Every bar of every table."""
-    lines = ["| table | goal | reached | wanted | |", "| --- | --- | ---: | ---: | --- |"]
+    others = [other["goals"] for other in found.get("others", ())]
+    lines = [
+        f"| table | goal | reached | in {len(others)} other runs | wanted | |",
+        "| --- | --- | ---: | ---: | ---: | --- |",
+    ]
     for name, table in found["tables"].items():
         for bar in table["bars"]:
             sign = {">=": "≥", "<=": "≤"}[bar["relation"]]
             unit = bar["unit"]
             reached = "–" if bar["value"] is None else f"{short(bar['value'])} {unit}".strip()
             verdict = "**missed**" if bar["verdict"] == "missed" else bar["verdict"]
-            lines.append(f"| {name} | {bar['what']} | {reached} | {sign} {short(bar['limit'])} {unit} | {verdict} |")
+            seen = [value for other in others if (value := other.get(f"{name}: {bar['what']}")) is not None]
+            apart = " … ".join(dict.fromkeys(map(short, (min(seen), max(seen))))) if seen else "–"
+            wanted = f"{sign} {short(bar['limit'])} {unit}".strip()
+            lines.append(f"| {name} | {bar['what']} | {reached} | {apart} | {wanted} | {verdict} |")
     return "\n".join(lines)
+
+
+def goals_alone(file: Path) -> dict[str, Any]:
+    """What a full run says of the goals."""
+    found = full(file)
+    reached = {
+        f"{name}: {bar['what']}": bar["value"] for name, table in found["tables"].items() for bar in table["bars"]
+    }
+    return {"date": found["date"], "revision": found["machine"].get("revision"), "goals": reached}
 
 
 def pictures(found: Result) -> str:
@@ -96,11 +115,18 @@ def is_full(found: Result) -> bool:
     return found.get("shortened") is False and {"server", "client", "gateway", "layers"} <= found["tables"].keys()
 
 
-def take(file: Path) -> None:
-    """Keep a run, and draw it."""
-    found = json.loads(file.read_text(encoding="utf-8"))
+def full(file: Path) -> dict[str, Any]:
+    """The run in a file of results; one that is not full ends the program."""
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     if not is_full(found):
         raise SystemExit(f"{file.name} is no full run")
+    return found
+
+
+def take(file: Path, others: Sequence[Path] = ()) -> None:
+    """Keep a run, and draw it."""
+    found = full(file)
+    found["others"] = [goals_alone(other) for other in others]
     for table in found["tables"].values():
         for one in table["figures"]:
             if "missing" in one:  # the last line says why; those before it name files of this machine
@@ -115,6 +141,6 @@ if __name__ == "__main__":
     words = sys.argv[1:]
     if "--take" in words:
         named = words[words.index("--take") + 1 :]
-        take(Path(named[0]) if named else newest())
+        take(Path(named[0]) if named else newest(), [Path(other) for other in named[1:]])
     kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else None
     update(PAGE, rendered(PAGE.read_text(encoding="utf-8"), kept))

@@ -4,8 +4,8 @@ All servers run at once, pinned to one core, and are asked in turn by the genera
 asked sleeps. FC03 for 10 and for 125 registers. With several requests in flight, pymodbus answers one frame per read of
 its socket and leaves the others for the next, so its queue is longer than the latency of its answers shows.
 
-The goals are ratios of two servers. In a full run they are measured once more, in pairs of short turns: with five rounds of
-nine contenders a ratio swings by half on a machine that is not alone.
+The goals are ratios of two servers. In a full run they are measured once more, in pairs of short turns: with five
+rounds of nine contenders a ratio swings by half on a machine that is not alone.
 """
 
 from collections.abc import Callable
