@@ -50,8 +50,18 @@ def test_page_names_the_run_and_the_machine() -> None:
 def test_goal_that_is_missed_or_was_not_measured_stands_in_the_table() -> None:
     lines = performance_page.goals(RUN).splitlines()
     assert lines[2:] == [
-        "| server | rate | 4.00 x | ≥ 5.00 x | **missed** |",
-        "| server | CPU | – | ≤ 60.0 % | not measured |",
+        "| server | rate | 4.00 x | – | ≥ 5.00 x | **missed** |",
+        "| server | CPU | – | – | ≤ 60.0 % | not measured |",
+    ]
+
+
+def test_goals_show_how_far_apart_other_runs_are() -> None:
+    others = [{"goals": {"server: rate": 3.5}}, {"goals": {"server: rate": 5.25, "server: CPU": None}}]
+    lines = performance_page.goals(RUN | {"others": others}).splitlines()
+    assert "in 2 other runs" in lines[0]
+    assert lines[2:] == [
+        "| server | rate | 4.00 x | 3.50 … 5.25 | ≥ 5.00 x | **missed** |",
+        "| server | CPU | – | – | ≤ 60.0 % | not measured |",
     ]
 
 
