@@ -6,6 +6,8 @@ Rules (the same as of the load generator in C):
 1. The first fifth of the run, 0.1 s at least, warms up: it is in `all_transactions` and `cpu`, not in rate and latency.
 2. A client reports a burst of transactions at a time, with the duration of its last one as a sample of latency:
    the clock is not read for each transaction.
+3. What is reported between the two points counts, and the time between them is what it is divided by: from the first
+   report to the last, callers in step would seem to do one round in no time.
 """
 
 import json
@@ -27,8 +29,7 @@ class Window:
         self._cpu_before = time.process_time()
         self._start = time.perf_counter() + max(seconds / 5, 0.1)
         self._stop = self._start + seconds
-        self._counted_from = 0.0
-        self._counted_to = 0.0
+        self._seconds = seconds
         self._counted = 0
         self._all = 0
         self._latencies = array("d")
@@ -37,26 +38,22 @@ class Window:
         """Reports a burst whose last part began at `began` (`time.perf_counter()`); False when the time is over."""
         now = time.perf_counter()
         self._all += transactions
-        if self._counted_from:
+        if self._start <= now < self._stop:
             self._counted += transactions
-            self._counted_to = now
             self._latencies.append(now - began)
-        elif now >= self._start:
-            self._counted_from = now
         return now < self._stop
 
     def report(self) -> None:
         """Prints the result as one line of JSON, with the keys of the load generator."""
         cpu = time.process_time() - self._cpu_before
-        seconds = self._counted_to - self._counted_from
         ordered = sorted(self._latencies)
-        if not ordered or seconds <= 0:
+        if not ordered:
             raise SystemExit("no transaction was counted")
         result: dict[str, float] = {
             "transactions": self._counted,
             "all_transactions": self._all,
-            "seconds": seconds,
-            "rate": self._counted / seconds,
+            "seconds": self._seconds,
+            "rate": self._counted / self._seconds,
             "cpu": cpu,
             "errors": 0,
         }
