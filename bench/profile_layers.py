@@ -99,8 +99,10 @@ def server_steps() -> dict[str, Step]:
             answer(whole, start, end)
 
     def session(*first: bytes) -> TcpServerSession:
+        # A handler each: its connections share what they remember, and there is no more room once the plans are full.
+        own = LocalHandler({1: scripts.device()})
         made = TcpServerSession(
-            handler, diagnostics=CommunicationState(), slots=TransactionSlots(16), deliver=_nothing, peer="127.0.0.1:1"
+            own, diagnostics=CommunicationState(), slots=TransactionSlots(16), deliver=_nothing, peer="127.0.0.1:1"
         )
         for one in first:
             made.receive(one, len(one))
