@@ -28,7 +28,7 @@ Turn = Callable[[], Awaitable[None]]
 Script = Callable[[MemoryLoop], AbstractAsyncContextManager[Turn]]
 TCP = "tcp://127.0.0.1:0"
 PLANS = 4096
-"""So many reads a connection remembers; those that come later take the short road."""
+"""So many reads are remembered for all connections together; those that come later take the short road."""
 READ_AREA = 8000
 """Where reads are made that are not remembered."""
 

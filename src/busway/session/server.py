@@ -33,7 +33,8 @@ _cut_reads = Struct("2s10s").iter_unpack
 """A read's transaction, and what it is known by."""
 _MEMO_LIMIT = 256
 _PLAN_LIMIT = 4096
-"""A poller of 4096 different ranges is planned whole; whoever asks at random finds no plan, and loses 0.1 µs."""
+"""Plans that all connections with the same rights share. A poller of 4096 different ranges is planned whole; whoever
+comes when there is no more room takes the short road, 1.9 µs for 0.7."""
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
 
