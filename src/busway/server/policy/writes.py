@@ -141,21 +141,33 @@ class _LookingBlock:
         return self._block.data
 
 
-def _limited(block: Block, zones: Sequence[Zone]) -> Callable[[int, int, bytes], bool | None]:
-    """Writes within zones and limits."""
-    begin, plain_put = block.first, block.put
+def _judge(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes], int | None]:
+    """What says in which of the zones a write lies; None where in none, over an edge, or beyond the limits.
+
+    Args:
+        first: the address of the block's first item; positions count from there.
+        zones: what may be written, by address.
+    """
     firsts, ends = [zone.first for zone in zones], [zone.end for zone in zones]
     limits = [zone.limits for zone in zones]
 
-    def put(position: int, count: int, data: bytes) -> bool | None:
-        address = begin + position
+    def zone_of(position: int, count: int, data: bytes) -> int | None:
+        address = first + position
         index = bisect_right(firsts, address) - 1
         if index < 0 or address + count > ends[index]:
-            return True
+            return None
         limit = limits[index]
-        if limit is not None and not limit.permit_all(data):
-            return True
-        return plain_put(position, count, data)
+        return index if limit is None or limit.permit_all(data) else None
+
+    return zone_of
+
+
+def _limited(block: Block, zones: Sequence[Zone]) -> Callable[[int, int, bytes], bool | None]:
+    """Writes within zones and limits."""
+    zone_of, plain_put = _judge(block.first, zones), block.put
+
+    def put(position: int, count: int, data: bytes) -> bool | None:
+        return True if zone_of(position, count, data) is None else plain_put(position, count, data)
 
     return put
 
@@ -164,23 +176,17 @@ def _noted(
     block: ExchangingBlock, kind: type[Request], zones: Sequence[Zone], lines: Lines
 ) -> Callable[[int, int, bytes], bool | None]:
     """Writes within zones and limits, each with its line."""
-    begin, exchange = block.first, block.exchange
-    firsts, ends = [zone.first for zone in zones], [zone.end for zone in zones]
-    limits = [zone.limits for zone in zones]
+    begin, exchange, zone_of = block.first, block.exchange, _judge(block.first, zones)
     texts = [done_line(lines.who, lines.unit, kind.code, zone.rule) for zone in zones]
     log, append, now, said = lines.log, lines.log.append, lines.clock, DONE[kind]
 
     def put(position: int, count: int, data: bytes) -> bool | None:
-        address = begin + position
-        index = bisect_right(firsts, address) - 1
-        if index < 0 or address + count > ends[index]:
-            return True
-        limit = limits[index]
-        if (limit is not None and not limit.permit_all(data)) or not log.takes_writes:
+        index = zone_of(position, count, data)
+        if index is None or not log.takes_writes:
             return True
         old = exchange(position, count, data)
         what, rest = texts[index]
-        append(f'{{"time":"{now()}{what}{said(address, count, old, data)}{rest}')
+        append(f'{{"time":"{now()}{what}{said(begin + position, count, old, data)}{rest}')
         return None
 
     return put
