@@ -63,8 +63,8 @@ def test_typed_values_take_part_in_a_group() -> None:
         (("0x1", 1, "uint16"), "one bit and has no type"),
         (("0x1", "off"), "True or False"),
         (("4x1.3", True, "uint16"), "has no type"),
-        (("4x1.3", 2), "a bit is True or False, not 2"),
-        (("4x1.3", [True]), "a bit is True or False"),
+        (("4x1.3", 2), "a bit must be True or False, not 2"),
+        (("4x1.3", [True]), "a bit must be True or False"),
         (("nonsense", 1), "is no address"),
     ],
 )

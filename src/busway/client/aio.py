@@ -23,8 +23,6 @@ from ..pdu.read_items import (
 )
 from ..pdu.wide import wide
 from ..pdu.write_items import (
-    COIL_OFF,
-    COIL_ON,
     MaskWriteRegister,
     ReadWriteMultipleRegisters,
     WriteMultipleCoils,
@@ -187,7 +185,7 @@ class AsyncUnit:
 
     @documented_by(Unit.write_single_coil)
     async def write_single_coil(self, address: int, value: bool, **call: Unpack[CallOptions]) -> None:
-        await self._ask(WriteSingleCoil(address, COIL_ON if value else COIL_OFF), call)
+        await self._ask(WriteSingleCoil.of(address, value), call)
 
     @documented_by(Unit.write_single_register)
     async def write_single_register(self, address: int, value: int, **call: Unpack[CallOptions]) -> None:

@@ -23,8 +23,6 @@ from ..pdu.read_items import (
 )
 from ..pdu.wide import wide
 from ..pdu.write_items import (
-    COIL_OFF,
-    COIL_ON,
     MaskWriteRegister,
     ReadWriteMultipleRegisters,
     WriteMultipleCoils,
@@ -227,13 +225,13 @@ class Unit:
 
         Args:
             address: the coil, 0…65535.
-            value: True for on.
+            value: True (or 1) for on, False (or 0) for off; anything else is `InvalidRequest`, and nothing is sent.
             call: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(WriteSingleCoil(address, COIL_ON if value else COIL_OFF), **call)
+        self.execute(WriteSingleCoil.of(address, value), **call)
 
     def write_single_register(self, address: int, value: int, **call: Unpack[CallOptions]) -> None:
         """Write one holding register, function 06 (MODBUS Application Protocol V1.1b3 §6.6).
@@ -253,7 +251,7 @@ class Unit:
 
         Args:
             address: first coil, 0…65535.
-            values: 1…1968 bools.
+            values: 1…1968 bools (or 0 and 1); anything else is `InvalidRequest`, and nothing is sent.
             call: `CallOptions`.
 
         Raises:

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypedDict
 
 from ..codes import MAX_READ_BITS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
 from ..errors import BadReply, InvalidRequest
+from ..pdu.bits import as_state, as_states
 from ..pdu.compiler import as_integer
 from ..pdu.encapsulated import EXTENDED, INDIVIDUAL, ReadDeviceIdentification
 from ..pdu.functions import STANDARD
@@ -25,8 +26,6 @@ from ..pdu.read_items import (
 )
 from ..pdu.wide import MAX_DATA, NARROW, wide
 from ..pdu.write_items import (
-    COIL_OFF,
-    COIL_ON,
     MaskWriteRegister,
     WriteMultipleCoils,
     WriteMultipleRegisters,
@@ -119,19 +118,17 @@ def write_values(
     if place.table is Table.COILS:
         if kind is not None:
             raise InvalidRequest(f"{place}: a coil is one bit and has no type {kind}")
-        for item in items:
-            if not isinstance(item, bool):
-                raise InvalidRequest(f"{place}: a coil is True or False, not {item!r}")
+        items = as_states(items)
         _check_single(place, len(items), MAX_WRITE_BITS, function)
         if function == "multiple" or len(items) > 1:
             request = WriteMultipleCoils.of(place.offset, items)
         else:
-            request = WriteSingleCoil(place.offset, COIL_ON if items[0] else COIL_OFF)
+            request = WriteSingleCoil.of(place.offset, items[0])
     elif place.bit is not None:
-        if several or not isinstance(items[0], bool):
+        if several:
             raise InvalidRequest(f"{place}: one bit is written with True or False")
         bit = 1 << place.bit
-        request = MaskWriteRegister(place.offset, 0xFFFF & ~bit, bit if items[0] else 0)
+        request = MaskWriteRegister(place.offset, 0xFFFF & ~bit, bit if as_state(str(place), items[0]) else 0)
     else:
         data = value_type(kind if kind is not None else "uint16", order).encode(items)
         registers = len(data) // 2

@@ -1,15 +1,64 @@
 """Bits as the wire packs them: eight to a byte, the first item in the lowest bit (Application Protocol V1.1b3 §6.1).
 
 Knows bytes and bools; knows no message.
+
+A state is True or False, or the integers 0 and 1. Nothing else is one: a text such as ``"off"`` would count as true in
+Python, and switch on what its author wanted off.
 """
 
+import operator
 from collections.abc import Sequence
 
+from ..errors import InvalidRequest
+
+_SHOWN_CHARACTERS = 60
 _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte in range(256))
 
 
+def as_state(name: str, value: object) -> bool:
+    """True or False of a boolean, of 0 and of 1.
+
+    Args:
+        name: what the value is, for the error.
+        value: a ``bool``, an integer 0 or 1 of any type, or a boolean of numpy.
+
+    Raises:
+        InvalidRequest: it is anything else. Nothing was sent.
+    """
+    if value.__class__ is bool:
+        return bool(value)
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        # numpy's boolean is no integer, and numpy is not imported only to ask for its type.
+        kind = type(value)
+        number = int(bool(value)) if kind.__module__ == "numpy" and kind.__name__ in ("bool", "bool_") else -1
+    if number in (0, 1):
+        return number == 1
+    raise InvalidRequest(f"{name} must be True or False, not {_shown(value)}")
+
+
+def as_states(values: Sequence[object]) -> list[bool]:
+    """The states of a sequence. `InvalidRequest` says which value is none; nothing was sent."""
+    if isinstance(values, str):
+        raise InvalidRequest(f"the states must be a sequence of True and False, not {_shown(values)}")
+    try:
+        listed = list(values)
+    except TypeError:
+        raise InvalidRequest(f"the states must be a sequence of True and False, not {_shown(values)}") from None
+    for position, value in enumerate(listed):
+        if value.__class__ is not bool:
+            listed[position] = as_state(f"value {position + 1}", value)
+    return listed  # type: ignore[return-value]  # each is a bool now
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…"
+
+
 def pack_bits(values: Sequence[bool]) -> bytes:
-    """The bytes that hold ``values``; unused bits of the last byte are zero."""
+    """The bytes that hold ``values``, which are bools; unused bits of the last byte are zero."""
     packed = 0
     for position, value in enumerate(values):
         if value:

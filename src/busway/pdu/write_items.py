@@ -13,7 +13,7 @@ from ..codes import (
     Table,
 )
 from ..errors import InvalidRequest
-from .bits import pack_bits
+from .bits import as_state, as_states, pack_bits
 from .compiler import as_integer
 from .direct import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
 from .fields import rest, rest_length, u16
@@ -34,6 +34,15 @@ class WriteSingleCoil(Request):
     echoes = True
     address: int = u16()
     value: int = u16(values=(COIL_OFF, COIL_ON))
+
+    @classmethod
+    def of(cls, address: int, value: bool) -> Self:
+        """The request that switches the coil at ``address`` (0…65535) on (True or 1) or off (False or 0).
+
+        Raises:
+            InvalidRequest: ``value`` is anything else, a text such as ``"off"`` too. Nothing was sent.
+        """
+        return cls(address, COIL_ON if as_state("the value of a coil", value) else COIL_OFF)
 
     def apply(self, model: DataModel, context: Context) -> Message:
         model.check(Table.COILS, self.address, 1, True)
@@ -86,8 +95,13 @@ class WriteMultipleCoils(Request):
 
     @classmethod
     def of(cls, address: int, values: Sequence[bool]) -> Self:
-        """The request that writes ``values`` from ``address`` on."""
-        return cls(address, len(values), pack_bits(values))
+        """The request that writes ``values`` from ``address`` on.
+
+        Raises:
+            InvalidRequest: one of them is not True, False, 1 or 0, or there are none or too many. Nothing was sent.
+        """
+        states = as_states(values)
+        return cls(address, len(states), pack_bits(states))
 
     def validate(self) -> str | None:
         if (self.count + 7) >> 3 != len(self.data):

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..codes import Table
 from ..errors import InvalidRequest
+from ..pdu.bits import as_state
 from ..values import Address, ValueType, parse_address, value_type
 from ..values.refusal import shown
 from .views import TableView
@@ -72,10 +73,9 @@ class TypedAccess:
             raise InvalidRequest(str(error)) from error
 
     def _write_bit(self, view: TableView, offset: int, bit: int, value: object) -> None:
-        if not isinstance(value, int) or value not in (0, 1):
-            raise InvalidRequest(f"a bit is True or False, not {shown(value)}")
+        state = as_state("a bit", value)
         with self._lock:
-            view[offset] = view[offset] & ~(1 << bit) | value << bit
+            view[offset] = view[offset] & ~(1 << bit) | state << bit
 
     def _located(self, address: str | Address) -> tuple[Address, TableView]:
         where = parse_address(address)
