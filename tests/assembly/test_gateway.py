@@ -244,18 +244,25 @@ async def test_a_new_front_that_the_network_reaches_is_read_only_from_its_first_
                 await loopback.unit(1).write_single_register(0, 1)
 
 
-async def test_lists_of_a_listener_are_replaced_and_its_connections_stay() -> None:
+async def test_lists_of_a_listener_are_replaced_and_connections_of_hosts_that_are_now_denied_end() -> None:
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
         files.text = FRONT + 'allow = ["127.0.0.1"]\n' + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             assert await read_from(link, 1) == [100]
             files.text = FRONT + 'deny = ["127.0.0.1"]\n' + ROUTES
-            assert await service.reload() == ["the address lists of listeners were replaced"]
-            assert await read_from(link, 1) == [100]
+            assert await service.reload() == [
+                "the address lists of listeners were replaced",
+                "connections of hosts that may no longer connect were ended: 1",
+            ]
+            with pytest.raises((busway.LinkDown, busway.NoReply)):
+                await read_from(link, 1)
             async with busway.open(service.server.endpoints[0], shared=False, retries=0) as refused:
                 with pytest.raises((busway.LinkDown, busway.NoReply)):
                     await read_from(refused, 1)
+            files.text = FRONT + 'allow = ["127.0.0.0/8"]\n' + ROUTES
+            assert await service.reload() == ["the address lists of listeners were replaced"]
+            assert await read_from(link, 1) == [100]
 
 
 async def test_a_rate_counts_for_all_fronts_together() -> None:

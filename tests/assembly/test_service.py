@@ -1,8 +1,12 @@
 """A server with all around it: what is read-only for want of a policy, and what is undone where it can not start."""
 
+import asyncio
+import socket
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
+from waiting import until
 
 import busway
 from busway.assembly.access import Entrance, reaches_network, read_only_for
@@ -10,6 +14,7 @@ from busway.assembly.configuration import Configuration, parse_configuration
 from busway.assembly.service import Service, Wishes
 from busway.config.access.addresses import AddressList
 from busway.config.access.rules import Action
+from busway.framing.mbap import encode_mbap
 from busway.testing import CertificateStore
 
 UNIT = "[[unit]]\nunit = 1\nholding_registers = 10\n"
@@ -121,3 +126,92 @@ async def test_certificates_are_read_again_at_once_and_what_can_not_be_used_is_t
         assert "first.pem" in told
         assert "only the next start will see security" in told
         assert subject() == "CN=renewed"
+
+
+WRITE = encode_mbap(7, 1, bytes.fromhex("06 0000 0005"))
+
+
+class Denying:
+    """A file whose list of denied hosts changes."""
+
+    def __init__(self, listen: str, rest: str = "") -> None:
+        self.denied = "192.0.2.1"
+        self._listen = listen
+        self._rest = rest
+
+    def __call__(self) -> Configuration:
+        policy = f'[policy]\ndefault = "allow"\ndeny = ["{self.denied}"]\n'
+        return configured(self._listen, f"{self._rest}{policy}")
+
+
+def from_host(host: str, service: Service, kind: socket.SocketKind) -> socket.socket:
+    """A socket of a client with an address of its own."""
+    made = socket.socket(socket.AF_INET, kind)
+    made.settimeout(10)
+    made.bind((host, 0))
+    parts = urlsplit(service.server.endpoints[0])
+    made.connect((parts.hostname, parts.port))
+    return made
+
+
+async def asked(client: socket.socket) -> bytes:
+    """What a client gets for a write; empty where its connection has ended."""
+    try:
+        client.send(WRITE)
+        return await asyncio.to_thread(client.recv, 300)
+    except ConnectionError:
+        return b""
+
+
+async def test_a_reload_ends_connections_of_hosts_that_are_now_denied_and_no_others() -> None:
+    read = Denying("tcp://127.0.0.1:0")
+    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+        with (
+            from_host("127.0.0.1", service, socket.SOCK_STREAM) as denied,
+            from_host("127.0.0.2", service, socket.SOCK_STREAM) as other,
+        ):
+            assert (await asked(denied), await asked(other)) == (WRITE, WRITE)
+            read.denied = "127.0.0.1"
+            assert await service.reload() == [
+                "the policy was replaced",
+                "connections of hosts that may no longer connect were ended: 1",
+            ]
+            assert (await asked(denied), await asked(other)) == (b"", WRITE)
+            status = service.server.status()
+            assert [each.peer.partition(":")[0] for each in status.connections] == ["127.0.0.2"]
+            assert status.counters.no_longer_authorised == 1
+            assert await service.reload() == ["nothing has changed"]
+
+
+async def test_a_reload_ends_the_conversation_of_a_udp_peer_that_is_now_denied() -> None:
+    read = Denying("udp://127.0.0.1:0")
+    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+        with (
+            from_host("127.0.0.1", service, socket.SOCK_DGRAM) as denied,
+            from_host("127.0.0.2", service, socket.SOCK_DGRAM) as other,
+        ):
+            assert (await asked(denied), await asked(other)) == (WRITE, WRITE)
+            read.denied = "127.0.0.1"
+            assert "connections of hosts that may no longer connect were ended: 1" in await service.reload()
+            denied.send(WRITE)
+            assert await asked(other) == WRITE
+            await until(lambda: service.server.status().counters.unauthorised == 1)
+            assert [each.peer.partition(":")[0] for each in service.server.status().connections] == ["127.0.0.2"]
+
+
+async def test_a_reload_ends_tls_connections_and_handshakes_of_hosts_that_are_now_denied(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    text = "".join(f"{key} = '{value}'\n" for key, value in store.server().options().items())
+    read = Denying("tls://127.0.0.1:0", f"[security]\n{text}")
+    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+        url = f"{service.server.endpoints[0]}?{store.client().query()}"
+        async with busway.open(url, shared=False, retries=0) as link:
+            await link.unit(1).write_single_register(0, 1)
+            with from_host("127.0.0.1", service, socket.SOCK_STREAM) as silent:
+                await until(lambda: service.server.status().listeners[0].security.handshakes == 1)
+                read.denied = "127.0.0.0/8"
+                assert "connections of hosts that may no longer connect were ended: 2" in await service.reload()
+                assert await asked(silent) == b""
+            with pytest.raises((busway.LinkDown, busway.NoReply, busway.WriteOutcomeUnknown)):
+                await link.unit(1).write_single_register(0, 2)
+            assert service.server.status().connections == ()

@@ -211,6 +211,17 @@ def test_a_wrong_file_changes_nothing_and_what_is_wrong_is_said(tmp_path: Path) 
         assert write(url) == "done"
 
 
+def test_sighup_ends_the_connection_of_a_host_that_is_now_denied(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text(FILE.format(default="allow", rest=""))
+    with serving(str(file)) as (program, url), busway.connect(url, shared=False, retries=0) as link:
+        link.unit(1).write_single_register(0, 1)
+        file.write_text(FILE.format(default="allow", rest="deny = ['127.0.0.1']\n"))
+        assert reloaded(program).endswith("connections of hosts that may no longer connect were ended: 1")
+        with pytest.raises((busway.LinkDown, busway.NoReply, busway.WriteOutcomeUnknown)):
+            link.unit(1).write_single_register(0, 2)
+
+
 def test_what_only_the_next_start_will_see_is_named(tmp_path: Path) -> None:
     file = tmp_path / "plant.toml"
     file.write_text(FILE.format(default="allow", rest=""))

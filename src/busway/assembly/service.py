@@ -4,8 +4,9 @@ Knows components and the order in which they start and stop; knows no request. W
 while it runs, without a connection being lost.
 
 1. What is wrong with a file that is read again changes nothing: everything stays as it was.
-2. Policy and address lists are replaced at once, certificates from the next connection on; the audit log is opened
-   anew. What else differs is named: it holds from the next start.
+2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
+   hold from the next connection on; the audit log is opened anew. What else differs is named: it holds from the next
+   start.
 """
 
 import asyncio
@@ -52,6 +53,9 @@ class Running(Protocol):
 
     def replace_policy(self, policy: Policy) -> None:
         """Let another policy hold from the next request on."""
+
+    def end_unauthorised(self) -> int:
+        """End connections of hosts that may no longer connect; how many there were."""
 
     def reload_security(self) -> None:
         """Read certificates anew. Raises `ConfigError`; what can not be used leaves its listener as it was."""
@@ -243,6 +247,9 @@ class Service:
             self._entrance.lists = self._lists(rules)
             if self._replace_lists(new):
                 done.append("the address lists of listeners were replaced")
+            ended = self.server.end_unauthorised()
+            if ended:
+                done.append(f"connections of hosts that may no longer connect were ended: {ended}")
             if any(tls_of(listener) is not None for listener in new.listeners):
                 done.append(self._read_certificates_again())
             later = _differences(self.configuration, new)

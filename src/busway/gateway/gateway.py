@@ -435,6 +435,10 @@ class Gateway:
         for each in self._running.values():
             each.server.reload_security()
 
+    def end_unauthorised(self) -> int:
+        """As `Server.end_unauthorised`, for every front."""
+        return sum(each.server.end_unauthorised() for each in self._running.values())
+
     def is_marked(self, listener: str, host: str) -> bool:
         """Whether a host has priority connections at the listener of a URL, as it is bound."""
         return any(each.server.is_marked(listener, host) for each in self._running.values())

@@ -178,6 +178,13 @@ class ConnectionManagement:
         self.reception.broken()
         self.reception.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
 
+    def end_unauthorised(self) -> int:
+        """End connections of hosts that may no longer connect, and their handshakes; how many there were."""
+        ended = [one for one in self._connections if not self.reception.may_stay(one)]
+        for connection in ended:
+            connection.abort()
+        return len(ended) + (0 if self.gate is None else self.gate.end_unauthorised())
+
     # Limits while they last.
 
     def watch_frame(self, connection: ServerConnection, *, begun_now: bool) -> None:

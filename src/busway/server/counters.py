@@ -22,6 +22,7 @@ class ServerCounters:
     Attributes:
         accepted, closed: connections, and peers over UDP.
         unauthorised: newcomers that were refused by their address.
+        no_longer_authorised: connections, and peers over UDP, that were ended because address lists have changed.
         refused_full: newcomers for whom nobody could make room.
         evicted: connections that made room.
         broken_streams: connections that could not be followed any more.
@@ -40,6 +41,7 @@ class ServerCounters:
 
     accepted: int = 0
     unauthorised: int = 0
+    no_longer_authorised: int = 0
     refused_full: int = 0
     closed: int = 0
     evicted: int = 0

@@ -144,6 +144,14 @@ class Reception:
         self.say(logging.WARNING, host, sentence, peer_name(address))
         return False
 
+    def may_stay(self, guest: Guest) -> bool:
+        """Whether a guest may keep its place: address lists may have changed. A refusal is counted and logged."""
+        if self._authorise(guest.host):
+            return True
+        self.counters.no_longer_authorised += 1
+        self.say(logging.WARNING, guest.host, "%s: ended: it is no longer authorised", guest.peer)
+        return False
+
     def is_marked(self, host: str) -> bool:
         """Whether connections of a host belong to the priority pool."""
         return host in self.parameters.priority

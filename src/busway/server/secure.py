@@ -104,6 +104,19 @@ class Gate:
         self._context.reload()
         self._look_at_own()
 
+    def end_unauthorised(self) -> int:
+        """End handshakes of hosts that may no longer connect; how many there were."""
+        reception = self._management.reception
+        ended = [
+            layer
+            for layer, peer in self._waiting.items()
+            if not reception.welcomes(host_of(layer.get_extra_info("peername")), layer.get_extra_info("peername"))
+        ]
+        for layer in ended:
+            layer.failure = TlsFailure(FailureKind.GONE, "its address is no longer authorised")
+            layer.abort()
+        return len(ended)
+
     def close(self) -> None:
         """End the handshakes under way."""
         for layer in list(self._waiting):

@@ -171,6 +171,17 @@ class Server:
         if failures:
             raise failures[0]
 
+    def end_unauthorised(self) -> int:
+        """Ask ``authorise`` about every host that is connected, and end connections of those that it no longer lets in.
+
+        For address lists that have changed. Replies that were not sent yet are lost; what was executed stays executed.
+        Peers over UDP lose their place, and their next datagram is refused.
+
+        Returns:
+            How many connections, handshakes and peers were ended.
+        """
+        return sum(listener.end_unauthorised() for listener in self._with_peers())
+
     async def start(self) -> None:
         """Open all listeners. A serial port that is not there is waited for.
 

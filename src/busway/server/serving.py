@@ -180,6 +180,14 @@ class ServerThread:
 
         asyncio.run_coroutine_threadsafe(reload(), self._loop).result()
 
+    def end_unauthorised(self) -> int:
+        """As `Server.end_unauthorised`."""
+
+        async def end() -> int:
+            return self._server.end_unauthorised()
+
+        return asyncio.run_coroutine_threadsafe(end(), self._loop).result()
+
 
 @contextlib.contextmanager
 def serve_in_thread(*endpoints: str | Endpoint | Listener, **options: Any) -> Iterator[ServerThread]:  # Any: see serve

@@ -85,6 +85,13 @@ class UdpListener:
         for one in self._sockets:
             await one.closed
 
+    def end_unauthorised(self) -> int:
+        """Forget peers whose hosts may no longer send; how many there were. What is in work for them gets no answer."""
+        ended = [peer for peer in self._peers.values() if not self.reception.may_stay(peer)]
+        for peer in ended:
+            self.leave(peer)
+        return len(ended)
+
     def status(self) -> list[ConnectionStatus]:
         """The peers, the one that came first first."""
         now = time.monotonic()
