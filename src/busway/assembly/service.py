@@ -279,7 +279,12 @@ class Service:
         section = self.configuration.file.audit
         if section is None:
             return AuditLog(path)
-        return AuditLog(path, interval=section.interval, on_failure=section.on_failure)
+        return AuditLog(
+            path,
+            interval=section.interval,
+            on_failure=section.on_failure,
+            repeat_interval=section.repeat_interval,
+        )
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
         """The policy that was written, or else the one that makes exposed listeners read-only."""

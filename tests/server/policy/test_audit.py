@@ -220,7 +220,7 @@ def test_a_rotation_to_a_place_that_can_not_be_keeps_the_old_file(tmp_path, time
     log = AuditLog(tmp_path / "folder" / "log", clock=time, schedule=time.schedule)
     log.append("1\n")
     os.rename(tmp_path / "folder", tmp_path / "moved")
-    with pytest.raises(ConfigError, match="can not be opened: no such file"):
+    with pytest.raises(ConfigError, match="cannot be opened: no such file"):
         log.reopen()
     log.append("2\n")
     log.close()
@@ -238,7 +238,13 @@ def test_lines_after_the_end_are_counted_as_lost(tmp_path, time):
 
 @pytest.mark.parametrize(
     ("options", "key"),
-    [({"interval": -1}, "interval"), ({"interval": 11}, "interval"), ({"on_failure": "x"}, "on_failure")],
+    [
+        ({"interval": -1}, "interval"),
+        ({"interval": 11}, "interval"),
+        ({"on_failure": "x"}, "on_failure"),
+        ({"repeat_interval": -1}, "repeat_interval"),
+        ({"repeat_interval": 3601}, "repeat_interval"),
+    ],
 )
 def test_what_can_not_be_is_refused(tmp_path, options, key):
     with pytest.raises(ConfigError) as caught:
@@ -248,7 +254,7 @@ def test_what_can_not_be_is_refused(tmp_path, options, key):
 
 
 def test_a_file_that_can_not_be_opened_is_named(tmp_path):
-    with pytest.raises(ConfigError, match="the audit log can not be opened"):
+    with pytest.raises(ConfigError, match="the audit log cannot be opened"):
         AuditLog(tmp_path / "nowhere" / "log")
 
 
@@ -275,3 +281,148 @@ def test_lines_of_several_threads_are_whole(tmp_path, time):
 def test_the_time_is_utc_with_milliseconds():
     assert time_text(1_772_366_400.25) == "2026-03-01T12:00:00.250Z"
     assert time_text(0) == "1970-01-01T00:00:00.000Z"
+
+
+# ---- denials
+
+
+class Denier:
+    """Denies requests, each with a line of its own making."""
+
+    def __init__(self, log):
+        self.log = log
+        self.denied = 0
+
+    def __call__(self, host="10.0.0.7", rule="default"):
+        self.denied += 1
+        number = self.denied
+
+        def line(repeated):
+            return json.dumps({"outcome": "denied", "host": host, "rule": rule, "number": number, "r": repeated}) + "\n"
+
+        self.log.append_denied((host, "", rule), line)
+
+
+def found(log):
+    return [json.loads(line) for line in log.path.read_text().splitlines()]
+
+
+def stands_for(lines):
+    """Denials that lines stand for."""
+    return sum(each["r"] or 1 for each in lines if each["outcome"] == "denied" and "r" in each)
+
+
+def test_repeated_denials_leave_the_first_line_at_once_and_then_one_with_their_number_per_interval(tmp_path, time):
+    log = opened(tmp_path, time, interval=0, repeat_interval=60)
+    deny = Denier(log)
+    for _ in range(1000):
+        deny()
+    assert [each["number"] for each in found(log)] == [1]
+    time.advance(60)
+    assert [(each["number"], each["r"]) for each in found(log)] == [(1, 0), (1000, 999)]
+    for _ in range(5):
+        deny()
+    time.advance(60)
+    assert [(each["number"], each["r"]) for each in found(log)][2:] == [(1005, 5)]
+    time.advance(60)
+    assert time.later == []
+    deny()
+    assert found(log)[-1]["number"] == 1006  # the first again, after an interval without any
+    assert stands_for(found(log)) == deny.denied
+
+
+def test_denials_are_counted_apart_by_host_and_rule(tmp_path, time):
+    log = opened(tmp_path, time, interval=0)
+    deny = Denier(log)
+    for _ in range(10):
+        for host, rule in (("a", "one"), ("a", "two"), ("b", "one")):
+            deny(host, rule)
+    log.close()
+    told = found(log)
+    assert [(each["host"], each["rule"], each["r"]) for each in told] == [
+        (host, rule, number) for number in (0, 9) for host, rule in (("a", "one"), ("a", "two"), ("b", "one"))
+    ]
+    assert stands_for(told) == deny.denied == 30
+
+
+def test_with_an_interval_of_0_each_denial_leaves_its_line(tmp_path, time):
+    log = opened(tmp_path, time, interval=0, repeat_interval=0)
+    deny = Denier(log)
+    for _ in range(10):
+        deny()
+    assert [each["number"] for each in found(log)] == list(range(1, 11))
+
+
+def test_invented_senders_make_a_bounded_number_of_lines(tmp_path, time):
+    log = opened(tmp_path, time, repeat_interval=60)
+    deny = Denier(log)
+    for number in range(5000):
+        deny(f"10.0.{number >> 8}.{number & 255}")
+    time.advance(60)
+    log.close()
+    told = found(log)
+    assert len(told) == 1025
+    assert told[-1]["outcome"] == "denied"
+    assert told[-1]["repeated"] == 5000 - 1024
+    assert stands_for(told) == 1024
+
+
+def test_a_count_whose_loop_has_gone_is_told_with_the_next_denial(tmp_path, time):
+    log = opened(tmp_path, time, interval=0)
+    deny = Denier(log)
+    deny()
+    deny()
+    time.later.clear()
+    time.now += 62
+    deny("b")
+    assert [(each["host"], each["r"]) for each in found(log)] == [("10.0.0.7", 0), ("10.0.0.7", 1), ("b", 0)]
+
+
+def test_denials_stop_where_little_of_the_disk_is_left_and_writes_still_go_in(tmp_path, time, caplog):
+    room = [100_000]
+    log = opened(tmp_path, time, interval=0, repeat_interval=0, room=lambda file: (room[0], 1_000_000))
+    deny = Denier(log)
+    deny()
+    room[0] = 49_999  # under a twentieth
+    time.advance(1)
+    for _ in range(7):
+        deny()
+    log.append('{"outcome":"done"}\n')
+    assert [each["outcome"] for each in found(log)] == ["denied", "done"]
+    assert log.denials_left_out == 7
+    assert "denials leave no lines: the 49999 bytes left are kept for writes" in caplog.text
+    room[0] = 50_000
+    time.advance(1)
+    deny()
+    told = found(log)[2:]
+    assert [each["outcome"] for each in told] == ["denials left out", "denied"]
+    assert told[0]["lines"] == 7
+    assert "denials leave lines again" in caplog.text
+
+
+def test_denials_that_left_no_line_are_told_at_the_end_and_before_a_rotation(tmp_path, time):
+    log = opened(tmp_path, time, room=lambda file: (0, 1_000_000))
+    deny = Denier(log)
+    for _ in range(3):
+        deny()
+    log.reopen()
+    assert [(each["outcome"], each["lines"]) for each in found(log)] == [("denials left out", 1)]
+    log.close()
+    assert [each["lines"] for each in found(log)] == [1, 2]
+
+
+def test_what_is_kept_while_the_disk_is_full_has_room_for_writes_however_much_is_denied(tmp_path, time, monkeypatch):
+    monkeypatch.setattr("busway.server.policy.audit._KEPT", 4000)
+    disk = Disk(monkeypatch, room=0)
+    log = opened(tmp_path, time, repeat_interval=0)
+    deny = Denier(log)
+    for _ in range(1000):
+        deny()
+    for number in range(100):
+        log.append(f'{{"outcome":"done","a":{number:3}}}\n')
+    disk.room = None
+    time.advance(2)
+    told = found(log)
+    assert [each["a"] for each in told if each["outcome"] == "done"] == list(range(100))
+    assert log.lost == 0
+    assert log.denials_left_out == 1000 - stands_for(told) > 900

@@ -8,6 +8,7 @@ import pytest
 
 import busway
 from busway.config.access.rules import Policy, Rule
+from busway.framing.mbap import encode_mbap
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.model import Refusal
@@ -241,6 +242,7 @@ def test_a_denied_request_leaves_what_it_would_have_written_and_never_what_stand
     handler.handle(context(), WriteSingleRegister(2, 70))
     handler.replace_policy(Policy())
     handler.handle(context(3), ReadHoldingRegisters(4, 2))
+    log.close()  # both are by one rule, from one host: the second waits to be counted
     write, read = lines(log)
     assert (write["outcome"], write["code"], write["rule"]) == ("denied", 1, "default")
     assert (write["old"], write["new"]) == (None, [70])
@@ -439,3 +441,26 @@ def test_rates_that_are_shared_count_for_all_handlers_together(device):
     read = ReadHoldingRegisters(0, 1)
     assert isinstance(one.handle(context(3), read), ReadHoldingRegisters.Reply)
     assert two.handle(context(3), read) == ExceptionResponse(3, 6)
+
+
+async def test_a_client_that_hammers_leaves_two_lines_and_the_writes_of_another_stand_between_in_their_order(
+    device, tmp_path
+):
+    log = AuditLog(tmp_path / "audit.jsonl")
+    policy = Policy.of(Rule.of(name="writers", peers=["127.0.0.2"], functions="write"), default="read-only")
+    frame = encode_mbap(1, 1, WriteSingleRegister(3, 99).encode())
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}, policy=policy, audit=log) as server:
+        port = int(server.endpoints[0].rpartition(":")[2])
+        streams = [await asyncio.open_connection("127.0.0.1", port, local_addr=(f"127.0.0.{n}", 0)) for n in (1, 2)]
+        for turn in range(100):
+            for (reader, writer), times in zip(streams, (50, 1), strict=True):
+                writer.write(frame * times if times > 1 else encode_mbap(1, 1, WriteSingleRegister(3, turn).encode()))
+                await reader.readexactly((9 if times > 1 else 12) * times)
+        for _, writer in streams:
+            writer.close()
+    log.close()
+    told = lines(log)
+    assert [each["new"] for each in told if each["outcome"] == "done"] == [[turn] for turn in range(100)]
+    denied = [each.get("repeated", 0) for each in told if each["outcome"] == "denied"]
+    assert denied == [0, 4999]
+    assert log.path.stat().st_size < 40_000

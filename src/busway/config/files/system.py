@@ -178,6 +178,7 @@ class AuditSection(Section):
     path: FilePath
     interval: float = Field(default=0.2, ge=0, le=10)
     on_failure: Literal["serve", "refuse"] = "serve"
+    repeat_interval: float = Field(default=60.0, ge=0, le=3600)
 
 
 class MetricsSection(Section):

@@ -8,6 +8,9 @@ Knows a file and lines; knows nothing of what they say (`busway.server.policy.en
    beyond it are counted, and the file says how many when it can be written again. Whoever wants no write without a line
    sets ``on_failure="refuse"``.
 3. A line is whole or is not there at all: what was written of one before a failure is completed before the next.
+4. Denials that a client repeats are counted, and leave a line every ``repeat_interval`` (`RepeatedDenials`).
+5. Denials leave room for writes: where the file system has less than `RESERVED` left, or a quarter of what is kept for
+   a file that cannot be written is taken, they leave no line and are counted. Writes still do.
 """
 
 import asyncio
@@ -21,8 +24,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Protocol, Self
 
+from ...config.safe_files import open_to_append
 from ...errors import ConfigError
 from ...values.refusal import shown
+from .denials import About, DenialLine, RepeatedDenials
 
 _log = logging.getLogger("busway.audit")
 
@@ -30,8 +35,16 @@ _CHUNK: Final = 64 * 1024
 """Characters of lines that are written without waiting for the interval: one write of this size takes 50 µs."""
 _KEPT: Final = 4 * 1024 * 1024
 """Bytes that are kept for a file that can not be written: some 15 000 lines."""
+_KEPT_OF_DENIALS: Final = 0.25
+"""The part of it beyond which denials are not kept."""
+RESERVED: Final = 0.05
+"""The part of a file system that is left to writes, but at most `MOST_RESERVED`."""
+MOST_RESERVED: Final = 256 * 1024 * 1024
+"""Bytes: some 900 000 lines."""
 _RETRY: Final = 1.0
 """Seconds between two attempts at a file that can not be written."""
+_LOOK_PAUSE: Final = 1.0
+"""Seconds between two looks at the room of the file system."""
 _LATE: Final = 1.0
 """Seconds by which a timer may be late before it is taken for one whose event loop has gone."""
 
@@ -52,6 +65,18 @@ def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
     return True
 
 
+Room = Callable[[int], tuple[int, int]]
+"""Bytes that are free on the file system of an open file, and all that it has."""
+
+
+def room_of_file(file: int) -> tuple[int, int]:
+    """What the system says of it; all of it is free where the system says nothing."""
+    if not hasattr(os, "fstatvfs"):
+        return MOST_RESERVED, MOST_RESERVED
+    facts = os.fstatvfs(file)
+    return facts.f_bavail * facts.f_frsize, facts.f_blocks * facts.f_frsize
+
+
 class AuditLog:
     """An append-only log of lines. May be used from several threads and by several servers. Close it at the end.
 
@@ -60,17 +85,21 @@ class AuditLog:
         interval: seconds after which a line stands in the file at the latest, 0…10; 0: at once.
         on_failure: ``serve`` goes on, counts and logs while the file can not be written; ``refuse`` answers writes
             with exception 04 then.
+        repeat_interval: seconds after which denials that were repeated leave a line with their number, 0…3600; 0: each
+            leaves its own.
         schedule: calls a function later; the running event loop by default.
         clock: seconds, monotonic.
+        room: how much room the file system has.
 
     Raises:
-        ConfigError: the file can not be opened, or an argument can not be.
+        ConfigError: the file cannot be opened or is no regular file, or an argument can not be.
 
     Attributes:
         written: lines that stand in the file.
         lost: lines that could be neither written nor kept.
         failures: attempts to write that failed.
         is_failing: whether the last attempt failed.
+        denials_left_out: denials that left no line, to leave room for writes.
     """
 
     def __init__(
@@ -79,19 +108,31 @@ class AuditLog:
         *,
         interval: float = 0.2,
         on_failure: str = "serve",
+        repeat_interval: float = 60.0,
         schedule: Schedule = by_event_loop,
         clock: Callable[[], float] = time.monotonic,
+        room: Room = room_of_file,
     ) -> None:
         if not 0 <= interval <= 10:
             raise ConfigError(f"seconds are 0…10, not {shown(interval)}", key="interval")
         if on_failure not in ("serve", "refuse"):
             raise ConfigError(f"one of serve, refuse is needed, not {shown(on_failure)}", key="on_failure")
+        if not 0 <= repeat_interval <= 3600:
+            raise ConfigError(f"seconds are 0…3600, not {shown(repeat_interval)}", key="repeat_interval")
         self.path = Path(path)
         self.written = 0
         self.lost = 0
         self.failures = 0
         self.is_failing = False
+        self.denials_left_out = 0
         self._interval = interval
+        self._repeat_interval = repeat_interval
+        self._repeated = RepeatedDenials()
+        self._repeated_due: float | None = None
+        self._room = room
+        self._has_room = True
+        self._looked = -_LOOK_PAUSE
+        self._left_out = 0  # of them, those that no line has told yet
         self._refuses = on_failure == "refuse"
         self._schedule = schedule
         self._clock = clock
@@ -127,6 +168,25 @@ class AuditLog:
             elif self._clock() > self._due + _LATE:
                 self.flush()
 
+    def append_denied(self, about: About, line: DenialLine) -> None:
+        """Take a denial: its line now, or with its number after the interval.
+
+        Args:
+            about: host, role and rule; those of the same are counted together.
+            line: makes its line.
+        """
+        with self._lock:
+            if self._repeated_due is not None and self._clock() > self._repeated_due + _LATE:
+                self._tell_repeated()  # whose event loop has gone
+            if not self._repeat_interval:
+                self._append_denied(line, 0)
+                return
+            if self._repeated.is_first(about, line):
+                self._append_denied(line, 0)
+            if self._repeated_due is None:
+                self._repeated_due = self._clock() + self._repeat_interval
+                self._schedule(self._repeat_interval, self._tell_repeated)
+
     def flush(self) -> None:
         """Write what is kept, as far as the file takes it. Raises nothing: a failure is counted and logged."""
         with self._lock:
@@ -140,6 +200,7 @@ class AuditLog:
             ConfigError: it can not be opened; the old one is kept.
         """
         with self._lock:
+            self._tell_left_out()
             self.flush()
             fresh = self._open()
             if self._file is not None:
@@ -153,6 +214,8 @@ class AuditLog:
     def close(self) -> None:
         """Write what is kept and close the file. Lines that come later are lost, and counted."""
         with self._lock:
+            self._tell_repeated()
+            self._tell_left_out()
             self.flush()
             file, self._file = self._file, None
             if file is not None:
@@ -169,14 +232,63 @@ class AuditLog:
         self.close()
 
     def _open(self) -> int:
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
         try:
-            return os.open(self.path, flags, 0o600)
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise ConfigError(
-                f"the audit log can not be opened: {reason[:1].lower()}{reason[1:]}", file=str(self.path)
-            ) from error
+            return open_to_append(self.path)
+        except ConfigError as error:
+            raise ConfigError(f"the audit log {error.message}", file=str(self.path)) from error
+
+    # ---- denials
+
+    def _append_denied(self, line: DenialLine, repeated: int) -> None:
+        """Leave the line of a denial if there is room for denials; ``repeated`` of them, 0 for itself alone."""
+        if self._has_room_for_denials():
+            self._tell_left_out()
+            self.append(line(repeated))
+        else:
+            self.denials_left_out += repeated or 1
+            self._left_out += repeated or 1
+
+    def _tell_repeated(self) -> None:
+        """Leave the lines of denials that were repeated; be back as long as there are such."""
+        with self._lock:
+            self._repeated_due = None
+            for line, count in self._repeated.take():
+                self._append_denied(line, count)
+            others = self._repeated.take_others()
+            if others:
+                self._append_denied(_others_line, others)
+            if self._repeated and self._file is not None:
+                self._repeated_due = self._clock() + self._repeat_interval
+                self._schedule(self._repeat_interval, self._tell_repeated)
+
+    def _tell_left_out(self) -> None:
+        """Say how many denials left no line, if there were any."""
+        if self._left_out:
+            left_out, self._left_out = self._left_out, 0
+            self.append(f'{{"time":"{time_text(time.time())}","outcome":"denials left out","lines":{left_out}}}\n')
+
+    def _has_room_for_denials(self) -> bool:
+        if self._size >= _KEPT * _KEPT_OF_DENIALS:
+            return False
+        now = self._clock()
+        if now - self._looked >= _LOOK_PAUSE and self._file is not None:
+            self._looked = now
+            try:
+                free, whole = self._room(self._file)
+            except OSError:  # a write will say what is wrong
+                return self._has_room
+            self._now_has_room(free >= min(RESERVED * whole, MOST_RESERVED), free)
+        return self._has_room
+
+    def _now_has_room(self, has_room: bool, free: int) -> None:
+        if has_room is not self._has_room:
+            self._has_room = has_room
+            if has_room:
+                _log.warning("%s: denials leave lines again; %d left none", self.path, self._left_out)
+            else:
+                _log.error("%s: denials leave no lines: the %d bytes left are kept for writes", self.path, free)
+
+    # ---- the file
 
     def _write_kept(self) -> None:
         data = self._begun + "".join(self._lines).encode("ascii", "backslashreplace")
@@ -227,6 +339,11 @@ class AuditLog:
     def _lose(self, lines: int) -> None:
         self.lost += lines
         self._untold += lines
+
+
+def _others_line(repeated: int) -> str:
+    """The line of denials that are not told apart."""
+    return f'{{"time":"{time_text(time.time())}","outcome":"denied","repeated":{repeated}}}\n'
 
 
 def time_text(seconds: float) -> str:

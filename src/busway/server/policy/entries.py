@@ -20,6 +20,8 @@ key              value
 ``outcome``      ``done``, ``exception`` (the device refused), ``denied`` (by a rule), ``no answer``
 ``code``         exception code; null where there is none
 ``rule``         name of the rule that decided; ``default`` where none did
+``repeated``     of denials: how many there were since the line before of the same host, role and rule; this line shows
+                 the last of them. Not there where a line stands for itself alone
 ===============  =====================================================================================
 
 Beside these: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21, ``data`` (hexadecimal) of
@@ -113,12 +115,13 @@ class Entry:
         self.is_awaited = False
         self.is_noted = False
 
-    def line(self, when: str, outcome: str, code: int | None) -> str:
-        """The whole line."""
+    def line(self, when: str, outcome: str, code: int | None, repeated: int = 0) -> str:
+        """The whole line; of the last of ``repeated`` that it stands for, 0 for itself alone."""
         what, old, new = _facts(self._request, None if outcome == DENIED else self.replaced)
+        so_often = f',"repeated":{repeated}' if repeated else ""
         return (
-            f'{{"time":"{when}",{self._who},"unit":{self._unit},{what},"old":{old},"new":{new},'
-            f'"outcome":"{outcome}","code":{_NULL if code is None else code},"rule":{quoted(self.rule)}}}\n'
+            f'{{"time":"{when}",{self._who},"unit":{self._unit},{what},"old":{old},"new":{new},"outcome":"{outcome}",'
+            f'"code":{_NULL if code is None else code},"rule":{quoted(self.rule)}{so_often}}}\n'
         )
 
 

@@ -7,7 +7,8 @@ Knows requests, contexts and the policy; knows no connection and no device.
    it, and may try again.
 2. The short road and the plans of reads that are offered hold what the rights of whoever asks permit
    (`busway.server.policy.windows`). Who has the same rights shares plans; who has others never meets them.
-3. Every denied request and every write leaves a line, on whatever road. With a log, the short road has the writes that
+3. Every write leaves a line, on whatever road, and so does every denied request; those that a client repeats leave one
+   with their number. With a log, the short road has the writes that
    leave theirs there (`busway.server.policy.writes`).
 4. A policy can be replaced at any time: ``generation`` changes, and conversations ask anew before their next requests.
    No connection is dropped.
@@ -333,8 +334,12 @@ class PolicyHandler:
         if self.audit is not None:
             entry = Entry(known.who, context, request)
             entry.rule = rule
-            self.audit.append(entry.line(self._time(), DENIED, decision.code))
+            about = known.asker.host, known.asker.role or "", rule
+            self.audit.append_denied(about, partial(self._denied_line, entry, decision.code))
         return ExceptionResponse(context.function, decision.code)
+
+    def _denied_line(self, entry: Entry, code: int, repeated: int) -> str:
+        return entry.line(self._time(), DENIED, code, repeated)
 
     def _too_fast(self, decision: Decision, asker: Asker) -> Decision | None:
         """The refusal of a request that comes faster than a rule allows."""

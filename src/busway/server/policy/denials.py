@@ -1,0 +1,68 @@
+"""Repeated denials of one client by one rule: the first leaves a line at once, the others are counted.
+
+Pure: knows names and how to make a line; looks at no clock and writes nothing.
+
+1. Every denial is in a line: the sum of the lines and their counts is the number of denials.
+2. At most `MOST_APART` combinations are told apart. Those beyond are counted together, because anybody can invent
+   senders of datagrams.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+DenialLine = Callable[[int], str]
+"""Makes the line of a denial that stands for so many; 0 for one that stands for itself."""
+About = tuple[str, str, str]
+"""Host, role and rule."""
+
+MOST_APART: Final = 1024
+"""Combinations of host, role and rule that are counted apart."""
+
+
+@dataclass(slots=True)
+class _Repeated:
+    """Denials since the last line: how many, and the line that the last of them would have left."""
+
+    count: int = 0
+    line: DenialLine | None = None
+
+
+class RepeatedDenials:
+    """Denials that were counted and not written yet.
+
+    Attributes:
+        others: those of combinations beyond `MOST_APART`.
+    """
+
+    def __init__(self) -> None:
+        self.others = 0
+        self._repeated: dict[About, _Repeated] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._repeated or self.others)
+
+    def is_first(self, about: About, line: DenialLine) -> bool:
+        """Whether a denial leaves its line now; if not, it is counted."""
+        repeated = self._repeated.get(about)
+        if repeated is not None:
+            repeated.count += 1
+            repeated.line = line
+            return False
+        if len(self._repeated) >= MOST_APART:
+            self.others += 1
+            return False
+        self._repeated[about] = _Repeated()
+        return True
+
+    def take(self) -> list[tuple[DenialLine, int]]:
+        """The lines of what was counted, each with its number. What did not come again is forgotten."""
+        again = {about: each for about, each in self._repeated.items() if each.count}
+        found = [(each.line, each.count) for each in again.values() if each.line is not None]
+        self._repeated = {about: _Repeated() for about in again}
+        return found
+
+    def take_others(self) -> int:
+        """How many there were beyond those that are counted apart."""
+        others, self.others = self.others, 0
+        return others
