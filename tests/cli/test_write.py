@@ -1,16 +1,18 @@
 """`busway write`: what arrives at the device, and what is refused before anything is sent."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
+import busway
 from busway import Device
 
 
 def test_registers_are_written_and_shown(run: Callable[..., Any], url: str, device: Device) -> None:
     result = run("write", url, "4x10", "42", "0x2B")
-    assert (result.code, result.out) == (0, "4x10  42  002a\n4x11  43  002b\n")
+    assert (result.code, result.out) == (0, "4x10  42  002a  written\n4x11  43  002b  written\n")
     assert device.holding_registers[9:11] == [42, 43]
 
 
@@ -38,13 +40,14 @@ def test_coils_take_on_and_off(run: Callable[..., Any], url: str, device: Device
 
 def test_one_bit_of_a_register(run: Callable[..., Any], url: str, device: Device) -> None:
     device.holding_registers[0] = 0b0101
-    assert run("write", url, "4x1.1", "on").out == "4x1.1  on  1\n"
+    assert run("write", url, "4x1.1", "on").out == "4x1.1  on  1  written\n"
     assert device.holding_registers[0] == 0b0111
 
 
 def test_a_mask_changes_the_bits_it_names(run: Callable[..., Any], url: str, device: Device) -> None:
     device.holding_registers[4] = 0x12
-    assert run("write", url, "4x5", "--mask", "0xF2", "0x25").code == 0
+    result = run("write", url, "4x5", "--mask", "0xF2", "0x25")
+    assert (result.code, result.out) == (0, "4x5  AND 0x00F2 OR 0x0025  written\n")
     assert device.holding_registers[4] == 0x17  # the example of Application Protocol V1.1b3 §6.16
 
 
@@ -113,3 +116,78 @@ def test_a_write_without_an_answer_ends_as_3_and_is_not_repeated(
     result = run("write", peer(keep_silent), "4x1", "1", "--timeout", "50ms", "--retries", "3")
     assert result.code == 3
     assert len(requests) == 1
+
+
+def test_json_and_csv_say_that_a_value_was_written(run: Callable[..., Any], url: str) -> None:
+    told = json.loads(run("write", url, "4x1", "7", "--json").out)
+    assert (told["value"], told["written"], "verified" in told) == (7, True, False)
+    assert run("write", url, "4x1", "7", "--csv").out == "address,value,raw,outcome\n4x1,7,0007,written\n"
+    assert "written" not in run("read", url, "4x1", "--json").out
+    assert run("read", url, "4x1", "--csv").out == "address,value,raw\n4x1,7,0007\n"
+
+
+WRITES = [
+    ["4x1", "42", "43"],
+    ["4x1", "1.1", "nan", "--type", "float32", "--order", "CDAB"],
+    ["4x1", "abc", "--type", "string:4"],
+    ["4x1", "0b101", "--type", "bits"],
+    ["0x1", "on", "off", "on"],
+    ["4x1.3", "on"],
+    ["4x1", "--mask", "0xFFF0", "0x0005"],
+]
+
+
+@pytest.mark.parametrize("arguments", WRITES)
+def test_what_was_written_is_read_back(run: Callable[..., Any], url: str, arguments: list[str]) -> None:
+    result = run("write", url, *arguments, "--verify")
+    assert (result.code, result.err) == (0, "")
+    assert all(line.endswith("written, read back") for line in result.out.splitlines())
+    told = [json.loads(line) for line in run("write", url, *arguments, "--verify", "--json").out.splitlines()]
+    assert all(each["written"] and each["verified"] and "holds" not in each for each in told)
+
+
+@pytest.fixture
+def stubborn() -> Iterator[str]:
+    """Where a device is served that takes every write and holds zeros again when it is read."""
+    device = Device(holding_registers=1000, coils=1000)
+
+    @device.on_write("holding_registers", when="after")
+    def forget(change: Any) -> None:
+        device.holding_registers[0:10] = [0] * 10
+
+    @device.on_write("coils", when="after")
+    def switch_off(change: Any) -> None:
+        device.coils[0:10] = [False] * 10
+
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device}) as server:
+        yield server.endpoints[0]
+
+
+@pytest.mark.parametrize("arguments", WRITES)
+def test_a_device_that_holds_something_else_ends_as_7(
+    run: Callable[..., Any], stubborn: str, arguments: list[str]
+) -> None:
+    result = run("write", stubborn, *arguments, "--verify")
+    assert result.code == 7
+    assert "written, but the device holds" in result.out
+    assert "written, but the device holds" in result.err
+    told = [json.loads(line) for line in run("write", stubborn, *arguments, "--verify", "--json").out.splitlines()]
+    assert any(each["verified"] is False and "holds" in each for each in told)
+
+
+@pytest.mark.parametrize("arguments", WRITES)
+def test_a_write_that_is_not_read_back_says_that_it_was_written(
+    run: Callable[..., Any], url: str, device: Device, arguments: list[str]
+) -> None:
+    device.functions = [5, 6, 15, 16, 22]  # it can be written and not read
+    result = run("write", url, *arguments, "--verify")
+    assert result.code == 7
+    assert result.out.splitlines()[0].endswith("  written")
+    assert "it was written, but could not be read back" in result.err
+
+
+def test_a_broadcast_cannot_be_verified(run: Callable[..., Any], nobody: str) -> None:
+    line = nobody.replace("tcp://", "rtu+tcp://")
+    result = run("write", line, "4x1", "1", "--unit", "0", "--verify")
+    assert (result.code, result.out) == (2, "")
+    assert "broadcast" in result.err

@@ -9,6 +9,7 @@ code  meaning
 4     the device refused with an exception code
 5     no connection, or it ended; a server that can not listen
 6     the reply, or a frame given to ``decode``, is broken
+7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back
 130   interrupted (Ctrl-C) before it was done
 ====  ==========================================================================================
 """
@@ -27,6 +28,7 @@ class ExitCode(IntEnum):
     REFUSED = 4
     NO_CONNECTION = 5
     BROKEN = 6
+    NOT_VERIFIED = 7
     INTERRUPTED = 130
 
 

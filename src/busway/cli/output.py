@@ -28,11 +28,26 @@ class Row:
         address: where it stands.
         value: what was read or written.
         raw: its registers in wire order; for one bit one byte, 0 or 1.
+        written: whether it was written, and not read.
+        verified: whether it was found when it was read back; None where it was not read back.
+        holds: what the device holds instead, where ``verified`` is False.
     """
 
     address: Address
     value: Any  # what its type says
     raw: bytes
+    written: bool = False
+    verified: bool | None = None
+    holds: Any = None  # what its type says
+
+    @property
+    def outcome(self) -> str:
+        """What became of a value that was written; empty for one that was read."""
+        if not self.written:
+            return ""
+        if self.verified is None:
+            return "written"
+        return "written, read back" if self.verified else f"written, but the device holds {shown_value(self.holds)}"
 
     @property
     def raw_text(self) -> str:
@@ -115,7 +130,7 @@ class LineWriter:
 
     def write(self, rows: Sequence[Row], time: str = "") -> None:
         cells = [
-            (*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw_text)
+            (*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw_text, row.outcome)
             for row in rows
         ]
         print_aligned(cells)
@@ -137,6 +152,12 @@ class JsonWriter:
                 "value": json_value(row.value),
                 "raw": row.raw.hex(),
             }
+            if row.written:
+                fields["written"] = True
+            if row.verified is not None:
+                fields["verified"] = row.verified
+            if row.verified is False:
+                fields["holds"] = json_value(row.holds)
             print_json(fields)
         sys.stdout.flush()
 
@@ -151,12 +172,14 @@ class CsvWriter:
         self._has_header = False
 
     def write(self, rows: Sequence[Row], time: str = "") -> None:
-        header = [] if self._has_header else [*(["time"] if time else []), "address", "value", "raw"]
+        outcome = ["outcome"] if any(row.written for row in rows) else []
+        header = [] if self._has_header else [*(["time"] if time else []), "address", "value", "raw", *outcome]
         self._has_header = True
         lines = []
         for row in rows:
             value = row.value if isinstance(row.value, str) else shown_value(row.value)
             lines.append([*([time] if time else []), format_address(row.address), value, row.raw.hex()])
+            lines[-1] += [row.outcome] if outcome else []
         print_csv(header, lines)
 
     def close(self) -> None:
@@ -199,8 +222,12 @@ def _table(rows: Sequence[Row], time: str) -> Any:
     table.add_column("Address")
     table.add_column("Value", justify="right")
     table.add_column("Raw", style="dim")
+    outcome = any(row.written for row in rows)
+    if outcome:
+        table.add_column("Outcome")
     for row in rows:
-        table.add_row(format_address(row.address), Text(shown_value(row.value)), row.raw_text)
+        outcomes = [Text(row.outcome)] if outcome else []
+        table.add_row(format_address(row.address), Text(shown_value(row.value)), row.raw_text, *outcomes)
     return table
 
 

@@ -3,15 +3,20 @@
 1. All values are checked before the first byte goes out; one that does not fit is refused, never truncated.
 2. What begins with a minus sign is a value here (``-5``), unless it is an option.
 3. A write is never repeated: without an answer its outcome is unknown, exit code 3.
+4. What is printed says that it was written. What the device holds is known only where ``--verify`` has read it back.
 """
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
 from ..codes import Table
-from ..errors import ConfigError, InvalidRequest
-from ..values import Address, ValueType, parse_address, parse_bit, value_type
+from ..config.endpoints import parse_endpoint
+from ..errors import ConfigError, InvalidRequest, ModbusError
+from ..pdu.write_items import pack_registers
+from ..values import Address, ValueType, format_address, parse_address, parse_bit, value_type
 from .arguments import (
     CAPTURE,
     CSV,
@@ -29,9 +34,10 @@ from .arguments import (
 )
 from .exits import ExitCode
 from .files import capturing
-from .output import choose_writer, value_rows
+from .output import Row, choose_writer, print_csv, print_json, say, shown_value, value_rows
 
 if TYPE_CHECKING:
+    from ..client.blocking import Unit
     from ..client.operations import WriteFunction
 
 EXAMPLES = """\b
@@ -41,13 +47,16 @@ Examples:
   busway write tcp://10.0.0.5 0x1 on off on
   busway write tcp://10.0.0.5 4x7.3 on
   busway write tcp://10.0.0.5 4x7 --mask 0xFF0F 0x0050
+  busway write tcp://10.0.0.5 4x10 42 --verify
 
 --mask AND OR sets a register to (register AND and) OR (or AND NOT and), function 22.
+--verify reads back, and ends with 7 where the device holds something else.
 A text value that begins with a minus sign is written behind --.
 """
 
 SETTINGS = {"ignore_unknown_options": True}
 
+_Found = TypeVar("_Found")
 _FUNCTIONS: tuple["WriteFunction", ...] = ("auto", "single", "multiple")
 
 
@@ -64,6 +73,9 @@ def write(
     function: str = typer.Option(
         "auto", "--function", metavar="WHICH", help="single (05, 06), multiple (15, 16), or auto."
     ),
+    verify: bool = typer.Option(
+        False, "--verify", help="Read back what was written; exit code 7 where the device holds something else."
+    ),
     as_json: bool = JSON,
     as_csv: bool = CSV,
     timeout: str | None = TIMEOUT,
@@ -78,33 +90,103 @@ def write(
     if chosen is None:
         raise ConfigError(f"one of {', '.join(_FUNCTIONS)} is needed, not {function!r}", key="--function")
     place = parse_address(address)
+    if (
+        verify
+        and unit is not None
+        and parse_endpoint(url).framing != "mbap"
+        and whole_number(unit, "--unit", 0, 255) == 0
+    ):
+        raise ConfigError(
+            "does not go with unit 0: nobody answers a broadcast, so nothing can be read back", key="--verify"
+        )
+    writer = choose_writer(as_json=as_json, as_csv=as_csv)
+    reach: dict[str, Any] = {"unit": unit, "timeout": timeout, "retries": retries, "verbose": verbose}
     if mask is not None:
-        with capturing(capture):
-            return _write_mask(place, mask, texts, url, unit=unit, timeout=timeout, retries=retries, verbose=verbose)
+        masks = _masks(place, mask, texts)
+        with capturing(capture), opened_unit(url, **reach) as asked:
+            return _write_mask(asked, place, *masks, verify=verify, as_json=as_json, as_csv=as_csv)
     if not texts:
         raise ConfigError(f"there is no value to write to {place}", key="VALUE")
     form, values, raw = _parsed(place, texts, kind, order)
-    writer = choose_writer(as_json=as_json, as_csv=as_csv)
-    with (
-        capturing(capture),
-        opened_unit(url, unit=unit, timeout=timeout, retries=retries, verbose=verbose) as asked,
-    ):
+    with capturing(capture), opened_unit(url, **reach) as asked:
         asked.write(place, values[0] if place.bit is not None else values, form, function=chosen)
-    writer.write(value_rows(place, form, values, raw))
-    return ExitCode.DONE
+        rows = [replace(row, written=True) for row in value_rows(place, form, values, raw)]
+        held = _read_back(lambda: _held(asked, place, form, raw)) if verify else None
+    if held is not None:
+        rows = _compared(rows, value_rows(place, form, *held))
+    writer.write(rows)
+    return ExitCode.NOT_VERIFIED if verify and not all(row.verified for row in rows) else ExitCode.DONE
 
 
-def _write_mask(
-    place: Address, mask: tuple[str, str], texts: list[str] | None, url: str, **reach: Any
-) -> int:  # Any: the options of `opened_unit`
+def _read_back(read: Callable[[], _Found]) -> _Found | None:
+    """What reading gives; None, and a sentence on stderr, where the device does not answer it."""
+    try:
+        return read()
+    except ModbusError as error:
+        say(f"it was written, but could not be read back: {error}")
+        return None
+
+
+def _held(unit: "Unit", place: Address, form: ValueType | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
+    """Values and bytes of the places where ``raw`` was written."""
+    if form is None:
+        found = unit.read(place, count=None if place.bit is not None else len(raw))
+        states = found if isinstance(found, list) else [found]
+        return states, bytes(states)
+    data = pack_registers(unit.read_holding_registers(place.offset, count=len(raw) // 2))
+    return form.decode(data), data
+
+
+def _compared(written: Sequence[Row], held: Sequence[Row]) -> list[Row]:
+    """The rows that were written, with what the device was found to hold."""
+    compared = []
+    for row, found in zip(written, held, strict=True):
+        is_there = row.raw == found.raw
+        compared.append(replace(row, verified=is_there, holds=None if is_there else found.value))
+        if not is_there:
+            say(
+                f"{row.address}: written, but the device holds {shown_value(found.value)}, not {shown_value(row.value)}"
+            )
+    return compared
+
+
+def _masks(place: Address, mask: tuple[str, str], texts: list[str] | None) -> tuple[int, int]:
+    """The AND and the OR mask. `ConfigError` where they or the place cannot be."""
     if texts:
         raise ConfigError(f"takes the place of values, but there is {texts[0]!r}", key="--mask")
     if place.table is not Table.HOLDING_REGISTERS or place.bit is not None:
         raise ConfigError(f"goes with a holding register, not with {place}", key="--mask")
     and_mask, or_mask = (whole_number(text, "--mask", 0, 0xFFFF) for text in mask)
-    with opened_unit(url, **reach) as asked:
-        asked.mask_write_register(place.offset, and_mask=and_mask, or_mask=or_mask)
-    return ExitCode.DONE
+    return and_mask, or_mask
+
+
+def _write_mask(
+    unit: "Unit", place: Address, and_mask: int, or_mask: int, *, verify: bool, as_json: bool, as_csv: bool
+) -> int:
+    unit.mask_write_register(place.offset, and_mask=and_mask, or_mask=or_mask)
+    code, outcome = ExitCode.DONE, "written"
+    told: dict[str, Any] = {}  # what `holds` and `verified` are
+    if verify:
+        code = ExitCode.NOT_VERIFIED
+        found = _read_back(lambda: unit.read_holding_registers(place.offset, count=1)[0])
+        if found is not None:
+            told["verified"] = not (found ^ or_mask) & ~and_mask & 0xFFFF  # the bits that AND does not keep
+            outcome = "written, read back" if told["verified"] else f"written, but the device holds 0x{found:04X}"
+            code = ExitCode.DONE if told["verified"] else code
+            if not told["verified"]:
+                told["holds"] = found
+                say(f"{place}: {outcome}")
+    where = format_address(place)
+    if as_json:
+        at = {"address": where, "table": Table.HOLDING_REGISTERS.value, "offset": place.offset}
+        print_json({**at, "and_mask": and_mask, "or_mask": or_mask, "written": True, **told})
+    elif as_csv:
+        print_csv(
+            ["address", "and_mask", "or_mask", "outcome"], [[where, f"{and_mask:04x}", f"{or_mask:04x}", outcome]]
+        )
+    else:
+        print(f"{where}  AND 0x{and_mask:04X} OR 0x{or_mask:04X}  {outcome}", flush=True)
+    return code
 
 
 def _parsed(
