@@ -1,6 +1,7 @@
 """`busway decode`: frames explained on stdout, and what is no frame refused by name."""
 
 import json
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -101,3 +102,39 @@ def test_what_is_no_frame_is_refused_by_name(run: Callable[..., Any], arguments:
     assert len(result.err.splitlines()) == 1
     for word in words:
         assert word in result.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["0103", "006b", "0003", "7417"],
+        ["0x0103", "0x006B", "0x0003", "0x7417"],
+        ["0103,", "006b,", "0003,", "7417"],
+        ["01", "03", "006b", "0003", "7417"],
+    ],
+)
+def test_16_bit_groups_that_the_shell_has_split_are_one_frame(run: Callable[..., Any], arguments: list[str]) -> None:
+    result = run("decode", *arguments)
+    assert result.code == 0
+    assert result.out.startswith("RTU, unit 1: 3 (read holding registers), request\n")
+
+
+def test_groups_that_are_no_whole_bytes_are_not_joined_to_other_bytes(run: Callable[..., Any]) -> None:
+    result = run("decode", "1", "3", "0", "6b")
+    assert (result.code, result.out) == (2, "")
+
+
+def test_a_frame_behind_an_unknown_function_is_explained(run: Callable[..., Any]) -> None:
+    result = run("decode", "640102", "030001")
+    assert result.code == 6
+    assert result.out.startswith("PDU: 100 (0x64), request")
+    assert "2 of 2 bytes are missing" in result.out
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("frame", ["0001000000cb0103c8" + "00" * 200, "64"])
+def test_a_megabyte_is_explained_in_seconds(run: Callable[..., Any], frame: str) -> None:
+    began = time.process_time()
+    result = run("decode", "-", "--json", stdin=frame * (1_000_000 // (len(frame) // 2)) + "\n")
+    assert result.code in (0, 6)
+    assert time.process_time() - began < 30  # it takes one on a machine of today

@@ -1,6 +1,7 @@
 """Frames out of nowhere: framing and direction found out, conversations paired, broken frames explained."""
 
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -156,3 +157,64 @@ def test_framing_and_direction_of_every_published_frame_are_found_out(vector: di
     assert found.framing.value == vector["framing"].replace("tcp", "mbap")
     assert found.direction.value in (vector["direction"].replace("response", "reply"), "request or reply")
     assert found.problems == ()
+
+
+def test_a_frame_behind_one_of_an_unknown_function_is_taken_apart() -> None:
+    dissector = Dissector()
+    assert one(bytes.fromhex("64 01 02"), dissector).title.startswith("PDU: 100 (0x64), request")
+    assert one(bytes.fromhex("03 00 01"), dissector).problems
+    assert one(bytes.fromhex("64 01 02"), dissector).direction is not Direction.REQUEST
+
+
+def test_an_unknown_function_may_be_answered_by_its_reply_or_an_exception() -> None:
+    for reply in ("64 09 09 09", "E4 01"):
+        dissector = Dissector()
+        one(bytes.fromhex("64 01 02"), dissector)
+        assert one(bytes.fromhex(reply), dissector).answers
+
+
+@pytest.mark.parametrize("code", [0x64, 0x03, 0x2B, 0x14, 0xE4])
+@pytest.mark.parametrize("framing", [None, *Framing])
+def test_a_frame_longer_than_any_frame_is_explained(framing: Framing | None, code: int) -> None:
+    assert one(bytes((code,)) * 5_000, Dissector(framing=framing)).problems
+
+
+def test_a_stream_is_cut_by_its_headers_also_around_functions_that_are_unknown() -> None:
+    frames = [encode_mbap(1, 1, REQUEST), encode_mbap(2, 1, b"\x64\x01\x02"), encode_mbap(3, 1, REQUEST)]
+    found = Dissector().dissect(b"".join(frames))
+    assert [each.parts[0].text for each in found] == ["1", "2", "3"]
+
+
+def streams() -> list[object]:
+    """Bytes of any size, of each sort that `busway decode` is given."""
+    pair = encode_mbap(1, 1, REQUEST) + encode_mbap(1, 1, b"\x03\xc8" + bytes(200))
+    unknown = encode_mbap(1, 1, b"\x64" * 50)
+    sorts = {
+        "mbap": pair,
+        "mbap of unknown functions": unknown,
+        "rtu": rtu(1, REQUEST),
+        "one unknown function": b"\x64",
+        "objects": bytes.fromhex("2B 0E 01 01 00 00 03 00 01 41"),
+        "zeros": b"\x00",
+        "ascii": b":01",
+    }
+    return [pytest.param(unit, id=name) for name, unit in sorts.items()]
+
+
+def dissect_time(unit: bytes, size: int) -> float:
+    """Processor seconds for ``size`` bytes: the least of two runs, for a machine may do something else."""
+    data = (unit * (size // len(unit) + 1))[:size]
+    took = []
+    for _ in range(2):
+        began = time.process_time()
+        for _ in Dissector().dissections(data):
+            pass
+        took.append(time.process_time() - began)
+    return min(took)
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("unit", streams())
+def test_four_times_the_bytes_take_less_than_eight_times_the_time(unit: bytes) -> None:
+    dissect_time(unit, 4_096)
+    assert dissect_time(unit, 262_144) < 8 * dissect_time(unit, 65_536) + 0.01

@@ -1,6 +1,7 @@
 """``busway decode``: frames as they stand in a log or a manual, explained field by field.
 
-1. Each argument is a frame; bytes that the shell has split (``01 03 00 6b …``) are joined to one.
+1. Each argument is a frame; bytes and 16-bit groups that the shell has split (``01 03 00 6b …``, ``0103 006b …``) are
+   joined to one.
 2. Frames that follow each other are one conversation: a reply is compared with the request before it.
 3. A frame that is wrong is explained as far as it goes; the exit code is then 6.
 """
@@ -21,11 +22,13 @@ EXAMPLES = """\b
 Examples:
   busway decode 000100000006ff03006b0003
   busway decode 01 03 00 6b 00 03 74 17
+  busway decode 0103 006b 0003 7417
   busway decode 03006b0003 0306022b00000064
   busway decode ':0103006B00038E'
   grep RX plant.log | cut -d' ' -f4- | busway decode -
 
-Spaces, commas, 0x, \\x and colons between bytes do not matter. - reads one frame per line
+Spaces, commas, 0x, \\x and colons between bytes do not matter. Groups of one or two bytes
+are one frame; write frames that are so short one per line. - reads one frame per line
 from standard input.
 """
 
@@ -55,7 +58,7 @@ def decode(
         all_bytes = [_bytes_of(text) for text in _joined(frames)]
     is_first = True
     for data in all_bytes:
-        for dissection in dissector.dissect(data):
+        for dissection in dissector.dissections(data):
             if dissection.problems:
                 code = ExitCode.BROKEN
             if as_json:
@@ -73,8 +76,8 @@ def _one_of(text: str, name: str, allowed: list[str]) -> str:
 
 
 def _joined(texts: list[str]) -> list[str]:
-    """The frames; single bytes are one frame that the shell has split."""
-    if len(texts) > 1 and all(len(text.removeprefix("0x").strip(",")) <= 2 for text in texts):
+    """The frames; single bytes and 16-bit groups are one frame that the shell has split."""
+    if len(texts) > 1 and all(len(_SEPARATORS.sub("", text)) in (2, 4) and text[0] != ":" for text in texts):
         return [" ".join(texts)]
     return texts
 

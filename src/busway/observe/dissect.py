@@ -7,9 +7,10 @@ Knows the shapes of the framings and the describer of PDUs; knows no connection.
 2. Direction: a frame is a reply if it answers the request before it; else what its length and limits allow. Some
    requests and replies are alike (05, 06, 08, 22); that is said.
 3. The parts of a dissection hold all bytes, in their order.
+4. The time is linear in the bytes: a stream of MBAP frames is cut by its headers, each frame looked at once.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -75,8 +76,6 @@ class _Frame:
     pdu_at: int = 0
     characters: int = 1
     """Places that a byte takes in the frame: two in ASCII."""
-    rest: bytes = b""
-    """What follows this frame."""
 
     @property
     def title(self) -> str:
@@ -92,6 +91,8 @@ class _Asked:
     """The last request, until it is answered."""
 
     request: Request
+    code: int
+    """Its function code, also where the function is unknown."""
     unit: int | None
     transaction: int | None
 
@@ -122,16 +123,26 @@ class Dissector:
 
     def dissect(self, data: bytes) -> list[Dissection]:
         """The frames in ``data``: one, or several MBAP frames that follow each other."""
-        found = []
-        rest = data
+        return list(self.dissections(data))
+
+    def dissections(self, data: bytes) -> Iterator[Dissection]:
+        """The same one by one, so that a long stream takes the memory of one frame."""
+        at, is_stream = 0, self._is_stream(data)
         while True:
-            frame = self._frame(rest)
-            found.append(self._dissected(frame))
-            rest = frame.rest
-            if not rest:
-                return found
+            end = _end_of_mbap(data, at) if is_stream else len(data)
+            yield self._dissected(self._frame(data[at:end]))
+            if end == len(data):
+                return
+            at = end
 
     # Framing.
+
+    def _is_stream(self, data: bytes) -> bool:
+        """Whether these are MBAP frames that follow each other."""
+        if self._framing is not None:
+            return self._framing is Framing.MBAP
+        end = _end_of_mbap(data, 0)
+        return end < len(data) and self._knows(data[HEADER_SIZE:end]) and crc16(data) != 0
 
     def _frame(self, data: bytes) -> _Frame:
         if self._framing is not None:
@@ -170,7 +181,7 @@ class Dissector:
         if direction is Direction.REPLY:
             self._asked = None if answers else self._asked
         elif isinstance(description.message, Request):
-            self._asked = _Asked(description.message, frame.unit, frame.transaction)
+            self._asked = _Asked(description.message, frame.pdu[0], frame.unit, frame.transaction)
         inner = [replace(part, offset=frame.pdu_at + part.offset * frame.characters) for part in description.parts]
         around = [f"{part.name}: {part.problem}" for part in (*frame.head, *frame.tail) if part.problem]
         title = f"{frame.title}: {description.title}"
@@ -188,7 +199,7 @@ class Dissector:
     def _directed(self, frame: _Frame) -> tuple[Direction, Description, bool, tuple[str, ...]]:
         """Direction, description, whether it answers the request before it, and what does not fit that request."""
         asked = self._asked
-        due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.request.code
+        due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
         as_reply = describe_reply(frame.pdu, self._functions, request=asked.request if asked and due else None)
         direction = self._direction or _likelier(as_request, as_reply, frame.pdu, due=due)
@@ -239,6 +250,15 @@ def _is_mbap(data: bytes) -> bool:
     return len(data) > HEADER_SIZE and data[2:4] == b"\x00\x00" and data[4] << 8 | data[5] == len(data) - 6
 
 
+def _end_of_mbap(data: bytes, at: int) -> int:
+    """Where the MBAP frame at ``at`` ends, if another one follows it; else where the data end."""
+    if _looks_like_mbap(data[at : at + HEADER_SIZE + 1]):
+        end = at + 6 + (data[at + 4] << 8 | data[at + 5])
+        if _looks_like_mbap(data[end : end + HEADER_SIZE + 1]):
+            return end
+    return len(data)
+
+
 def _cut_mbap(data: bytes) -> _Frame:
     if len(data) < HEADER_SIZE:
         cut_off = Part(0, data, "header", problem=f"{len(data)} bytes where MBAP has {HEADER_SIZE}")
@@ -246,11 +266,8 @@ def _cut_mbap(data: bytes) -> _Frame:
     transaction, protocol, length = (data[at] << 8 | data[at + 1] for at in (0, 2, 4))
     following = len(data) - 6
     problem = ""
-    end = len(data)
     if not MIN_LENGTH <= length <= MAX_LENGTH:
         problem = impossible_length(length)
-    elif length < following and _looks_like_mbap(data[6 + length :]):
-        end = 6 + length
     elif length != following:
         problem = f"announces {length} bytes, and {following} follow"
     head = (
@@ -259,8 +276,7 @@ def _cut_mbap(data: bytes) -> _Frame:
         Part(4, data[4:6], "length", str(length), problem),
         Part(6, data[6:7], "unit", str(data[6])),
     )
-    pdu = data[HEADER_SIZE:end]
-    return _Frame(Framing.MBAP, pdu, head, (), data[6], transaction, HEADER_SIZE, rest=data[end:])
+    return _Frame(Framing.MBAP, data[HEADER_SIZE:], head, (), data[6], transaction, HEADER_SIZE)
 
 
 def _looks_like_mbap(data: bytes) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
-from ..codes import DiagnosticCode, FunctionCode, MeiType, Table, exception_meaning, function_name
+from ..codes import PDU_LIMIT, DiagnosticCode, FunctionCode, MeiType, Table, exception_meaning, function_name
 from ..values import Address, format_address
 from .bits import unpack_bits
 from .encapsulated import OBJECT_NAMES, IdentificationObject
@@ -70,8 +70,8 @@ def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Descrip
     if not pdu:
         return _empty("request")
     kind = functions.find(pdu, 0, len(pdu))
-    decoded = functions.decode_request(pdu) if pdu[0] < 0x80 else None
-    problem = decoded.reason if isinstance(decoded, MalformedRequest) else ""
+    decoded = functions.decode_request(pdu) if pdu[0] < 0x80 and len(pdu) <= PDU_LIMIT else None
+    problem = decoded.reason if isinstance(decoded, MalformedRequest) else _too_long(pdu)
     if pdu[0] == 0 or pdu[0] >= 0x80:
         problem = f"a request has a function code 1…127, not {pdu[0]}"
     message = None if problem or isinstance(decoded, MalformedRequest) else decoded
@@ -84,14 +84,19 @@ def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: 
         return _empty("reply")
     problem = "a reply has a function code 1…127, or an exception, not 0" if pdu[0] == 0 else ""
     message: Message | None = None
+    problem = problem or _too_long(pdu)
     try:
-        message = functions.decode_reply(pdu)
+        message = None if problem else functions.decode_reply(pdu)
     except MalformedPdu as error:
         problem = error.reason
     if pdu[0] & 0x80:
         return _exception(pdu, problem, message)
     kind = functions.find(pdu, 0, len(pdu))
     return _described(pdu, kind, None if kind is None else kind.Reply, "reply", message, problem, request)
+
+
+def _too_long(pdu: bytes) -> str:
+    return f"{len(pdu)} bytes where a PDU has at most {PDU_LIMIT}" if len(pdu) > PDU_LIMIT else ""
 
 
 def _empty(direction: str) -> Description:
