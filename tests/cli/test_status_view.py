@@ -119,6 +119,21 @@ def line_told(**links: object) -> dict[str, object]:
     return {"name": "hall", "endpoint": "rtu:///dev/ttyUSB0", "links": [link], "counters": counters}
 
 
+@pytest.mark.parametrize(("pause", "words"), [(1.2, "in 1.2 s"), (None, "with the next request")])
+def test_why_a_line_cannot_be_reached_is_shown_with_its_lamp_and_the_next_attempt(
+    pause: float | None, words: str
+) -> None:
+    line = line_told(state="backing off", reason="/dev/ttyUSB0 can not be opened", next_attempt=pause)
+    line["lamps"] = {"communication": "off", "error": "flashing", "device_status": "off"}
+    *_, table, down = sections_of(told(lines=[line]))
+    assert table.rows[0][table.columns.index("error")] == "flashing"
+    assert table.style_of(table.columns.index("error"), "flashing") == "yellow"
+    assert (down.title, down.rows) == (
+        "cannot be reached",
+        [["hall", "/dev/ttyUSB0 can not be opened", f"tried again {words}"]],
+    )
+
+
 def test_the_fronts_of_a_gateway_are_shown_as_servers_and_its_lines_as_a_table() -> None:
     server = {"supported_connections": 5, "connections": [{"peer": "10.0.0.9:1"}]}
     front = {"name": "office", "server": server, "counters": {"no_route": 3, "own": 0}}

@@ -19,7 +19,7 @@ _CONNECTION_COLUMNS: Final = (
     *("peer", "listener", "pool", "state", "role", "subject"),
     *("age", "idle", "received", "sent", "requests", "waiting"),
 )
-_LINE_COLUMNS: Final = ("name", "behind", "state", "in_flight", "queued", "forwarded", "answered")
+_LINE_COLUMNS: Final = ("name", "behind", "state", "error", "in_flight", "queued", "forwarded", "answered")
 _ALWAYS: Final = frozenset(
     {
         "name",
@@ -121,10 +121,10 @@ def server_sections(state: JsonObject) -> list[Section]:
 
 
 def line_sections(lines: Sequence[JsonObject]) -> list[Section]:
-    """The lines of a gateway: how they are, what became of requests, and which units are not asked."""
+    """The lines of a gateway: how they are, what became of requests, why one is down, and which units are not asked."""
     if not lines:
         return []
-    rows, suspended = [], []
+    rows, down, suspended = [], [], []
     for line in lines:
         links = line.get("links") or ()
         states = [link["state"] for link in links]
@@ -133,19 +133,29 @@ def line_sections(lines: Sequence[JsonObject]) -> list[Section]:
                 "name": line["name"],
                 "behind": line["endpoint"],
                 "state": ", ".join(dict.fromkeys(states)) or "closed",
+                **({"error": line["lamps"]["error"]} if "lamps" in line else {}),
                 "in_flight": sum(link["in_flight"] for link in links),
                 "queued": sum(link["queued"] for link in links),
                 **(line.get("counters") or {}),
             }
         )
         for link in links:
+            if link.get("reason"):
+                down.append([line["name"], link["reason"], f"tried again {_when(link['next_attempt'])}"])
             for unit in link.get("suspended") or ():
-                when = f"in {duration(unit['next_probe'])}" if unit["next_probe"] else "with the next request"
+                when = _when(unit["next_probe"])
                 suspended.append([line["name"], f"unit {unit['unit']}", "does not answer", f"asked again {when}"])
     sections = [_table(rows, _LINE_COLUMNS, "")]
+    if down:
+        sections.append(Section("cannot be reached", (), down))
     if suspended:
         sections.append(Section("not asked now", (), suspended))
     return sections
+
+
+def _when(pause: float | None) -> str:
+    """When something is tried again."""
+    return f"in {duration(pause)}" if pause else "with the next request"
 
 
 def list_of_programs(told: Iterable[JsonObject]) -> Section:

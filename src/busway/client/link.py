@@ -90,6 +90,7 @@ class Link:
         home: the event loop it lives on.
         watch: called when something has come, or time has passed, after the demands that are complete: for whoever
             looks at those that are not.
+        told: called with each event of the connection and its reason, after the state has followed it.
         opened, last_used: when the connection was made, and last used, in the clock of the loop.
         sent_bytes, received_bytes: of all its connections.
         now: the clock of demands.
@@ -131,6 +132,7 @@ class Link:
         "sent_bytes",
         "session",
         "shared",
+        "told",
         "watch",
     )
 
@@ -157,6 +159,7 @@ class Link:
         self.shared = shared
         self.home: asyncio.AbstractEventLoop | None = self._loop
         self.watch: Callable[[], None] | None = None
+        self.told: Callable[[ConnectionEvent, str], None] | None = None
         self.opened = self.last_used = 0.0
         self.sent_bytes = self.received_bytes = 0
         self._asked_before = 0  # requests before this connection
@@ -288,6 +291,18 @@ class Link:
         """Whether a connection stands."""
         return self._transport is not None
 
+    @property
+    def down_because(self) -> str:
+        """Why no connection could be had; empty while one stands, and before the first attempt."""
+        return "" if self._last_failure is None else self._last_failure.message
+
+    @property
+    def next_attempt(self) -> float | None:
+        """Seconds before no connection is tried; None where the next request tries one."""
+        if self.reconnect.state is not ConnectionState.BACKING_OFF:
+            return None
+        return max(self.reconnect.not_before - self._clock(), 0.0)
+
     async def connect(self) -> None:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
         if self.is_connected or self._closed:
@@ -310,7 +325,7 @@ class Link:
             local=None if self._transport is None else self._transport.get_extra_info("sockname"),
             traffic=(self.sent_bytes, self.received_bytes),
             waiting=(self.session.in_flight, self.session.queued),
-            reason="" if self._last_failure is None else self._last_failure.message,
+            reason=self.down_because,
         )
 
     def make_room(self) -> bool:
@@ -470,6 +485,8 @@ class Link:
         if news:
             # Where each request has a connection of its own, its beginning and its end are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
+        if self.told is not None:
+            self.told(event, reason)
 
     def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:

@@ -8,12 +8,15 @@ Knows links and demands; knows no front beyond the context of a request.
 3. A client that goes away takes its queued requests with it; the one on the wire finishes, and its answer is dropped.
 4. Where a line has several connections to one server, all requests of one client use the same one, so that they
    arrive in the order in which they were asked.
+5. A serial port is opened when the line is, and again whenever it has gone: its operator knows what is wrong with it
+   before a client does. A server on a network is dialled at the first need.
 """
 
 import asyncio
+import contextlib
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -22,20 +25,23 @@ from ..client.conversation import conversation_for
 from ..client.link import Link
 from ..client.settings import LinkSettings
 from ..codes import ExceptionCode
-from ..errors import ConfigError, InvalidRequest, ModbusError
+from ..errors import ConfigError, InvalidRequest, LinkDown, ModbusError
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
 from ..pdu.wide import MAX_DATA, NARROW, wide
+from ..server.diagnosis import Lamp, Lamps
 from ..session.breaker import BreakerState
 from ..session.client import TcpClientSession
 from ..session.demand import Demand
 from ..session.handler import LATER, Deferral, RequestContext
 from ..session.ledger import ClientCounters
+from ..session.reconnect import ConnectionEvent
 from ..session.serial_client import SerialClientSession
 from .answers import code_for
 from .bunches import FOR_EVER, Bunch, Bunches
 from .memory import Key, Memory, Place
+from .news import LineNews
 from .routes import Route
 from .translation import behind, in_front
 
@@ -96,6 +102,8 @@ class LinkStatus:
         queued: requests that wait for their turn.
         counters: what happened on it.
         suspended: units that are not asked now; there are some on serial lines only.
+        reason: why it cannot be reached; empty while it can be, and before the first attempt.
+        next_attempt: seconds until it is tried again at the earliest; None where the next request tries it.
     """
 
     state: str
@@ -103,16 +111,26 @@ class LinkStatus:
     queued: int
     counters: ClientCounters
     suspended: tuple[SuspendedUnit, ...] = ()
+    reason: str = ""
+    next_attempt: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LineStatus:
-    """A line as a status shows it."""
+    """A line as a status shows it.
+
+    Attributes:
+        name, endpoint: what routes call it, and where it leads.
+        links: its connections.
+        counters: what happened to its requests.
+        lamps: communication is on while replies are awaited, error flashes while it cannot be reached.
+    """
 
     name: str
     endpoint: str
     links: tuple[LinkStatus, ...]
     counters: LineCounters
+    lamps: Lamps
 
 
 class _Exchange:
@@ -179,6 +197,10 @@ class Line:
         self._connections = connections
         self._clock = clock
         self._links: list[Link] = []
+        self._keeper: asyncio.Task[None] | None = None  # of a serial port
+        self._port_gone = asyncio.Event()
+        is_port = settings.endpoint.carrier == "serial"
+        self.news = LineNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
         self._link_of: OrderedDict[str, Link] = OrderedDict()  # by client; who asked last comes last
         self._users: dict[Link, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
@@ -190,7 +212,7 @@ class Line:
     # Its life.
 
     def open(self) -> None:
-        """Make the links; they connect at the first need. In a coroutine. Raises `ConfigError`."""
+        """Make the links; a port is opened soon, the others connect at need. In a coroutine. Raises `ConfigError`."""
         if self._links:
             return
         for _ in range(self._connections):
@@ -200,7 +222,31 @@ class Line:
             link = Link(connector, session, self.settings)
             if isinstance(session, TcpClientSession):
                 link.watch = partial(self.bunches.look, session)
+            link.told = self._told
             self._links.append(link)
+            if self.settings.endpoint.carrier == "serial":
+                self._keeper = asyncio.get_running_loop().create_task(self._keep_open(link))
+
+    async def _keep_open(self, link: Link) -> None:
+        """Have the port open, now and whenever it has gone."""
+        while True:
+            self._port_gone.clear()
+            with contextlib.suppress(LinkDown):  # it is told by its event
+                await link.connect()
+            if link.is_connected:
+                await self._port_gone.wait()
+            else:
+                await asyncio.sleep(link.next_attempt or 0.01)
+
+    def _told(self, event: ConnectionEvent, reason: str) -> None:
+        """Something has happened to a connection."""
+        if event is ConnectionEvent.CONNECTED:
+            self.news.is_up()
+        elif event is ConnectionEvent.FAILED:
+            self.news.is_down(reason)
+        elif event is ConnectionEvent.LOST and self._keeper is not None:
+            self._port_gone.set()
+            self.news.is_down(reason)
 
     def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
         """Leave units alone for so many seconds after their replies; on serial lines only."""
@@ -210,6 +256,10 @@ class Line:
 
     async def close(self) -> None:
         """Close the links. What still waits is answered 0A."""
+        keeper, self._keeper = self._keeper, None
+        if keeper is not None:
+            keeper.cancel()
+            await asyncio.gather(keeper, return_exceptions=True)
         links, self._links = self._links, []
         self._link_of.clear()
         self._users.clear()
@@ -240,21 +290,19 @@ class Line:
 
     def status(self) -> LineStatus:
         """How it stands."""
-        return LineStatus(
-            name=self.name,
-            endpoint=self.settings.endpoint.url,
-            links=tuple(
-                LinkStatus(
-                    link.reconnect.state.value,
-                    link.session.in_flight,
-                    link.session.queued,
-                    link.session.counters,
-                    _suspended(link),
-                )
-                for link in self._links
-            ),
-            counters=self.counters,
+        links = tuple(
+            LinkStatus(
+                link.reconnect.state.value,
+                link.session.in_flight,
+                link.session.queued,
+                link.session.counters,
+                _suspended(link),
+                link.down_because,
+                link.next_attempt,
+            )
+            for link in self._links
         )
+        return LineStatus(self.name, self.settings.endpoint.url, links, self.counters, _lamps(links))
 
     # Requests.
 
@@ -417,6 +465,8 @@ class Line:
         counters = self.counters
         if code == ExceptionCode.GATEWAY_PATH_UNAVAILABLE:
             counters.no_path += 1
+            cause = error.__cause__  # without the pause until the next attempt, which differs each time
+            self.news.no_path(cause.message if isinstance(cause, LinkDown) else error.message)
         elif code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND:
             counters.no_answer += 1
         else:
@@ -440,6 +490,16 @@ class Line:
             self.memory.write_ended(exchange.unit)
         elif exchange.key is not None:
             self.memory.read_ended(exchange.unit, exchange.key, exchange)
+
+
+def _lamps(links: Sequence[LinkStatus]) -> Lamps:
+    """What the lamps of a line show."""
+    is_faulty = not links or any(link.reason for link in links)
+    return Lamps(
+        Lamp.ON if any(link.in_flight for link in links) else Lamp.OFF,
+        Lamp.FLASHING if is_faulty else Lamp.OFF,
+        Lamp.OFF if is_faulty else Lamp.ON,
+    )
 
 
 def _suspended(link: Link) -> tuple[SuspendedUnit, ...]:
