@@ -6,6 +6,7 @@ outside is refused with a sentence that names the range.
 
 import inspect
 import re
+from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from enum import Enum
 from typing import Any, get_args, get_type_hints
@@ -17,7 +18,7 @@ from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
 from busway.session.breaker import BreakerParameters
 from busway.session.line_framing import FramingParameters
-from busway.session.parameters import ClientParameters, ServerParameters
+from busway.session.parameters import TIMEOUT_BY_FRAMING, ClientParameters, ServerParameters
 from busway.session.serial_client import SerialClientParameters
 from busway.transport.serial.opening import OpeningParameters
 from busway.transport.serial.settings import SerialSettings
@@ -36,6 +37,8 @@ TABLES = {
     "opening": OpeningParameters,
 }
 """The parts of the page and the class that each shows."""
+BY_FRAMING = {(ClientParameters, "timeout"): TIMEOUT_BY_FRAMING}
+"""Options whose default depends on the framing of the endpoint."""
 
 
 def render(kind: type[Any]) -> str:
@@ -48,9 +51,9 @@ def render(kind: type[Any]) -> str:
         if default is MISSING:
             raise SystemExit(f"{kind.__name__}.{field.name} has no default")
         meaning = meanings[field.name]
-        lines.append(
-            f"| `{field.name}` | {shown(default)} | {values(kind, field.name, hints[field.name])} | {meaning} |"
-        )
+        by_framing = BY_FRAMING.get((kind, field.name))
+        text = shown(default) if by_framing is None else shown_by_framing(by_framing)
+        lines.append(f"| `{field.name}` | {text} | {values(kind, field.name, hints[field.name])} | {meaning} |")
     return "\n".join(lines)
 
 
@@ -63,6 +66,14 @@ def shown(default: object) -> str:
     if isinstance(default, Enum):
         return f"`{default.value}`"
     return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def shown_by_framing(defaults: Mapping[str, float]) -> str:
+    """The defaults, each with the framings that have it."""
+    names: dict[float, list[str]] = {}
+    for framing, default in defaults.items():
+        names.setdefault(default, []).append({"mbap": "TCP, TLS, UDP"}.get(framing, framing.upper()))
+    return "; ".join(f"{shown(default)} ({', '.join(framings)})" for default, framings in names.items())
 
 
 def values(kind: type[Any], name: str, hint: Any) -> str:

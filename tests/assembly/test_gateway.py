@@ -83,7 +83,7 @@ def test_certificates_of_lines_that_can_not_be_read_are_found_where_files_are_ex
 def test_the_overview_names_listeners_lines_and_what_becomes_of_requests() -> None:
     configuration = load_gateway(GOOD)
     rows = {(kind, name): text for kind, name, text in gateway_rows(configuration)}
-    assert "clients wait 8 s" in rows["listener", "scada"]
+    assert "answers within 8 s" in rows["listener", "scada"]
     assert "4 connections" in rows["line", "inverter"]
     assert rows["own unit", "254"] == "the gateway itself, also by unit 0"
     assert list(routing_rows(configuration)) == [

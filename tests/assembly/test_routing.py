@@ -135,6 +135,26 @@ def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_wit
     assert "× 5 pieces" in refused(impatient, LINE, "timeout = 0.3\n", route("hall", max_registers=25))[0]
 
 
+def test_a_line_that_is_slower_than_the_default_deadline_of_a_listener_is_odd_and_told_with_the_figures() -> None:
+    (sentence,) = warned(FRONT, LINE, "timeout = 1.5\n")
+    assert sentence == (
+        "4: line[0]: warning: line 'hall' may take 3.11 s = (1 + 1 retries) × (1.5 s timeout + 0.0546 s for frames and "
+        "silence), and clients are answered 0B after 2.5 s; set client_deadline of the listener to what its clients "
+        "wait, or a shorter timeout"
+    )
+    assert warned(FRONT, LINE) == []
+    assert warned(FRONT, SERVER) == []
+    assert warned(FRONT + "client_deadline = 4.0\n", LINE, "timeout = 1.5\n") == []
+    assert warned(FRONT + 'client_deadline = "none"\n', LINE, "timeout = 1.5\n") == []
+    slow_route = route("hall", units="3", timeout=2.0)
+    assert len(warned(FRONT, LINE, slow_route)) == 1
+
+
+def test_a_deadline_out_of_range_is_refused() -> None:
+    (sentence,) = refused(FRONT + "client_deadline = 0\n", LINE)
+    assert sentence.startswith("4: listener[0].client_deadline: ")
+
+
 def test_the_worst_case_of_a_write_has_no_retries_and_the_longest_frame() -> None:
     line = LineSettings.of("x", "rtu:///dev/x?baud=1200", timeout=1.0, retries=0)
     case = worst_case(line, Route(line="x"))

@@ -11,10 +11,13 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
+from busway.assembly.gateway import simple_gateway
+from busway.assembly.routing import worst_case
 from busway.framing.mbap import MbapFrame
 from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
 from busway.gateway.routes import Route, RoutingTable
 from busway.server.listener import Listener
+from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -110,7 +113,7 @@ async def test_a_broadcast_has_the_deadline_of_its_client_too() -> None:
 
 
 @pytest.mark.parametrize("later", [None, 2.0])
-async def test_who_shares_a_read_has_his_own_deadline_and_not_that_of_the_one_before(later: float | None) -> None:
+async def test_who_shares_a_read_has_his_own_deadline_and_not_that_of_another(later: float | None) -> None:
     slow = Slow()
     async with (
         busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
@@ -125,11 +128,96 @@ async def test_who_shares_a_read_has_his_own_deadline_and_not_that_of_the_one_be
         second = asyncio.create_task(patient.unit(1).read_holding_registers(1, count=1))
         counters = made.status().lines[0].counters
         await until(lambda: counters.shared == 1)
-        await asyncio.sleep(0.15)  # the deadline of the first is over
+        with pytest.raises(busway.ExceptionReply, match="exception 0A"):  # it was not sent yet
+            await first
         slow.allowed.release()
         slow.allowed.release()
-        assert await asyncio.gather(blocking, first, second) == [[7], [7], [7]]
+        assert await asyncio.gather(blocking, second) == [[7], [7]]
         assert len(slow.asked) == 2
+        assert made.open_requests == 0
+
+
+@pytest.mark.parametrize("cache", [None, 5.0])  # by the road of batches, and by the other
+async def test_who_joins_a_read_with_less_time_than_the_first_has_0b_when_his_is_over(cache: float | None) -> None:
+    slow = Slow()
+    route = Route(line="line", cache=cache)
+    async with (
+        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        gateway(server.endpoints[0], deadlines=(0.1, None), route=route, timeout=5) as made,
+        client(made, 1) as patient,
+        client(made, 0) as hurried,
+    ):
+        first = asyncio.create_task(patient.unit(1).read_holding_registers(1, count=1))
+        await until(lambda: slow.asked)
+        assert await code_of(hurried.unit(1).read_holding_registers(1, count=1)) == 0x0B
+        assert made.status().lines[0].counters.shared == 1
+        assert not first.done()
+        slow.allowed.release()
+        assert await first == [7]
+        assert made.open_requests == 0
+
+
+@pytest.mark.parametrize("cache", [None, 5.0])
+async def test_a_read_for_which_nobody_has_time_left_is_taken_back(cache: float | None) -> None:
+    slow = Slow()
+    route = Route(line="line", cache=cache)
+    async with (
+        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        gateway(server.endpoints[0], deadlines=(0.1, 0.15, None), route=route, timeout=5) as made,
+        client(made, 2) as patient,
+        client(made, 1) as second,
+        client(made, 0) as first,
+    ):
+        blocking = asyncio.create_task(patient.unit(1).read_holding_registers(0, count=1))
+        await until(lambda: slow.asked)
+        reads = [code_of(link.unit(1).read_holding_registers(9, count=1)) for link in (first, second)]
+        assert await asyncio.gather(*reads) == [0x0A, 0x0A]
+        slow.allowed.release()
+        assert await blocking == [7]
+        await until(lambda: not made.open_requests)
+        assert len(slow.asked) == 1
+
+
+async def test_where_nothing_is_said_a_request_is_answered_within_two_and_a_half_seconds() -> None:
+    front = Front("front", Listener(ANY_PORT))
+    assert front.deadline == 2.5
+    line = LineSettings.of("line", "tcp://127.0.0.1:1")
+    assert line.link.parameters.timeout == 1.0
+    patience = busway.open("tcp://127.0.0.1:1").parameters.timeout
+    assert worst_case(line, Route(line="line")).seconds < front.deadline < patience == 3.0
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("scheme", ["rtu", "ascii", "tcp"])
+async def test_a_client_on_defaults_hears_0b_of_a_dead_unit_and_no_timeout_of_its_own(scheme: str) -> None:
+    """From end to end, over sockets and a line, every option as it is where nothing is said."""
+    with PacedLine(ports=2, baud=19200) as bus:
+        near, far = (f"{scheme}://{path}?baud=19200" for path in bus.paths)
+        if scheme == "tcp":
+            far = ANY_PORT
+        async with busway.serve(far, units={1: busway.Device(holding_registers=[5])}, unlisted="silence") as server:
+            configuration = simple_gateway([ANY_PORT], server.endpoints[0] if scheme == "tcp" else near)
+            async with configuration.serve() as made, busway.open(made.endpoints[0], shared=False) as link:
+                assert await link.unit(1).read_holding_registers(0, count=1) == [5]
+                loop = asyncio.get_running_loop()
+                begun = loop.time()
+                assert await code_of(link.unit(9).read_holding_registers(0, count=1)) == 0x0B
+                print(f"{scheme}: 0B after {loop.time() - begun:.2f} s")
+                assert loop.time() - begun < 2.75
+                assert link.counters.timeouts == 0
+
+
+@pytest.mark.real_time
+async def test_the_deadline_holds_whatever_the_timeouts_of_the_line_add_up_to() -> None:
+    async with (
+        ScriptedPeer(lambda peer, frame: None) as peer,
+        gateway(peer.endpoint, deadlines=(0.3,), timeout=0.2, retries=10) as made,
+        client(made) as link,
+    ):
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        assert await code_of(link.unit(1).read_holding_registers(0, count=1)) == 0x0B
+        assert 0.29 < loop.time() - begun < 1.0
 
 
 async def test_a_read_is_repeated_as_often_as_the_line_says_and_a_write_never() -> None:

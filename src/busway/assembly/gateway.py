@@ -28,7 +28,7 @@ from ..server.listener import Listener
 from ..server.listener_settings import listener_settings
 from ..server.parameters import ListenerParameters
 from ..server.strict import STANDARD_PORT, with_server_profile
-from ..session.parameters import ServerParameters
+from ..session.parameters import CLIENT_DEADLINE, ServerParameters
 from ..transport.tcp import SocketParameters
 from ..transport.tls import TlsParameters
 from .configuration import Configuration, put_together
@@ -174,7 +174,11 @@ def parse_gateway(
 
 
 def simple_gateway(
-    fronts: Sequence[str], line: str, *, changes: Mapping[str, Any] | None = None
+    fronts: Sequence[str],
+    line: str,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
     """The common case, without a file: every unit of every front to one line.
 
@@ -182,6 +186,7 @@ def simple_gateway(
         fronts: URLs to listen on.
         line: URL of the line, or server, behind.
         changes: as of `load_gateway`.
+        client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
 
     Raises:
         ConfigError: a URL or an option in it that can not be.
@@ -191,19 +196,27 @@ def simple_gateway(
     link_settings(line, {})
     source = Source(COMMAND, {"listen": list(fronts), "line": [{"name": "line", "url": line}]}, {})
     try:
-        return _put_together(source.checked(GatewayFile), source, changes=changes)
+        return _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
     except FileError as error:
         # There is no file whose line could be named.
         raise ConfigError("; ".join(each.message for each in error.problems)) from error
 
 
 def _put_together(
-    file: GatewayFile, source: Source, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+    file: GatewayFile,
+    source: Source,
+    *,
+    examine: bool = False,
+    changes: Mapping[str, Any] | None = None,
+    client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
+    """``client_deadline`` is that of listeners without a section."""
     name = source.name
     judge = Judge(source)
     common = put_together(file, name, judge, examine=examine, changes=changes)
-    fronts = _named_apart([_placed_front(file, place, parse_endpoint(url)) for place, url in file.places()])
+    fronts = _named_apart(
+        [_placed_front(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
+    )
     lines = {}
     for index, section in enumerate(file.line):
         line = _line(file, section, name, ("line", index), judge)
@@ -232,11 +245,12 @@ def _section_of(file: GatewayFile, place: Place) -> FrontSection | None:
     return file.listener[int(place[1])] if place[0] == "listener" else None
 
 
-def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint) -> PlacedFront:
+def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedFront:
     section = _section_of(file, place)
     if section is None:
-        return PlacedFront(file.listen[int(place[1])], endpoint, place, None)
-    return PlacedFront(section.title, endpoint, place, section.client_deadline)
+        return PlacedFront(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
+    is_chosen = "client_deadline" in section.model_fields_set
+    return PlacedFront(section.title, endpoint, place, section.client_deadline, is_chosen)
 
 
 def _named_apart(fronts: Sequence[PlacedFront]) -> list[PlacedFront]:

@@ -10,7 +10,7 @@ Knows what the sections say and what lines and fronts can do; opens nothing (Mes
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from ..client.conversation import timing_of
@@ -36,12 +36,13 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class PlacedFront:
-    """A front, and where its URL stands in the file."""
+    """A front, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
 
     name: str
     endpoint: Endpoint
     place: Place
     deadline: float | None
+    is_chosen: bool = False
 
     @property
     def is_serial(self) -> bool:
@@ -173,6 +174,7 @@ def judge_routes(
         *_idle_lines(file, routes, lines),
         *_hidden_own_unit(file, routes),
         *_idle_fronts(routes, fronts),
+        *_lines_slower_than_the_default(routes, fronts, lines),
         *_same_servers(file, lines),
     ):
         judge.warn(at, sentence)
@@ -282,7 +284,7 @@ def _impatient_clients(
     routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
 ) -> Faults:
     for front in fronts:
-        if front.deadline is None:
+        if front.deadline is None or not front.is_chosen:
             continue
         cases = [
             (worst_case(lines[one.route.line], one.route, one.gap), one.route.line)
@@ -296,6 +298,29 @@ def _impatient_clients(
             yield (
                 (*front.place[:2], "client_deadline"),
                 f"{front.deadline:g} s is less than line {line!r} may take: {case.seconds:.3g} s = {case.sum}",
+            )
+
+
+def _lines_slower_than_the_default(
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+) -> Faults:
+    """Lines whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
+    deadline = next((one.deadline for one in fronts if one.deadline is not None and not one.is_chosen), None)
+    if deadline is None:
+        return
+    told: set[str] = set()
+    for one in routes:
+        route = one.route
+        is_asked = any(not front.is_chosen and (not route.fronts or front.name in route.fronts) for front in fronts)
+        if not route.line or route.line in told or not is_asked:
+            continue
+        case = worst_case(lines[route.line], replace(route, max_registers=None, max_bits=None), one.gap)
+        if case.seconds > deadline:
+            told.add(route.line)
+            yield (
+                one.key("timeout"),
+                f"line {route.line!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B after "
+                f"{deadline:g} s; set client_deadline of the listener to what its clients wait, or a shorter timeout",
             )
 
 

@@ -53,7 +53,7 @@ def _front(front: Front, row: Row) -> Iterator[str]:
         yield row[1]
     yield row[2]
     if front.deadline is not None:
-        yield f"clients wait {front.deadline:g} s"
+        yield f"answers within {front.deadline:g} s"
     if front.silent_broadcasts:
         yield "broadcasts get no answer"
 

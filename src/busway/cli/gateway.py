@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
-from .arguments import CAPTURE, VERBOSE, show_traffic
+from .arguments import CAPTURE, VERBOSE, seconds, show_traffic
 from .exits import ExitCode
 from .files import capturing
 from .output import print_aligned, say
@@ -74,6 +74,12 @@ def gateway(
     allow: list[str] | None = ALLOW,
     deny: list[str] | None = DENY,
     priority: list[str] | None = PRIORITY,
+    client_deadline: str | None = typer.Option(
+        None,
+        "--client-deadline",
+        metavar="TIME",
+        help="Answer each request within this time, with 0A or 0B at the latest: 2.5s. In a file it is a key.",
+    ),
     audit: str | None = AUDIT,
     metrics: str | None = METRICS,
     control: str | None = CONTROL,
@@ -90,7 +96,7 @@ def gateway(
     if what[0] == CHECK:
         _check(what[1:])
         return ExitCode.DONE
-    read = _reader(what, listener_changes(priority))
+    read = _reader(what, listener_changes(priority), client_deadline)
     if systemd_unit:
         _print_unit(read(), sys.argv[1:], audit)
         return ExitCode.DONE
@@ -124,17 +130,23 @@ def _is_url(word: str) -> bool:
     return "://" in word
 
 
-def _reader(words: list[str], changes: dict[str, Any]) -> "Callable[[], GatewayConfiguration]":
+def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
     """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
     from ..assembly.gateway import load_gateway, simple_gateway
+    from ..session.parameters import CLIENT_DEADLINE
 
     files = [word for word in words if not _is_url(word)]
     if not files:
         if len(words) == 1:
             raise ConfigError("a line is needed behind the listener, for example rtu:///dev/ttyUSB0", key="LINE")
-        return lambda: simple_gateway(words[:-1], words[-1], changes=changes)
+        patience = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", high=3600)
+        return lambda: simple_gateway(words[:-1], words[-1], changes=changes, client_deadline=patience)
     if len(words) > 1:
         raise ConfigError(f"either URLs or one file, not {' '.join(words)}", key="FILE")
+    if deadline is not None:
+        raise ConfigError(
+            "goes with URLs; in a file it is the key client_deadline of a listener", key="--client-deadline"
+        )
     return lambda: load_gateway(files[0], changes=changes)
 
 

@@ -16,7 +16,7 @@ from ..config.profiles import OPTION, STRICT_LINKS, with_profile
 from ..errors import ConfigError
 from ..session.breaker import BreakerParameters
 from ..session.line_framing import FramingParameters
-from ..session.parameters import ClientParameters
+from ..session.parameters import TIMEOUT_BY_FRAMING, ClientParameters
 from ..session.serial_client import SerialClientParameters
 from ..transport.serial.opening import OpeningParameters
 from ..transport.serial.settings import SerialSettings
@@ -114,6 +114,7 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
             known = sorted(options_of(endpoint))
             raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
         chosen[kind][name] = value
+    chosen[ClientParameters].setdefault("timeout", TIMEOUT_BY_FRAMING[endpoint.framing])
     parameters = build_parameters(ClientParameters, chosen[ClientParameters])
     if endpoint.carrier == "udp" and endpoint.framing == "mbap":
         parameters = replace(parameters, single_adu_segments=True)  # one ADU per datagram

@@ -11,11 +11,11 @@ Knows lines, demands and who asked; knows no route.
 4. A client that goes away takes those of its reads with it that nobody else waits for.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from ..client.link import Link
-from ..errors import ModbusError, Overloaded
+from ..errors import ModbusError, NoReply, Overloaded
 from ..pdu.message import Message
 from ..pdu.read_items import ReadBits, ReadRegisters
 from ..session.client import TcpClientSession
@@ -23,6 +23,7 @@ from ..session.demand import Demand, Outcome
 from ..session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan
 from .answers import NO_PATH
 from .memory import Key
+from .waiters import WaiterDeadlines
 
 if TYPE_CHECKING:
     from .handler import FrontHandler
@@ -100,6 +101,7 @@ class Bunch(Demand):
         self.reads = reads
         self.told: set[int] = set()
         self.joined: dict[int, list[tuple[ForwardedReads, ForwardedRead]]] = {}
+        self.deadlines: WaiterDeadlines[tuple[ForwardedReads, ForwardedRead | None]] | None = None  # where several wait
         self.keys: list[Key] = []  # what its reads are found by, where they may be shared
         self.shared: dict[Key, Any] = {}  # Any: see `Memory`; where they are found
 
@@ -222,9 +224,44 @@ class Bunches:
         self.line.counters.shared += 1
         bunch.joined.setdefault(bunch.keys.index(key), []).append((asker, read))
         asker.works[bunch] = None
+        now, patience = bunch.link.now(), way.front.deadline
+        if bunch.deadlines is None:
+            bunch.deadlines = WaiterDeadlines(bunch.link.now, partial(self._time_is_over, bunch))
+            if bunch.deadline is not None and bunch.asker is not None:
+                bunch.deadlines.add((bunch.asker, None), bunch.deadline)
+        if patience is not None:
+            bunch.deadlines.add((asker, read), now + patience)
         if bunch.deadline is not None:  # whoever came first may have less time than who comes now
-            patience = FOR_EVER if way.front.deadline is None else way.front.deadline
-            bunch.deadline = max(bunch.deadline, bunch.link.now() + patience)
+            bunch.deadline = max(bunch.deadline, now + (FOR_EVER if patience is None else patience))
+
+    def _time_is_over(self, bunch: Bunch, waiter: tuple[ForwardedReads, ForwardedRead | None]) -> None:
+        """One of those who share reads waits no longer: for one that he joined, or for those that are his own."""
+        asker, read = waiter
+        late: list[tuple[int, ForwardedRead]] = []
+        if read is None:
+            if bunch.asker is asker:
+                late = [(at, one) for at, one in enumerate(bunch.reads) if at not in bunch.told]
+                bunch.asker = None
+        else:
+            for position, others in bunch.joined.items():
+                if position not in bunch.told and waiter in others:
+                    others.remove(waiter)
+                    late = [(position, read)]
+        for position, one in late:
+            is_sent = position < bunch.next or position in bunch.attempts
+            error = (
+                NoReply("no answer before the deadline of the call", attempt=1)
+                if is_sent
+                else NoReply("the deadline passed in the queue; nothing was sent")
+            )
+            asker.refuse(one, self.line.refused(error))
+            self._answered[asker] = None
+        if asker is not bunch.asker and all(
+            asker is not other for others in bunch.joined.values() for other, _ in others
+        ):
+            asker.works.pop(bunch, None)
+        self._forget_if_alone(bunch)
+        self._send()
 
     # What comes back.
 
@@ -290,10 +327,12 @@ class Bunches:
         for position, others in list(bunch.joined.items()):
             staying = [one for one in others if one[0] is not asker]
             counters.abandoned += 0 if position in bunch.told else len(others) - len(staying)
-            if staying:
-                bunch.joined[position] = staying
-            else:
-                del bunch.joined[position]
+            bunch.joined[position] = staying
+        self._forget_if_alone(bunch)
+
+    def _forget_if_alone(self, bunch: Bunch) -> None:
+        """Take a bunch back for which nobody waits any more, as far as it can be."""
+        bunch.joined = {position: others for position, others in bunch.joined.items() if others}
         if bunch.asker is None and not bunch.ended and bunch.joined.keys() <= bunch.told:
             self._leave(bunch)
             bunch.link.give_up(bunch)
@@ -301,6 +340,8 @@ class Bunches:
     def _leave(self, bunch: Bunch) -> None:
         """Nobody waits for a bunch any more."""
         self.line.add_open(-bunch.left)
+        if bunch.deadlines is not None:
+            bunch.deadlines.close()
         shared = bunch.shared
         for key in bunch.keys:
             if shared.get(key) is bunch:

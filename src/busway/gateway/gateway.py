@@ -36,6 +36,7 @@ from ..server.rates import Rates
 from ..server.server import Server, ServerStatus
 from ..server.status import ConnectionStatus, ListenerStatus
 from ..session.handler import Handler
+from ..session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ..session.reconnect import ConnectionState
 from .functions import RememberingTable
 from .handler import FrontCounters, FrontHandler
@@ -47,8 +48,9 @@ if TYPE_CHECKING:
     from ..server.policy.audit import AuditLog
 
 DRAIN_SECONDS = 5.0
-OF_LINES: Mapping[str, Any] = {"port_wait": 0.0}  # Any: values of options
-"""Options of links that have another default behind a gateway: nobody waits for a port that is not there."""
+OF_LINES: Mapping[str, Any] = {"port_wait": 0.0, "timeout": TIMEOUT_BY_FRAMING["rtu"]}  # Any: values of options
+"""Options of links that have another default behind a gateway: nobody waits for a port that is not there, and a server
+on a network is given up, after its repetition, before the gateway's clients give up."""
 _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
 
 
@@ -59,13 +61,14 @@ class Front:
     Attributes:
         name: what routes call it.
         listener: endpoint, access, certificates and limits.
-        deadline: seconds after which its clients have given up; a request that is still queued then is dropped.
+        deadline: seconds within which each request is answered, with 0A or 0B at the latest; None for no limit. What is
+            still queued then is not sent any more.
         silent_broadcasts: whether a write to unit 0 is not answered.
     """
 
     name: str
     listener: Listener
-    deadline: float | None = None
+    deadline: float | None = CLIENT_DEADLINE
     silent_broadcasts: bool = False
 
 
@@ -101,7 +104,8 @@ class LineSettings:
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
         """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`.
 
-        A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once.
+        A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once. ``timeout``
+        is 1 second for every scheme.
         """
         endpoint = parse_endpoint(url)
         offered = options_of(endpoint)

@@ -25,7 +25,7 @@ from ..client.conversation import conversation_for
 from ..client.link import Link
 from ..client.settings import LinkSettings
 from ..codes import ExceptionCode
-from ..errors import ConfigError, InvalidRequest, LinkDown, ModbusError
+from ..errors import ConfigError, InvalidRequest, LinkDown, ModbusError, NoReply
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
 from ..pdu.read_items import ReadBits, ReadRegisters
@@ -44,6 +44,7 @@ from .memory import Key, Memory, Place
 from .news import LineNews
 from .routes import Route
 from .translation import behind, in_front
+from .waiters import WaiterDeadlines
 
 MAX_CONNECTIONS = 16
 _READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 0.15 µs
@@ -138,6 +139,7 @@ class _Exchange:
 
     # Most are one client's, and neither shared nor remembered: those have no slot to fill (1 of 15 µs).
     key: Key | None = None
+    deadlines: WaiterDeadlines[RequestContext] | None = None  # where several wait
     since: int = 0
     began: float = 0.0
     demand: Demand
@@ -370,10 +372,27 @@ class Line:
         self.counters.shared += 1
         exchange.waiters.append(waiter)
         waiter[0].gone = partial(self.gone, exchange, waiter[0])
-        demand = exchange.demand
+        demand, now = exchange.demand, exchange.link.now()
+        if exchange.deadlines is None:
+            exchange.deadlines = WaiterDeadlines(exchange.link.now, partial(self._time_is_over, exchange))
+            if demand.deadline is not None:
+                for context, _, _ in exchange.waiters[:-1]:
+                    exchange.deadlines.add(context, demand.deadline)
+        if deadline is not None:
+            exchange.deadlines.add(waiter[0], now + deadline)
         if demand.deadline is not None:  # whoever came first may have less time than who comes now
-            patience = FOR_EVER if deadline is None else deadline
-            demand.deadline = max(demand.deadline, exchange.link.now() + patience)
+            demand.deadline = max(demand.deadline, now + (FOR_EVER if deadline is None else deadline))
+
+    def _time_is_over(self, exchange: _Exchange, context: RequestContext) -> None:
+        """One of those who share a read waits no longer; the others do."""
+        if not any(one[0] is context for one in exchange.waiters):
+            return  # he has gone
+        self._withdraw(exchange, context)
+        if exchange.demand.next or exchange.demand.attempts:
+            error = NoReply("no answer before the deadline of the call", attempt=1)
+        else:
+            error = NoReply("the deadline passed in the queue; nothing was sent")
+        context.refuse(self.refused(error))
 
     def _begin(
         self,
@@ -476,6 +495,10 @@ class Line:
     def gone(self, exchange: _Exchange, context: RequestContext) -> None:
         """A client has gone: when nobody is left who waits, the request is taken back as far as it can be."""
         self.counters.abandoned += 1
+        self._withdraw(exchange, context)
+
+    def _withdraw(self, exchange: _Exchange, context: RequestContext) -> None:
+        """One of those who wait does not any more."""
         exchange.waiters = [one for one in exchange.waiters if one[0] is not context]
         demand = exchange.demand
         if not exchange.waiters and not demand.ended:
@@ -486,6 +509,8 @@ class Line:
 
     def _leave(self, exchange: _Exchange) -> None:
         self.add_open(-1)
+        if exchange.deadlines is not None:
+            exchange.deadlines.close()
         if exchange.is_write:
             self.memory.write_ended(exchange.unit)
         elif exchange.key is not None:

@@ -1,7 +1,9 @@
 """What can be set about a conversation. Checked once, here; whoever holds one can rely on it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from types import MappingProxyType
 
 from ..errors import ConfigError
 from ..pdu.wide import NARROW, WIDEST
@@ -40,6 +42,14 @@ class TransactionScope(Enum):
     CLIENT = "client"
 
 
+TIMEOUT_BY_FRAMING: Mapping[str, float] = MappingProxyType({"mbap": 3.0, "rtu": 1.0, "ascii": 1.0})
+"""The default of ``timeout``, by the framing of an endpoint. Behind TCP, TLS and UDP there may be a gateway: it answers
+within `CLIENT_DEADLINE`, so that its client hears 0A or 0B from it before its own patience ends."""
+CLIENT_DEADLINE = 2.5
+"""Seconds within which a gateway answers a request, where nothing else is said: one second on a line and one more for
+the repetition, and half a second less than its clients wait."""
+
+
 def _within(key: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise ConfigError(f"must be {low:g}…{high:g}, not {value:g}", key=key)
@@ -50,7 +60,8 @@ class ClientParameters:
     """How a client converses.
 
     Attributes:
-        timeout: seconds from the last byte of a request to the last of its reply, per attempt.
+        timeout: seconds from the last byte of a request to the last of its reply, per attempt. Where nothing is said,
+            the framing of the endpoint decides.
         retries: further attempts of a read after a timeout or a lost connection.
         write_retries: further attempts of a write that may have been executed. 0 unless every write is idempotent.
         deadline: seconds a call may take in all, waiting in the queue included; None for no limit.
@@ -72,7 +83,7 @@ class ClientParameters:
             `Unit.read_input_registers` read them so.
     """
 
-    timeout: float = 1.0
+    timeout: float = TIMEOUT_BY_FRAMING["rtu"]
     retries: int = 1
     write_retries: int = 0
     deadline: float | None = None

@@ -34,12 +34,13 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ...codes import Table
 from ...errors import ConfigError
+from ...session.parameters import CLIENT_DEADLINE
 from ...transport.tls import OF_SERVERS
 from ..access.notation import parse_functions, parse_items, parse_table, parse_units
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
-from .options import CountOrNone, with_options_of
+from .options import CountOrNone, SecondsOrNone, with_options_of
 from .schema import Faults, Section, Source, read_source
 from .system import LINK_KINDS, LinkKeys, SystemFile
 
@@ -72,7 +73,7 @@ class FrontSection(ListenerSection):
     on_lines: ClassVar[frozenset[str]] = frozenset({"url", "name", "client_deadline"})
 
     name: str = ""
-    client_deadline: float | None = Field(default=None, ge=0.001, le=3600)
+    client_deadline: SecondsOrNone = Field(default=CLIENT_DEADLINE, ge=0.001, le=3600)
     silent_broadcasts: bool = False
 
     @property

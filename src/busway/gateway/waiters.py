@@ -1,0 +1,60 @@
+"""When each of those who share a read gives up: each has his own deadline, and the read goes on for the others.
+
+Knows waiters and times; knows no read. One timer, for the nearest deadline; there is none where a read is one client's.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Waiter = TypeVar("Waiter")
+
+
+class WaiterDeadlines(Generic[Waiter]):
+    """The deadlines of those who wait for one read. In a coroutine.
+
+    Args:
+        now: the clock of the deadlines.
+        over: called with each waiter whose time is over.
+    """
+
+    __slots__ = ("_deadlines", "_now", "_over", "_timer")
+
+    def __init__(self, now: Callable[[], float], over: Callable[[Waiter], None]) -> None:
+        self._now = now
+        self._over = over
+        self._deadlines: list[tuple[float, Waiter]] = []
+        self._timer: asyncio.TimerHandle | None = None
+
+    def add(self, waiter: Waiter, deadline: float) -> None:
+        """One more waits, until ``deadline``."""
+        self._deadlines.append((deadline, waiter))
+        if self._timer is None or deadline < self._nearest(self._deadlines[:-1]):
+            self._arm()
+
+    def close(self) -> None:
+        """The read has ended."""
+        self._deadlines.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    @staticmethod
+    def _nearest(deadlines: list[tuple[float, Waiter]]) -> float:
+        return min(deadline for deadline, _ in deadlines)
+
+    def _arm(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        pause = max(self._nearest(self._deadlines) - self._now(), 0.0)
+        self._timer = asyncio.get_running_loop().call_later(pause, self._ring)
+
+    def _ring(self) -> None:
+        self._timer = None
+        now = self._now()
+        late = [waiter for deadline, waiter in self._deadlines if deadline <= now]
+        self._deadlines = [one for one in self._deadlines if one[0] > now]
+        for waiter in late:
+            self._over(waiter)
+        if self._deadlines and self._timer is None:
+            self._arm()
