@@ -188,9 +188,11 @@ class NoReply(ModbusError, TimeoutError):
     """No usable reply came in time.
 
     Attributes:
-        kind: ``"nothing"`` came, ``"partial"`` (some bytes, no whole frame), or ``"late"`` (a peer known to answer
-            after the timeout; ``observed_delay`` says how late its last reply was).
-        observed_delay: seconds from request to reply that this peer needed lately, if it was seen.
+        kind: ``"nothing"`` came, ``"partial"`` (some bytes, no whole frame), ``"late"`` (a unit known to answer after
+            the timeout; ``observed_delay`` says how late its last reply was), ``"early"`` (a frame that began before
+            the request had left is no reply to it), or ``"in doubt"`` (nothing was sent, because the unit owes replies
+            that could be taken for the one to this request).
+        observed_delay: seconds from request to reply that this unit needed lately, if it was seen.
     """
 
     def __init__(

@@ -25,6 +25,8 @@ REPLY = encode_rtu(1, bytes.fromhex("03 02 00 07"))
 class Port:
     """A port that gives what a test has put there, and counts what a test says it has lost."""
 
+    pseudo_terminal = False
+
     def __init__(self) -> None:
         self.lost = 5
         self.arrived: list[tuple[bytes, int]] = []

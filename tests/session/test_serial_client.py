@@ -293,7 +293,8 @@ def test_reply_within_the_quiet_window_is_late() -> None:
     bus.run(until=lambda: len(master.sent) == 2)
     assert bus.now == pytest.approx(begun + 0.03 + 9 * CHARACTER + T3_5)  # what was late has come: no need to wait on
     assert master.session.counters.late_replies == 1
-    assert master.session.observed_delay == pytest.approx(begun + 0.03 + 9 * CHARACTER - T3_5 - 8 * CHARACTER)
+    delay = master.session.doubts.of(1).delay
+    assert delay == pytest.approx(begun + 0.03 + 9 * CHARACTER - T3_5 - 8 * CHARACTER)
 
 
 def test_a_line_that_never_falls_silent_is_drained_no_longer_than_the_limit() -> None:
@@ -365,7 +366,8 @@ def test_late_reply_of_the_same_unit_function_and_length_is_never_taken_where_th
 
 
 @pytest.mark.clause("S4")
-def test_unit_that_missed_a_request_is_asked_again_after_the_quiet_window_where_its_pace_is_known() -> None:
+@pytest.mark.parametrize("trusted", [False, True])
+def test_unit_that_missed_a_request_is_asked_again_behind_a_marker(trusted: bool) -> None:
     deaf: list[bool] = []
     answer = honest({1: Device(holding_registers=10)})
 
@@ -374,14 +376,21 @@ def test_unit_that_missed_a_request_is_asked_again_after_the_quiet_window_where_
         return [(T3_5, encode_rtu(asked, reply))] if reply else []
 
     bus = Bus()
-    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
+    master = bus.master(
+        parameters=ClientParameters(timeout=0.3, retries=0), serial=SerialClientParameters(trust_reply_order=trusted)
+    )
     bus.device(behaviour)
     assert registers(master.get(1, READ)) == [0, 0]
     deaf.append(True)
     assert isinstance(master.get(1, READ), NoReply)
     ended = bus.now
     assert registers(master.get(1, ReadHoldingRegisters(1, 2))) == [0, 0]
-    assert master.sent[-1][0] == pytest.approx(ended + 0.05)
+    at, marker = master.sent[-2]
+    assert marker[1:4] == b"\x08\x00\x00"
+    assert at == pytest.approx(ended + (0.05 if trusted else 0.3))  # twice the timeout since the request
+    assert master.session.counters.markers == 1
+    asked_at, _ = master.sent[-1]
+    assert asked_at == pytest.approx(at + 16 * CHARACTER + 3 * T3_5, abs=1e-3)  # 08 has no length of its own
 
 
 @pytest.mark.clause("S4")

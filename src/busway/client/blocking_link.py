@@ -34,6 +34,7 @@ from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import network_reason
 from .connector import Channel, Connector
 from .conversation import Conversation
+from .doubts import KEPT
 from .polling import ExactPoll, Poll
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
@@ -76,7 +77,7 @@ class BlockingLink:
         self._connector = connector
         self._framing = settings.endpoint.framing
         self.session: Conversation = session
-        self._is_line = isinstance(session, SerialClientSession)
+        self._line = session if isinstance(session, SerialClientSession) else None
         management = settings.management
         self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
         self.shared = shared
@@ -121,13 +122,13 @@ class BlockingLink:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
                 self._let_go(now)
-            may_have_ended = now - self.last_used > _IDLE_SECONDS and not self._is_line
+            may_have_ended = now - self.last_used > _IDLE_SECONDS and self._line is None
             if may_have_ended and self._socket is not None and not self.session.in_flight:
                 self._look_at_idle_socket(now)  # before the session has the demand: what ends here has failed nobody
             self._refuse_while_down(demand, now)
             self.session.submit(demand, now)
             if self._socket is not None:
-                if self._is_line:
+                if self._line is not None:
                     self._look_at_line()
                 self._transmit(now)
             try:
@@ -177,6 +178,8 @@ class BlockingLink:
             self._connector.release()
             self.session.unreachable(now, LinkDown("the link was closed"))
             self._done()
+            if self._line is not None:
+                KEPT.keep(self.name, self._line.doubts)
             self._turn.notify_all()
             if self._scope is not None and not closed_before:
                 self._scope.leave(self)
@@ -200,6 +203,7 @@ class BlockingLink:
             traffic=(self.sent_bytes, self.received_bytes),
             waiting=(self.session.in_flight, self.session.queued),
             reason="" if self._last_failure is None else self._last_failure.message,
+            in_doubt=() if self._line is None else self._line.doubts.in_doubt(),
         )
 
     def make_room(self) -> bool:
@@ -367,6 +371,8 @@ class BlockingLink:
 
     def _done(self) -> None:
         """Wake the threads whose demands are complete."""
+        if self._line is not None and self._line.notes:
+            self._tell_notes(self._line.notes)
         if self.session.finished:
             self.session.finished.clear()
             if self._waiting:
@@ -448,6 +454,12 @@ class BlockingLink:
                 unit=demand.unit,
             ) from failure
 
+    def _tell_notes(self, notes: list[str]) -> None:
+        if TRACE.level:
+            for note in notes:
+                self._traced().note(note)
+        notes.clear()
+
     def _traced(self) -> Trace:
         if self._trace is None:
             self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._socket)
@@ -482,12 +494,14 @@ class BlockingLink:
                 connection.close()
                 return LinkDown("the link was closed", endpoint=self.name)
             self._socket = connection
-            self._poll = ExactPoll(self._spin) if self._is_line else Poll(connection)
+            self._poll = ExactPoll(self._spin) if self._line is not None else Poll(connection)
             self._frame_leaves = getattr(connection, "still_sending", None)
             self.opened = self.last_used = now
             self._asked_before = self.session.counters.requests
             self._trace = None
             self._move(ConnectionEvent.CONNECTED, now)
+            if self._line is not None:
+                KEPT.hand_over(self.name, self._line.doubts)
             self.session.connected(now)
             self._transmit(now)
         return None

@@ -31,6 +31,7 @@ from ..transport.buffers import receive_buffer
 from ..transport.tcp import network_reason
 from .connector import Connector
 from .conversation import Conversation
+from .doubts import KEPT
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
 from .settings import LinkSettings
@@ -285,6 +286,8 @@ class Link:
         if self._alarm is not None:
             self._alarm.close()
         self._connector.release()
+        if self._line is not None:
+            KEPT.keep(self.name, self._line.doubts)
 
     @property
     def is_connected(self) -> bool:
@@ -326,6 +329,7 @@ class Link:
             traffic=(self.sent_bytes, self.received_bytes),
             waiting=(self.session.in_flight, self.session.queued),
             reason=self.down_because,
+            in_doubt=() if self._line is None else self._line.doubts.in_doubt(),
         )
 
     def make_room(self) -> bool:
@@ -537,6 +541,8 @@ class Link:
         self.opened = self.last_used = now
         self._asked_before = self.session.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)
+        if self._line is not None:
+            KEPT.hand_over(self.name, self._line.doubts)
         self.session.connected(now)
         if transport.is_closing():
             self.lost(protocol, "the peer closed it at once")
@@ -574,6 +580,8 @@ class Link:
         self._timer = self._loop.call_at(when, self._on_timer)
 
     def _rearm(self) -> None:
+        if self._line is not None and self._line.notes:
+            self._tell_notes(self._line.notes)
         deadline = self.session.deadline()
         if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_demands:
             deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
@@ -583,6 +591,12 @@ class Link:
         elif self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+    def _tell_notes(self, notes: list[str]) -> None:
+        if TRACE.level:
+            for note in notes:
+                self._traced().note(note)
+        notes.clear()
 
     def _on_timer(self) -> None:
         self._timer = None

@@ -10,6 +10,7 @@ Knows links by what they say of themselves; keeps none alive and asks nothing of
 """
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 from weakref import WeakSet
@@ -44,6 +45,8 @@ class LocalConnectionStatus:
         in_flight: requests whose reply is awaited.
         queued: calls that wait.
         reason: why no connection stands; empty where one does, or where none was needed yet.
+        late_replies: replies that came when nobody waited for them any more; all were dropped.
+        in_doubt: units that owe replies, on links without transaction numbers.
     """
 
     endpoint: str
@@ -61,6 +64,8 @@ class LocalConnectionStatus:
     in_flight: int
     queued: int
     reason: str
+    late_replies: int = 0
+    in_doubt: tuple[int, ...] = ()
 
 
 class LocalLink(Protocol):
@@ -179,6 +184,7 @@ def status_of(
     traffic: tuple[int, int],
     waiting: tuple[int, int],
     reason: str,
+    in_doubt: Sequence[int] = (),
 ) -> LocalConnectionStatus:
     """The status of a link from what its driver holds.
 
@@ -193,6 +199,7 @@ def status_of(
         traffic: bytes sent and received.
         waiting: requests in flight, and calls in the queue.
         reason: why no connection stands.
+        in_doubt: units that owe replies.
     """
     stands = link.is_connected
     return LocalConnectionStatus(
@@ -211,6 +218,8 @@ def status_of(
         in_flight=waiting[0],
         queued=waiting[1],
         reason="" if stands else reason,
+        late_replies=counters.late_replies,
+        in_doubt=tuple(in_doubt),
     )
 
 

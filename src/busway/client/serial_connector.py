@@ -117,6 +117,7 @@ class SerialStream:
     def opened(self, connection: "SerialConnection") -> None:
         """The port is open."""
         self._connection = connection
+        self._session.characters_take_time = not connection.pseudo_terminal
         self._overruns = Overruns(connection.counters)
 
     # What the port tells.
@@ -189,6 +190,7 @@ class SerialChannel:
     def __init__(self, port: BlockingSerialPort, session: SerialClientSession) -> None:
         self._port = port
         self._session = session
+        session.characters_take_time = not port.pseudo_terminal
         self._overruns = Overruns(port.counters)
         self._puts_off = 0
 

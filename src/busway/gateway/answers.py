@@ -24,9 +24,14 @@ def code_for(error: ModbusError) -> int:
         return NO_PATH
     if isinstance(error, LinkDown):
         return NO_ANSWER if error.sent else NO_PATH
-    if isinstance(error, NoReply) and error.attempt is None and not isinstance(error, UnitSuspended):
+    if isinstance(error, NoReply) and error.attempt is None and not _does_not_answer(error):
         return NO_PATH
     cause = error.__cause__
     if isinstance(cause, ExceptionReply):  # a write behind another gateway, which got no answer itself
         return cause.code
     return NO_ANSWER
+
+
+def _does_not_answer(error: NoReply) -> bool:
+    """Whether the unit was not asked because it did not answer before."""
+    return isinstance(error, UnitSuspended) or error.kind == "in doubt"

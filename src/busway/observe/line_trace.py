@@ -28,6 +28,9 @@ class Trace(Protocol):
     def sent(self, data: bytes) -> None:
         """Show what went out."""
 
+    def note(self, text: str) -> None:
+        """Show what the frames do not tell."""
+
 
 def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> Trace:
     """The trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
@@ -57,6 +60,11 @@ class LineTrace:
     def sent(self, data: bytes) -> None:
         """Show what went out."""
         self._take(">", data)
+
+    def note(self, text: str) -> None:
+        """Show what the frames do not tell."""
+        if TRACE.level >= TraceLevel.MESSAGE:
+            _log.debug("%s %s", self._name, text)
 
     def _take(self, arrow: str, data: bytes) -> None:
         if TRACE.level >= TraceLevel.BYTES:

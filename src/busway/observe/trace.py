@@ -129,6 +129,11 @@ class StreamTrace:
         for frame in self._outgoing.receive(data):
             self._show(">", frame, is_request=not self._is_server)
 
+    def note(self, text: str) -> None:
+        """Show what the frames do not tell."""
+        if TRACE.level >= TraceLevel.MESSAGE:
+            _log.debug("%s %s", self._name, text)
+
     def _show(self, arrow: str, frame: MbapFrame, *, is_request: bool) -> None:
         if frame.kind is not FrameKind.FRAME:
             _log.debug("%s %s %s: %s", self._name, arrow, frame.kind.value, frame.reason or frame.protocol)

@@ -34,6 +34,7 @@ class Demand:
         submitted: when it was asked for.
         owner: whatever the driver wants to find here again.
         attempts: attempts begun, by position; only positions that were tried more than once appear.
+        markers: requests of the session's own that its unit did not answer while this call waited for it.
         places: how many places of the queue it takes. A call takes one, whatever it asks; what a gateway asks for a
             client takes one for each request.
     """
@@ -50,6 +51,7 @@ class Demand:
     submitted: float = 0.0
     ended: bool = False
     places: int = 1
+    markers: int = 0
 
     def __init__(
         self,
@@ -80,6 +82,11 @@ class Demand:
     def has_more(self) -> bool:
         """Whether a request waits to be sent."""
         return self.next < len(self.requests) or bool(self.again)
+
+    @property
+    def next_position(self) -> int:
+        """Position of the request that is sent next. Only while there is one."""
+        return self.again[0] if self.again else self.next
 
     def take(self, at_most: int) -> Sequence[int]:
         """Positions of the next requests to send, ``at_most`` of them: first what is repeated, then what is new."""

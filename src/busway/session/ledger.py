@@ -34,6 +34,7 @@ class ClientCounters:
     foreign_protocol: int = 0
     damaged_frames: int = 0
     overruns: int = 0
+    markers: int = 0
     suspended: int = 0
     cancelled: int = 0
     overloaded: int = 0
@@ -115,8 +116,19 @@ class Ledger:
             return None
         return min((one.deadline for one in self.queue if one.deadline is not None), default=None)
 
-    def expire_queue(self, now: float, in_flight: set[tuple[int, int]]) -> None:
-        """End what waited beyond its deadline; ``in_flight`` holds (identity of demand, position) of what is sent."""
+    def expire_queue(
+        self,
+        now: float,
+        in_flight: set[tuple[int, int]],
+        reason: Callable[[Demand], NoReply | None] = lambda demand: None,
+    ) -> None:
+        """End what waited beyond its deadline.
+
+        Args:
+            now: the time.
+            in_flight: (identity of demand, position) of what is sent.
+            reason: why a demand was not sent, where there is more to say than that it waited.
+        """
         if not self.deadlines:
             return
         for demand in list(self.queue):
@@ -126,7 +138,7 @@ class Ledger:
             for position, outcome in enumerate(demand.outcomes):
                 if outcome is None and (id(demand), position) not in in_flight:
                     tried = demand.attempts.get(position)
-                    error = NoReply(
+                    error = (None if tried else reason(demand)) or NoReply(
                         "no answer before the deadline of the call"
                         if tried
                         else "the deadline passed in the queue; nothing was sent"

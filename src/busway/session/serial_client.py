@@ -7,20 +7,21 @@ RTU and ASCII differ only in the framing that is handed in.
 2. A reply of another unit keeps the timer running. A damaged frame counts, and may be repeated like a timeout.
 3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
    the same unit before that much time has passed since the timeout. Whatever comes until then is late and dropped.
-   Later on a late reply is told by its unit, function, length and echo.
-4. What can not be told apart so is the late reply to another request of the same unit, function and length. A unit
-   whose usual delay is known is taken to have missed the request. One that is not known to answer in time is not
-   asked anything else (the same may be repeated) before twice its timeout has passed; others are meanwhile.
+4. A unit that owes a reply is in doubt (`doubt`): what could be confused with the owed reply goes out only behind a
+   marker, a request of our own. A late reply belongs to the call that asked for it, or to nobody. Other units are
+   asked meanwhile.
 5. Nothing is sent before t3.5 after the last byte of anybody, ``request_gap`` after a reply and ``unit_switch_gap``
    where the unit changes. A unit that has a gap of its own is left alone for it; others are asked meanwhile.
 6. Dead units cost the line no more than a probe (`breaker`); their requests fail with `UnitSuspended`.
 7. A request that was cancelled, or whose deadline is over, stays in flight until its reply comes or its time is over.
+8. A frame that began before the request had left and t3.5 had passed is no reply to it.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from typing import Final
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode
 from ..errors import (
@@ -34,17 +35,20 @@ from ..errors import (
     UnitSuspended,
 )
 from ..framing.received import Damaged, Direction, Received, SerialFrame
+from ..pdu.diagnostics import RestartCommunications
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .breaker import BreakerParameters, Breakers
 from .demand import Demand
+from .doubt import Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
 from .ledger import Ledger, function_of
 from .line_framing import LineFraming
 from .parameters import ClientParameters
 
-LATE_FOR = 10.0
-"""Seconds for which a reply that did not come in time is still known as late when it comes."""
+OWED_FOR: Final = 2.0
+"""Timeouts after which an answer has come even from a unit that does not keep the order (rule 5 of `doubt`)."""
+_NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
 """The usual delay of a unit is its slowest lately: each faster reply takes a tenth off."""
 
@@ -58,12 +62,18 @@ class SerialClientParameters:
         unit_switch_gap: seconds of silence where the next request goes to another unit, at least t3.5; 0…10.
         quiet_window: seconds of silence that end a drain after a timeout, 0…10.
         drain_limit: seconds after which a drain ends although the line never fell silent, 0…60.
+        trust_reply_order: whether units are known to answer in the order in which they were asked. Then a unit that
+            did not answer is asked again as soon as it has answered a marker; otherwise not before twice the timeout
+            has passed since the request that it did not answer.
+        early_replies: whether replies are taken that begin before t3.5 has passed since the request (§2.5.1.1).
     """
 
     turnaround_delay: float = 0.1
     unit_switch_gap: float = 0.0
     quiet_window: float = 0.05
     drain_limit: float = 1.0
+    trust_reply_order: bool = False
+    early_replies: bool = False
 
     def __post_init__(self) -> None:
         for name, high in (
@@ -87,16 +97,20 @@ class MasterState(Enum):
 
 @dataclass(slots=True)
 class _Flight:
-    """The request on the line. ``demand`` None: nobody waits for it any more."""
+    """The request on the line. ``demand`` None: nobody waits for it any more, or it is a ``marker``."""
 
     demand: Demand | None
     request: Request
     position: int
     unit: int
     frame: bytes
+    begun: float
     sent: float
     expires: float
+    timeout: float
+    marker: Marker | None = None
     damage: bytes = b""
+    early: bool = False
 
     @property
     def deadline(self) -> float | None:
@@ -104,29 +118,17 @@ class _Flight:
         return None if self.demand is None else self.demand.deadline
 
 
-@dataclass(frozen=True, slots=True)
-class _Missed:
-    """A request whose reply did not come in time."""
-
-    function: int
-    sent: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Pause:
-    """How long a unit is not asked: the same again, or anything else."""
-
-    same_until: float
-    other_until: float
-
-
 class SerialClientSession:
     """One line's conversation, across reopenings of its port.
 
     Attributes:
-        counters, finished, recycle, observed_delay, valid_reply: as in `TcpClientSession`.
+        counters, finished, recycle, valid_reply: as in `TcpClientSession`.
         state: where the master stands.
         breakers: which units are not asked.
+        doubts: which units owe replies.
+        notes: what a trace tells of late replies and of requests of the session's own; the driver empties the list.
+        characters_take_time: whether the port takes the times of its characters, as a wire does. A pseudo-terminal
+            does not: there a reply may be there before its request has left by arithmetic.
     """
 
     __slots__ = (
@@ -137,19 +139,20 @@ class SerialClientSession:
         "_last_byte",
         "_last_unit",
         "_ledger",
-        "_missed",
+        "_not_asked_before",
         "_not_before",
         "_pace",
-        "_pauses",
         "_receiver",
         "_serial",
         "_timeouts_in_row",
         "_try_at",
         "_unit_gaps",
         "breakers",
+        "characters_take_time",
         "counters",
+        "doubts",
         "finished",
-        "observed_delay",
+        "notes",
         "parameters",
         "recycle",
         "state",
@@ -165,6 +168,7 @@ class SerialClientSession:
         serial: SerialClientParameters | None = None,
         breaker: BreakerParameters | None = None,
         endpoint: str = "",
+        doubts: Doubts | None = None,
     ) -> None:
         """A session without a port.
 
@@ -175,14 +179,17 @@ class SerialClientSession:
             serial: turnaround, gaps and drain.
             breaker: when units are given up.
             endpoint: URL of the link, for errors.
+            doubts: what an earlier link to the same endpoint was owed.
         """
         self.parameters = parameters
         self.recycle = ""
-        self.observed_delay: float | None = None
+        self.doubts = doubts or Doubts()
+        self.notes: list[str] = []
+        self.characters_take_time = True
         self.valid_reply = False
         self.state = MasterState.IDLE
         self.breakers = Breakers(breaker or BreakerParameters(), jitter)
-        self._pauses: dict[int, _Pause] = {}
+        self._not_asked_before: dict[int, float] = {}
         self._ledger = Ledger(parameters, endpoint)
         self.counters = self._ledger.counters
         self.finished = self._ledger.finished
@@ -196,7 +203,6 @@ class SerialClientSession:
         self._not_before = 0.0
         self._try_at = 0.0  # before then `transmit` has nothing to send; 0 if it has to be asked
         self._drain_until = 0.0
-        self._missed: dict[int, _Missed] = {}
         self._pace: dict[int, float] = {}
         self._timeouts_in_row = 0
         self._unit_gaps: Mapping[int, float] = {}
@@ -299,8 +305,7 @@ class SerialClientSession:
         self._not_before = now + self.parameters.connect_delay
         self._try_at = 0.0
         self._timeouts_in_row = 0
-        self._missed.clear()
-        self._pauses.clear()
+        self._not_asked_before.clear()
         self.recycle = ""
         self.valid_reply = False
         self.counters.connections += 1
@@ -318,6 +323,7 @@ class SerialClientSession:
         flight, self._flight = self._flight, None
         if flight is not None:
             self.breakers.not_decided(flight.unit)
+            self._owe(flight)
             what = "connection" if self._framing.is_network else "port"
             self._failed(
                 flight, LinkDown(f"the {what} was lost before the reply: {reason}", sent=True), now, again=True
@@ -357,31 +363,65 @@ class SerialClientSession:
         for found in self._receiver.tick(now):
             self._found(found, now)
         clear = max(self._last_byte + self._framing.send_gap, self._not_before)
-        if now >= clear:
-            demand = queue.peek(lambda one: self._may_ask(one, now))
-            if demand is None:
-                self._fail_suspended(now)
-                self._try_at = min((self._askable_at(one, now) for one in queue), default=0.0)
-                return []
-            if self._last_unit is not None and demand.unit != self._last_unit:
-                clear = max(clear, self._last_byte + self._serial.unit_switch_gap)
         if now < clear:
             self._try_at = clear
             return []
+        demand = queue.peek(lambda one: self._may_ask(one, now))
+        if demand is None:
+            self._fail_suspended(now)
+            self._try_at = min((self._askable_at(one, now) for one in queue), default=0.0)
+            return []
+        if self._last_unit is not None and demand.unit != self._last_unit:
+            clear = max(clear, self._last_byte + self._serial.unit_switch_gap)
+            if now < clear:
+                self._try_at = clear
+                return []
         self._try_at = 0.0
-        demand = queue.pick(lambda one: self._may_ask(one, now))
-        return [] if demand is None else [self._send(demand, now)]
+        marker = self._marker_before(demand)
+        if marker is not None:
+            return [self._send_marker(marker, demand, now)]
+        chosen = queue.pick(lambda one: self._may_ask(one, now))
+        return [] if chosen is None else [self._send(chosen, now)]
 
     def _may_ask(self, demand: Demand, now: float) -> bool:
         return self.breakers.suspended_for(demand.unit, now) is None and self._askable_at(demand, now) <= now
 
     def _askable_at(self, demand: Demand, now: float) -> float:
         """When the unit may be asked, as far as a reply of it may still be on its way."""
-        pause = self._pauses.get(demand.unit)
-        if pause is None:
-            return now
-        # What is repeated is the request whose reply may be on its way: either reply answers it.
-        return pause.same_until if demand.again else pause.other_until
+        at = self._not_asked_before.get(demand.unit, now)
+        doubt = self.doubts.units.get(demand.unit)
+        if doubt is None or not doubt.pending or self._serial.trust_reply_order:
+            return at
+        position = demand.next_position
+        request = demand.requests[position]
+        if isinstance(request, RestartCommunications):
+            return at
+        return max(at, doubt.waits_until(function_of(request), demand, position, now))
+
+    def _marker_before(self, demand: Demand) -> Marker | None:
+        """What has to be asked before the next request of a demand; None where it may go out as it is.
+
+        A restart may: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
+        """
+        unit = demand.unit
+        doubt = self.doubts.units.get(unit)
+        if doubt is None or unit == BROADCAST_UNIT:
+            return None
+        request = demand.requests[demand.next_position]
+        if not doubt.in_doubt(function_of(request), demand, demand.next_position):
+            if not doubt.needs_check:
+                return None
+            marker = self.doubts.marker(unit, is_check=True)
+            if marker is None:
+                doubt.alike = 0  # it answers no request of ours: a shift cannot be seen
+            return marker
+        if isinstance(request, RestartCommunications):
+            return None
+        marker = self.doubts.marker(unit)
+        if marker is None and request.is_write:
+            doubt.silent.clear()
+            marker = self.doubts.marker(unit)
+        return marker
 
     def _fail_suspended(self, now: float) -> None:
         """What waits for a unit whose breaker has opened meanwhile does not wait for its probe."""
@@ -401,22 +441,46 @@ class SerialClientSession:
             wire = request.prepare()
         unit = demand.unit
         frame = self._framing.encode(unit, wire)
-        leaves = now + self._framing.timing.duration(len(frame))
-        self._receiver.sent(frame, leaves)
         if unit == BROADCAST_UNIT:
-            self._receiver.expect_nothing()
             self.state = MasterState.WAITING_TURNAROUND
+            self._begin(_Flight(demand, request, position, unit, frame, now, now, 0.0, 0.0))
+        else:
+            self._ask(_Flight(demand, request, position, unit, frame, now, now, 0.0, demand.timeout))
+        return frame
+
+    def _send_marker(self, marker: Marker, demand: Demand, now: float) -> bytes:
+        """Send a request of our own to the unit of a demand, which stays where it is in the queue."""
+        frame = self._framing.encode(demand.unit, marker.request.wire)
+        self.counters.markers += 1
+        doubt = self.doubts.of(demand.unit)
+        why = f"{len(doubt.owed)} owed" if doubt.owed else "a check"
+        self._note(f"unit {demand.unit}: that was a request of the link's own, a marker ({why})")
+        self._ask(
+            _Flight(None, marker.request, 0, demand.unit, frame, now, now, 0.0, demand.timeout, marker),
+        )
+        return frame
+
+    def _ask(self, flight: _Flight) -> None:
+        """A request to one unit goes out; its reply is due."""
+        self.state = MasterState.WAITING_FOR_REPLY
+        self._begin(flight)
+
+    def _begin(self, flight: _Flight) -> None:
+        unit, frame, now = flight.unit, flight.frame, flight.begun
+        flight.sent = leaves = now + self._framing.timing.duration(len(frame))
+        self._receiver.sent(frame, leaves)
+        if self.state is MasterState.WAITING_TURNAROUND:
+            self._receiver.expect_nothing()
             wait = self._serial.turnaround_delay
         else:
-            self._receiver.expect(unit, wire[0], request.expected_size)
-            self.state = MasterState.WAITING_FOR_REPLY
+            self._receiver.expect(unit, flight.request.wire[0], flight.request.expected_size)
             usual = self._pace.get(unit) or max(self._pace.values(), default=0.0)
-            wait = self.breakers.asked(unit, now, demand.timeout, usual)
-        self._flight = _Flight(demand, request, position, unit, frame, leaves, leaves + wait)
+            wait = self.breakers.asked(unit, now, flight.timeout, usual)
+        flight.expires = leaves + wait
+        self._flight = flight
         self._last_unit = unit
         self._last_byte = max(self._last_byte, leaves)
         self.counters.requests += 1
-        return frame
 
     # What comes in.
 
@@ -445,59 +509,136 @@ class SerialClientSession:
                 flight.damage = found.raw
             return
         self._timeouts_in_row = 0
-        if flight is None or self.state is not MasterState.WAITING_FOR_REPLY:
-            self._unexpected(found)  # within a turnaround: somebody answers a broadcast
-        elif found.unit != flight.unit or found.pdu[0] & 0x7F != flight.request.wire[0]:
-            self._unexpected(found)
+        waiting = flight is not None and self.state is MasterState.WAITING_FOR_REPLY
+        if flight is None or not waiting or found.unit != flight.unit:
+            self._not_awaited(found)  # late, or of somebody else; in a turnaround somebody answers a broadcast
         elif found.direction is Direction.REQUEST and found.raw == flight.frame:
             self.counters.foreign_replies += 1  # our own frame, on a line that is not known to echo
+        elif self._is_early(flight, found):
+            flight.early = True
+            self._not_awaited(found)
         else:
-            self._reply(flight, found, now)
+            self._of_awaited_unit(flight, found, now)
 
-    def _unexpected(self, frame: SerialFrame) -> None:
-        """A frame that answers nothing asked now: of a unit that is slow, or of somebody else."""
-        if not self._was_missed(frame):
-            self.counters.foreign_replies += 1
-            return
-        missed = self._missed.pop(frame.unit)
-        self._pauses.pop(frame.unit, None)
-        self._try_at = 0.0
-        self.counters.late_replies += 1
-        self.observed_delay = frame.ended - missed.sent
-        self.breakers.answered(frame.unit)
+    def _is_early(self, flight: _Flight, frame: SerialFrame) -> bool:
+        """Whether a frame began before the request had left and t3.5 had passed (rule 8)."""
+        if not self.characters_take_time or self._framing.is_network:
+            return frame.ended < flight.begun
+        if self._serial.early_replies:
+            return frame.began < flight.begun
+        framing = self._framing
+        # What is read late seems to begin late. A tenth of a character is what sums of times differ by.
+        return frame.began < flight.sent + framing.send_gap - framing.timing.character / 10
 
-    def _was_missed(self, frame: SerialFrame) -> bool:
-        missed = self._missed.get(frame.unit)
+    def _of_awaited_unit(self, flight: _Flight, frame: SerialFrame, now: float) -> None:
+        """The unit that was asked speaks: in reply to the request in flight, or to an earlier one (see `doubt`)."""
+        doubt = self.doubts.of(flight.unit)
+        owed = doubt.earliest(frame.pdu)
+        if owed is not None and not owed.is_of(flight.demand, flight.position):
+            self._late(doubt, owed, frame)
+        elif owed is not None:
+            # As far as can be known it answers an earlier attempt of the call: the one in flight is owed its own reply.
+            doubt.came(owed)
+            self._owe(flight)
+            self._reply(flight, frame, now, doubt)
+        elif frame.pdu[0] & 0x7F != flight.request.wire[0] or self._is_of_another(flight, doubt, frame.pdu):
+            self._not_awaited(frame)
+        else:
+            doubt.answered(flight.request)
+            self._reply(flight, frame, now, doubt)
+
+    def _is_of_another(self, flight: _Flight, doubt: UnitDoubt, pdu: bytes) -> bool:
+        """Whether a PDU of the right function that does not fit the request in flight is taken for an older reply.
+
+        Otherwise it is a broken one.
+        """
+        if _fits(flight.request, pdu):
+            return False
+        last = doubt.last
         return (
-            missed is not None
-            and frame.pdu[0] & 0x7F == missed.function
-            and frame.direction is not Direction.REQUEST
-            and frame.ended < missed.sent + LATE_FOR
+            flight.marker is not None
+            or any(one.function == pdu[0] for one in doubt.owed)
+            or (last is not None and last.wire[0] == pdu[0] and _fits(last, pdu))
         )
 
-    def _reply(self, flight: _Flight, frame: SerialFrame, now: float) -> None:
+    def _not_awaited(self, frame: SerialFrame) -> None:
+        """A frame that answers nothing asked now: of a unit that is slow, or of somebody else."""
+        doubt = self.doubts.units.get(frame.unit)
+        if doubt is None or frame.direction is Direction.REQUEST:
+            self.counters.foreign_replies += 1
+            return
+        owed = doubt.earliest(frame.pdu)
+        if owed is not None:
+            self._late(doubt, owed, frame)
+            return
+        self.counters.foreign_replies += 1
+        doubt.unasked = frame.pdu[0] & 0x7F
+
+    def _late(self, doubt: UnitDoubt, owed: OwedReply, frame: SerialFrame) -> None:
+        """A reply that was owed has come, and nobody waits for it any more."""
+        doubt.came(owed)
+        self._try_at = 0.0
+        if not doubt.owed:
+            self._not_asked_before.pop(frame.unit, None)
+        if self._unit_gaps:
+            self._keep_gap(frame)
+        self.counters.late_replies += 1
+        if owed.request is not None:
+            doubt.delay = frame.ended - owed.sent
+            self._note(f"unit {frame.unit}: a reply that was owed came after {doubt.delay:.3f} s; dropped")
+        if self.breakers.answered(frame.unit):
+            doubt.revived()
+
+    def _note(self, text: str) -> None:
+        if len(self.notes) < _NOTES_AT_MOST:
+            self.notes.append(text)
+
+    def _owe(self, flight: _Flight) -> None:
+        """The request in flight gets no answer now; it may still come."""
+        if flight.unit == BROADCAST_UNIT:
+            return
+        until = flight.sent + OWED_FOR * flight.timeout
+        function = flight.request.wire[0]
+        self.doubts.of(flight.unit).owe(
+            OwedReply(flight.request, function, flight.sent, until, flight.demand, flight.position)
+        )
+
+    def _reply(self, flight: _Flight, frame: SerialFrame, now: float, doubt: UnitDoubt) -> None:
         pdu = frame.pdu
         outcome: Message | ModbusError
         try:
             if pdu[0] & 0x80:
                 outcome = ExceptionReply(decode_exception(pdu).exception, raw=frame.raw)
-                self.counters.exceptions += 1
             else:
                 outcome = flight.request.accept(pdu)
-                self.counters.replies += 1
         except MalformedPdu as error:
-            if self._was_missed(frame):
-                self._unexpected(frame)  # it does not fit what is asked now, but comes from a unit that owes a reply
-                return
             # The unit speaks, but breaks the protocol: no reason to ask it again, and none to give it up.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, raw=frame.raw)
         self.valid_reply = True
-        self.breakers.answered(frame.unit)
-        self._learn_pace(flight, frame)
+        if self.breakers.answered(frame.unit):
+            doubt.revived()
+        self._learn_pace(flight, frame, doubt)
         if self._unit_gaps:
             self._keep_gap(frame)
         self._idle(frame.ended)
+        if flight.marker is not None:
+            self._marked(flight.marker, outcome, doubt)
+            return
+        is_exception = isinstance(outcome, ExceptionReply)
+        self.counters.exceptions += is_exception
+        self.counters.replies += isinstance(outcome, Message)
+        doubt.heard(flight.request, is_exception=is_exception)
+        self._conclude(flight, outcome, now)
+
+    def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
+        """A request of our own was answered: what it was sent for is in order again."""
+        if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
+            doubt.not_marked(marker.kind)  # it reads nothing but that length
+        else:
+            doubt.marked(marker.kind)
+
+    def _conclude(self, flight: _Flight, outcome: Message | ModbusError, now: float) -> None:
         demand, position = flight.demand, flight.position
         if demand is None:
             return
@@ -510,29 +651,21 @@ class SerialClientSession:
         else:
             self._ledger.conclude(demand, position, self._ledger.placed(outcome, demand, position, now))
 
-    def _learn_pace(self, flight: _Flight, frame: SerialFrame) -> None:
-        """How long the unit takes; where a missed reply could be this one, the other may still come."""
+    def _learn_pace(self, flight: _Flight, frame: SerialFrame, doubt: UnitDoubt) -> None:
+        """How long the unit takes; where an earlier attempt may be what was answered, nothing is learnt."""
         unit = frame.unit
-        delay = frame.ended - flight.sent
-        missed = self._missed.get(unit)
-        if missed is not None and unit not in self._pace and self._was_missed(frame):
-            since = frame.ended - missed.sent
-            self._missed[unit] = _Missed(missed.function, flight.sent)
-            until = flight.sent + since + self._serial.quiet_window
-            self._pauses[unit] = _Pause(until, until)
+        self._not_asked_before.pop(unit, None)
+        if doubt.owed:
             return
-        self._missed.pop(unit, None)
-        self._pauses.pop(unit, None)
-        self._pace[unit] = max(delay, self._pace.get(unit, 0.0) * _PACE_FORGETS)
+        doubt.delay = None
+        self._pace[unit] = max(frame.ended - flight.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
         """The unit misses what comes too soon after its reply."""
         gap = self._unit_gaps.get(frame.unit)
         if gap:
-            until = frame.ended + gap
-            pause = self._pauses.get(frame.unit)
-            same, other = (until, until) if pause is None else (pause.same_until, pause.other_until)
-            self._pauses[frame.unit] = _Pause(max(until, same), max(until, other))
+            before = self._not_asked_before.get(frame.unit, 0.0)
+            self._not_asked_before[frame.unit] = max(before, frame.ended + gap)
 
     def _idle(self, last_byte: float) -> None:
         """The transaction is over; gaps count from the end of the last frame."""
@@ -582,7 +715,25 @@ class SerialClientSession:
             self._try_at = 0.0
         flight = self._flight
         in_flight = {(id(flight.demand), flight.position)} if flight is not None else set()
-        self._ledger.expire_queue(now, in_flight)
+        self._ledger.expire_queue(now, in_flight, self._why_not_sent)
+
+    def _why_not_sent(self, demand: Demand) -> NoReply | None:
+        """Why a call was not sent before its deadline, where its unit is in doubt."""
+        doubt = self.doubts.units.get(demand.unit)
+        position = demand.next_position
+        if doubt is None or not doubt.in_doubt(function_of(demand.requests[position]), demand, position):
+            return None
+        return self._in_doubt(doubt, "the deadline of the call passed")
+
+    def _in_doubt(self, doubt: UnitDoubt, why: str) -> NoReply:
+        owed = len(doubt.owed)
+        what = f"owes {owed} {'reply' if owed == 1 else 'replies'}" if owed else "spoke without being asked"
+        return NoReply(
+            f"not asked: the unit {what}, and {why} before it answered a request that tells its replies apart; "
+            "nothing was sent",
+            kind="in doubt",
+            observed_delay=doubt.delay,
+        )
 
     def _keep_deadline(self, flight: _Flight, now: float) -> None:
         """A call that has run out of time ends; its request stays in flight (rule 7)."""
@@ -611,12 +762,12 @@ class SerialClientSession:
         self.state = MasterState.DRAINING
         self._drain_until = now + self._serial.drain_limit
         self._receiver.expect_nothing()
-        if unit not in self._missed or not self._is_repeated(flight):
-            self._missed[unit] = _Missed(flight.request.wire[0], flight.sent)
-        quiet = now + self._serial.quiet_window
-        waited = flight.expires - flight.sent
-        self._pauses[unit] = _Pause(quiet, quiet if unit in self._pace else max(quiet, flight.sent + 2 * waited))
-        self._failed(flight, self._no_reply(flight), now, again=not probing and not opened)
+        self._owe(flight)
+        self._not_asked_before[unit] = now + self._serial.quiet_window
+        if flight.marker is None:
+            self._failed(flight, self._no_reply(flight), now, again=not probing and not opened)
+        else:
+            self._not_marked(flight, flight.marker, now)
         if opened:
             self._fail_suspended(now)
         self._timeouts_in_row += 1
@@ -624,19 +775,40 @@ class SerialClientSession:
             self.recycle = f"{self._timeouts_in_row} timeouts in a row"
             self.counters.recycled += 1
 
-    def _is_repeated(self, flight: _Flight) -> bool:
-        return flight.demand is not None and flight.demand.attempts.get(flight.position, 1) > 1
+    def _not_marked(self, flight: _Flight, marker: Marker, now: float) -> None:
+        """A marker was not answered: whoever waited for it and has had enough of them is told."""
+        doubt = self.doubts.of(flight.unit)
+        doubt.not_marked(marker.kind)
+        doubt.alike = 0
+        self._try_at = 0.0
+        for demand in list(self._ledger.queue):
+            if demand.unit != flight.unit:
+                continue
+            position = demand.next_position
+            if not doubt.in_doubt(function_of(demand.requests[position]), demand, position):
+                continue
+            demand.markers += 1
+            if demand.markers > demand.retries:
+                why = "it did not answer" if demand.markers == 1 else f"{demand.markers} attempts passed"
+                self._ledger.give_up(demand, now, partial(self._in_doubt, doubt, why))
 
     def _no_reply(self, flight: _Flight) -> NoReply:
         waited = flight.expires - flight.sent
         if flight.damage:
             return NoReply(f"only a damaged reply came within {waited:.3g} s", kind="partial", raw=flight.damage)
-        if self.observed_delay is not None:
+        if flight.early:
             return NoReply(
-                f"no reply within {waited:.3g} s; the last late reply on this line had taken "
-                f"{self.observed_delay:.3f} s, a longer timeout would take it",
+                f"no reply within {waited:.3g} s but one that began before t3.5 had passed since the request; "
+                "early_replies takes such replies",
+                kind="early",
+            )
+        delay = self.doubts.of(flight.unit).delay
+        if delay is not None:
+            return NoReply(
+                f"no reply within {waited:.3g} s; the last late reply of this unit had taken {delay:.3f} s, "
+                "a longer timeout would take it",
                 kind="late",
-                observed_delay=self.observed_delay,
+                observed_delay=delay,
             )
         return NoReply(f"no reply within {waited:.3g} s")
 
@@ -645,6 +817,15 @@ class SerialClientSession:
         self._try_at = 0.0
         if flight.demand is not None:
             self._ledger.failed(flight.demand, flight.position, error, now, again=again)
+
+
+def _fits(request: Request, pdu: bytes) -> bool:
+    """Whether a PDU of the function of a request answers it."""
+    try:
+        request.accept(pdu)
+    except MalformedPdu:
+        return bool(pdu[0] & 0x80)
+    return True
 
 
 def _exception_code(outcome: ModbusError) -> int | None:
