@@ -101,7 +101,11 @@ async def test_a_serial_front_is_silent_for_units_that_it_does_not_route_and_for
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
 async def test_the_gateway_itself_may_be_a_unit_of_a_serial_front(scheme: str) -> None:
     plan = GatewayPlan(
-        (front(scheme),), (LineSettings.of("line", "tcp://127.0.0.1:1"),), RoutingTable((only(3),)), own_unit=100
+        (front(scheme),),
+        (LineSettings.of("line", "tcp://127.0.0.1:1"),),
+        RoutingTable((only(3),)),
+        own_unit=100,
+        own_registers=True,
     )
     async with Gateway(plan) as made, busway.open(made.endpoints[0], timeout=3, retries=0) as link:
         assert await link.unit(100).read_input_registers(2, count=2) == [1, 1]
@@ -109,19 +113,30 @@ async def test_the_gateway_itself_may_be_a_unit_of_a_serial_front(scheme: str) -
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-@pytest.mark.parametrize("own", [True, False])
-async def test_255_and_anything_but_a_write_on_0_are_the_gateway_itself_or_no_path(scheme: str, own: bool) -> None:
+@pytest.mark.parametrize("own", [True, False])  # whether the gateway is a device
+@pytest.mark.parametrize("registers", [True, False])
+async def test_255_and_anything_but_a_write_on_0_are_the_gateway_itself_or_no_path(
+    scheme: str, own: bool, registers: bool
+) -> None:
     plan = GatewayPlan(
         (front(scheme),),
         (LineSettings.of("line", "tcp://127.0.0.1:1"),),
         RoutingTable((only(3),)),
         own_unit=255 if own else None,
+        own_registers=registers,
     )
     async with Gateway(plan) as made, busway.open(made.endpoints[0], timeout=3, retries=0) as link:
         for unit in (0, 255):
             if own:
                 assert await link.unit(unit).diagnostics(0, b"\x12\x34") == b"\x12\x34"
-                assert await link.unit(unit).read_input_registers(2, count=1) == [1]
+                assert (await link.unit(unit).read_device_identification())[1] == b"gateway"
+                if registers:
+                    assert await link.unit(unit).read_input_registers(2, count=1) == [1]
+                else:
+                    assert await code_of(link.unit(unit).read_input_registers(2, count=1)) == 0x01
+                assert await code_of(link.unit(unit).read_holding_registers(2, count=1)) == 0x01
+                assert await code_of(link.unit(unit).read_coils(2, count=1)) == 0x01
+                assert await code_of(link.unit(unit).read_discrete_inputs(2, count=1)) == 0x01
             else:
                 assert await code_of(link.unit(unit).diagnostics(0, b"\x12\x34")) == 0x0A
                 assert await code_of(link.unit(unit).read_input_registers(2, count=1)) == 0x0A

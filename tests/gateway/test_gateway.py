@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import pytest
 from handlers import Gate, ScriptedHandler
@@ -132,6 +133,7 @@ async def test_transaction_slots_of_the_front_exhausted_are_06() -> None:
 @pytest.mark.clause("T32")
 async def test_the_gateway_itself_answers_on_unit_255_and_on_0() -> None:
     made = plan(Route(line="line", units=frozenset({1})), lines={"line": "tcp://127.0.0.1:1"})
+    made = replace(made, own_registers=True)
     async with through(made) as (_, link):
         assert (await link.unit(255).read_device_identification())[1] == b"gateway"
         assert (await link.unit(0).read_device_identification())[0] == b"busway"

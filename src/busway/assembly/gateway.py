@@ -125,7 +125,13 @@ class GatewayConfiguration:
         """
         assert isinstance(running, Gateway)
         old = running.plan
-        plan = replace(self._plan(listen), own_unit=old.own_unit, functions=old.functions, server=old.server)
+        plan = replace(
+            self._plan(listen),
+            own_unit=old.own_unit,
+            own_registers=old.own_registers,
+            functions=old.functions,
+            server=old.server,
+        )
         return await running.change(plan, policy=policy)
 
     def _plan(self, listen: Iterable[str | Listener]) -> GatewayPlan:
@@ -236,6 +242,7 @@ def _put_together(
         lines=tuple(replace(line, unit_gaps=unit_gaps(routes, name)) for name, line in lines.items()),
         table=RoutingTable(tuple(one.route for one in routes)),
         own_unit=file.gateway.own_unit,
+        own_registers=file.gateway.own_registers,
         server=server,
     )
     return GatewayConfiguration(replace(common, warnings=warnings), file, plan, tuple(routes))

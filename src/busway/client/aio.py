@@ -35,7 +35,7 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit
-from .calls import check_selected, closed_error, default_unit, demand_for
+from .calls import check_selected, closed_error, default_unit, demand_for, with_assumed_unit
 from .link import Link
 from .management import Selection, selection
 from .operations import (
@@ -68,11 +68,12 @@ def documented_by(other: object) -> Callable[[Method], Method]:
 class AsyncUnit:
     __doc__ = Unit.__doc__
 
-    __slots__ = ("_holding", "_input", "_link", "_number", "_parameters", "_width")
+    __slots__ = ("_holding", "_input", "_is_assumed", "_link", "_number", "_parameters", "_width")
 
-    def __init__(self, link: "AsyncLink", number: int) -> None:
+    def __init__(self, link: "AsyncLink", number: int, is_assumed: bool = False) -> None:
         self._link = link
         self._number = number
+        self._is_assumed = is_assumed  # nobody has named it
         self._parameters = link.parameters
         self._width = link.register_width
         self._holding = wide(ReadHoldingRegisters, self._width)
@@ -103,6 +104,8 @@ class AsyncUnit:
             raise
         outcome = demand.outcomes[0]
         if isinstance(outcome, ModbusError):
+            if self._is_assumed:
+                with_assumed_unit(outcome, self._number)
             try:
                 raise outcome
             finally:
@@ -117,6 +120,9 @@ class AsyncUnit:
         if not requests:
             return []
         outcomes = await self._link.run(self._number, requests, call)
+        if self._is_assumed:
+            for outcome in outcomes:
+                with_assumed_unit(outcome, self._number)
         if not return_errors:
             for outcome in outcomes:
                 if isinstance(outcome, ModbusError):
@@ -339,7 +345,7 @@ class AsyncLink:
 
     @documented_by(BlockingLink.unit)
     def unit(self, number: int | None = None) -> AsyncUnit:
-        return AsyncUnit(self, default_unit(self._settings.endpoint, number))
+        return AsyncUnit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
     @documented_by(BlockingLink.connect)
     async def connect(self) -> None:

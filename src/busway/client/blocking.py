@@ -35,7 +35,7 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
-from .calls import check_selected, closed_error, default_unit, demand_for
+from .calls import check_selected, closed_error, default_unit, demand_for, with_assumed_unit
 from .management import Selection, selection
 from .operations import (
     CallOptions,
@@ -66,11 +66,12 @@ class Unit:
     * `WriteOutcomeUnknown`: methods that write only; it was sent, and no valid answer came.
     """
 
-    __slots__ = ("_holding", "_input", "_link", "_number", "_width")
+    __slots__ = ("_holding", "_input", "_is_assumed", "_link", "_number", "_width")
 
-    def __init__(self, link: "Link", number: int) -> None:
+    def __init__(self, link: "Link", number: int, is_assumed: bool = False) -> None:
         self._link = link
         self._number = number
+        self._is_assumed = is_assumed  # nobody has named it
         self._width = link.register_width
         self._holding = wide(ReadHoldingRegisters, self._width)
         self._input = wide(ReadInputRegisters, self._width)
@@ -89,6 +90,8 @@ class Unit:
         """
         (outcome,) = self._link.run(self._number, (request,), call)
         if isinstance(outcome, ModbusError):
+            if self._is_assumed:
+                with_assumed_unit(outcome, self._number)
             raise outcome
         assert isinstance(outcome, Message)
         return outcome
@@ -106,6 +109,9 @@ class Unit:
         if not requests:
             return []
         outcomes = self._link.run(self._number, requests, call)
+        if self._is_assumed:
+            for outcome in outcomes:
+                with_assumed_unit(outcome, self._number)
         if not return_errors:
             for outcome in outcomes:
                 if isinstance(outcome, ModbusError):
@@ -454,7 +460,7 @@ class Link:
         Raises:
             InvalidRequest: it is missing on a line, or out of range.
         """
-        return Unit(self, default_unit(self._settings.endpoint, number))
+        return Unit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
     def connect(self) -> None:
         """Connect now, instead of at the first need. Raises `LinkDown`."""

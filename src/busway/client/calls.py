@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
-from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
+from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..config.endpoints import Endpoint
-from ..errors import ConfigError, InvalidRequest
+from ..errors import ConfigError, ExceptionReply, InvalidRequest, ModbusError, NoReply, WriteOutcomeUnknown
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
 from ..session.demand import Demand
@@ -36,6 +36,21 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
     if not 0 <= as_integer("unit", unit) <= last:
         raise InvalidRequest(f"unit must be 0…{last}, not {unit}", endpoint=endpoint.url)
     return unit
+
+
+def with_assumed_unit(outcome: object, unit: int) -> None:
+    """Say in an error that nobody named the unit, where naming another one may help.
+
+    That is so where a gateway or nobody answered, and where a function was refused (01): who answers as the default
+    unit may be a gateway itself, which has no registers.
+    """
+    if isinstance(outcome, ExceptionReply):
+        may_help = outcome.from_gateway or outcome.code == ExceptionCode.ILLEGAL_FUNCTION
+    else:
+        may_help = isinstance(outcome, NoReply | WriteOutcomeUnknown)
+    if may_help:
+        assert isinstance(outcome, ModbusError)
+        outcome.message += f"; unit {unit} was assumed because none was named"
 
 
 def demand_for(

@@ -208,6 +208,7 @@ class GatewayPlan:
         fronts, lines: each with a name of its own.
         table: the routes between them.
         own_unit: unit identifier of the gateway itself; None where it is no device.
+        own_registers: whether it has input registers that tell how it does.
         functions: the table of functions; what is not in it is forwarded unread.
         server: options of `Server` that hold for all fronts (parameters, limits, sockets, policy, audit …).
     """
@@ -216,6 +217,7 @@ class GatewayPlan:
     lines: tuple[LineSettings, ...]
     table: RoutingTable
     own_unit: int | None = TCP_DEVICE_UNIT
+    own_registers: bool = False
     functions: FunctionTable = STANDARD
     server: Mapping[str, Any] = field(default_factory=dict)
 
@@ -276,7 +278,7 @@ class Gateway:
         self._functions: FunctionTable = RememberingTable(plan.functions)
         self._own: Handler | None = None
         if plan.own_unit is not None:
-            self._own = LocalHandler({plan.own_unit: own_device(self._numbers)})
+            self._own = LocalHandler({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
         self._running = {front.name: self._made(front, plan, {}, policy) for front in plan.fronts}
 
     # Its life.
@@ -345,7 +347,7 @@ class Gateway:
         Raises:
             LinkDown, ConfigError: a new front or line can not be had.
         """
-        if (plan.own_unit, plan.functions, plan.server) != (self.plan.own_unit, self.plan.functions, self.plan.server):
+        if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
                 "own unit, functions and the options of servers change with a restart only", key="gateway"
             )
@@ -527,6 +529,11 @@ class Gateway:
     def _follow(self, fronts: Iterable[_RunningFront]) -> None:
         for each in fronts:
             each.handler.follow(self.plan.table.of_front(each.front.name), self._lines)
+
+
+def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
+    """What of a plan holds until the gateway is started anew."""
+    return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
 def _standard_port(front: Front, plan: GatewayPlan) -> bool | None:

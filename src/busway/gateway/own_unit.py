@@ -1,6 +1,9 @@
-"""The gateway itself as a device: identification, diagnostics, and its status as input registers.
+"""The gateway itself as a device: identification, diagnostics, and, if they are wanted, its status as input registers.
 
 Knows numbers of a status; knows no line and no front (T32: unit 255, and 0 for what is no broadcast).
+
+Without registers a read gets exception 01: who names no unit asks unit 255, and shall not take what the gateway says of
+itself for values of a device.
 
 ``REGISTERS`` is the map; the documentation's table is made of it.
 """
@@ -9,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from ..codes import FunctionCode
 from ..server.device import Device
 from ..server.hooks import Access
 from ..version import __version__
@@ -18,6 +22,14 @@ FIRST_LINE: Final = 100
 PER_LINE: Final = 16
 """Registers from one line to the next."""
 MOST_LINES: Final = 64
+FUNCTIONS: Final = (
+    FunctionCode.DIAGNOSTICS,
+    FunctionCode.GET_COMM_EVENT_COUNTER,
+    FunctionCode.GET_COMM_EVENT_LOG,
+    FunctionCode.REPORT_SERVER_ID,
+    FunctionCode.ENCAPSULATED_INTERFACE,
+)
+"""What it offers in any case."""
 STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
 """States of a connection, the better ones behind."""
 
@@ -57,13 +69,21 @@ Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
 """Gives the values of `REGISTERS`, and for each line those of `LINE_REGISTERS`, as they are now."""
 
 
-def own_device(numbers: Numbers) -> Device:
-    """The device; its input registers are made anew at each read."""
+def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
+    """The device.
+
+    Args:
+        numbers: the values of its registers.
+        registers: whether it has any: input registers, made anew at each read.
+    """
     device = Device(
-        input_registers=FIRST_LINE + MOST_LINES * PER_LINE,
+        input_registers=FIRST_LINE + MOST_LINES * PER_LINE if registers else 0,
         identification={0: "busway", 1: "gateway", 2: __version__, 4: "busway gateway"},
         server_id=b"busway gateway\xff",
+        functions=(*FUNCTIONS, FunctionCode.READ_INPUT_REGISTERS) if registers else FUNCTIONS,
     )
+    if not registers:
+        return device
 
     def refresh(access: Access) -> None:
         own, lines = numbers()

@@ -172,6 +172,7 @@ class GatewaySection(Section):
     """``[gateway]``: what concerns all of it."""
 
     own_unit: CountOrNone = Field(default=255, ge=1, le=255)
+    own_registers: bool = False
     drain: float = Field(default=5.0, ge=0, le=600)
 
 
