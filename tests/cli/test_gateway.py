@@ -113,7 +113,7 @@ def test_urls_are_enough_for_the_common_case() -> None:
         assert behind.holding_registers[0] == 8
         with busway.connect(urls[0], shared=False) as link:
             assert link.unit(255).read_device_identification()[1] == b"gateway"
-            with pytest.raises(busway.ExceptionReply, match="exception 01, .*; unit 255 was assumed"):
+            with pytest.raises(busway.ExceptionReply, match=r"exception 01, .*; unit 255 was assumed"):
                 link.unit().read("3x1", "float32")  # what the gateway says of itself is no value of a device
         out, said = program.stop(signal.SIGTERM)
         assert (program.process.returncode, out, said) == (0, "", "")
