@@ -1,6 +1,8 @@
 """``--capture`` of the commands that talk to a device, and of ``serve``."""
 
+import os
 import re
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -70,4 +72,45 @@ def test_a_file_that_can_not_be_written_is_named_and_nothing_is_done(
 ) -> None:
     result = run(*command, "--capture", "/there/is/no/such/folder")
     assert result.code == 2
-    assert result.err == "/there/is/no/such/folder: can not be written: no such file or directory\n"
+    assert result.err == "/there/is/no/such/folder: cannot be opened: no such file or directory\n"
+
+
+def test_a_capture_is_for_its_owner_alone_and_takes_the_place_of_an_old_one(
+    run: Callable[..., Any], url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "read.pcapng"
+    before = os.umask(0o000)
+    try:
+        for _ in range(2):
+            assert run("read", url, "4x1", "--capture", str(file)).code == 0
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert len({payload[7:] for payload in payloads(file)}) == 2
+
+
+@pytest.mark.parametrize("content", [b"notes", b"\n\r\r\n of another program", b"\xd4\xc3\xb2\xa1" + bytes(20)])
+def test_a_file_that_is_no_capture_of_ours_is_not_overwritten(
+    run: Callable[..., Any], url: str, tmp_path: Path, content: bytes
+) -> None:
+    file = tmp_path / "notes"
+    file.write_bytes(content)
+    result = run("read", url, "4x1", "--capture", str(file))
+    assert (result.code, result.out) == (2, "")
+    assert "is no capture of busway, so it is not overwritten" in result.err
+    assert file.read_bytes() == content
+
+
+def test_a_capture_is_not_written_through_a_link_of_another_user(
+    run: Callable[..., Any], url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target, link = tmp_path / "precious", tmp_path / "read.pcapng"
+    link.symlink_to(target)
+    if os.geteuid() == 0:
+        os.lchown(link, 12_345, 12_345)
+    else:
+        monkeypatch.setattr("os.geteuid", lambda: 12_345)
+    result = run("read", url, "4x1", "--capture", str(link))
+    assert result.code == 2
+    assert "of another user" in result.err
+    assert not target.exists()

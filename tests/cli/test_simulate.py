@@ -216,7 +216,7 @@ def test_a_control_page_that_can_not_be_is_refused_by_its_option(
 
 
 def test_a_state_that_can_not_be_read_is_said(file: Path) -> None:
-    (file.parent / "state.json").write_text("{")
+    (file.parent / "state.json").write_text('{"kind": "busway simulation state"')
     with simulating(str(file), "--for", "10ms") as (process, _):
         _, said = process.communicate(timeout=20)
     assert "begins anew" in said

@@ -191,7 +191,7 @@ def test_the_statistics_come_also_when_a_connection_ends() -> None:
         (["rtu:///dev/there-is-none"], 5, "there-is-none"),
         (["rtu:///dev/null", "--duration", "soon"], 2, "--duration"),
         (["rtu:///dev/null", "--reply-window", "0"], 2, "--reply-window"),
-        (["rtu:///dev/null", "--capture", "/there/is/no/such/folder"], 2, "can not be written"),
+        (["rtu:///dev/null", "--capture", "/there/is/no/such/folder"], 2, "cannot be opened"),
     ],
 )
 def test_what_can_not_be_is_one_clear_sentence(

@@ -1,12 +1,17 @@
 """Traffic of lines as log lines."""
 
+import io
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
+from capture_file import blocks
+from waiting import until
 
 from busway.framing.ascii import encode_ascii
+from busway.framing.received import Damaged, Direction, Received, SerialFrame
 from busway.framing.rtu import encode_rtu
+from busway.observe.capture import Capture
 from busway.observe.line_trace import LineTrace, trace_for
 from busway.observe.trace import TRACE, StreamTrace, TraceLevel
 
@@ -51,3 +56,146 @@ def test_damaged_chunks_are_shown(caplog: pytest.LogCaptureFixture) -> None:
 def test_stream_of_tcp_has_its_own() -> None:
     assert isinstance(trace_for("mbap", "x", is_server=True), StreamTrace)
     assert isinstance(trace_for("rtu", "x", is_server=True), LineTrace)
+
+
+UNKNOWN = bytes.fromhex("64 01 02 03")
+"""A request of a function whose length nobody knows."""
+
+
+class Recorded:
+    """Keeps what is heard on a line."""
+
+    def __init__(self) -> None:
+        self.heard_frames: list[tuple[bool, Received]] = []
+
+    def line(self, name: str) -> "Recorded":
+        return self
+
+    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+        self.heard_frames.append((is_outgoing, found))
+
+    @property
+    def pdus(self) -> list[tuple[str, bytes]]:
+        return [
+            (">" if is_outgoing else "<", found.pdu if isinstance(found, SerialFrame) else b"damaged")
+            for is_outgoing, found in self.heard_frames
+        ]
+
+
+class FakeTime:
+    """A clock that stands, and timers that call when it is moved past them."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.set: list[FakeTimer] = []
+
+    def __call__(self) -> float:
+        return self.now
+
+    def timer(self, delay: float, call: Callable[[], None]) -> "FakeTimer":
+        timer = FakeTimer(self, self.now + delay, call)
+        self.set.append(timer)
+        return timer
+
+    def advance(self, seconds: float) -> None:
+        self.now += seconds
+        for timer in [one for one in self.set if one.due <= self.now]:
+            self.set.remove(timer)
+            timer.call()
+
+
+class FakeTimer:
+    def __init__(self, time: FakeTime, due: float, call: Callable[[], None]) -> None:
+        self.time, self.due, self.call = time, due, call
+
+    def start(self) -> None:
+        pass
+
+    def cancel(self) -> None:
+        if self in self.time.set:
+            self.time.set.remove(self)
+
+
+@pytest.fixture
+def recorded() -> Iterator[Recorded]:
+    """What the process captures into for the time of a test."""
+    recorded = Recorded()
+    TRACE.capture_into(recorded)  # type: ignore[arg-type]  # of a recorder, the part for lines
+    yield recorded
+    TRACE.capture_into(None)
+    assert not TRACE.undecided
+
+
+@pytest.mark.parametrize("is_server", [False, True])
+def test_a_frame_of_unknown_length_is_recorded_when_the_other_side_begins(recorded: Recorded, is_server: bool) -> None:
+    clock = FakeTime()
+    trace = LineTrace("rtu", "x", is_server=is_server, clock=clock, make_timer=clock.timer)
+    ours, theirs = (trace.received, trace.sent) if is_server else (trace.sent, trace.received)
+    for _ in range(3):  # the clock stands: no silence between them
+        ours(encode_rtu(1, UNKNOWN))
+        theirs(encode_rtu(1, b"\xe4\x01"))
+        ours(encode_rtu(1, REQUEST))
+        theirs(encode_rtu(1, REPLY))
+    TRACE.settle()
+    there, back = ("<", ">") if is_server else (">", "<")
+    assert recorded.pdus == [(there, UNKNOWN), (back, b"\xe4\x01"), (there, REQUEST), (back, REPLY)] * 3
+    sent = [
+        found.direction
+        for is_outgoing, found in recorded.heard_frames
+        if is_outgoing and not isinstance(found, Damaged)
+    ]
+    assert set(sent) == {Direction.REPLY if is_server else Direction.REQUEST}
+
+
+@pytest.mark.parametrize("piece", [encode_rtu(1, UNKNOWN), encode_rtu(1, REQUEST)[:-1], b"\x01", b"noise"])
+def test_silence_ends_what_was_received(recorded: Recorded, piece: bytes) -> None:
+    clock = FakeTime()
+    trace = LineTrace("rtu", "x", is_server=True, clock=clock, make_timer=clock.timer)
+    trace.received(piece)
+    assert recorded.pdus == []
+    for _ in range(10):
+        clock.advance(0.02)
+    assert len(recorded.pdus) == 1
+    assert not clock.set
+    assert not TRACE.undecided
+
+
+def test_a_frame_in_two_pieces_is_one_frame(recorded: Recorded) -> None:
+    clock = FakeTime()
+    trace = LineTrace("rtu", "x", is_server=True, clock=clock, make_timer=clock.timer)
+    frame = encode_rtu(1, REQUEST)
+    trace.received(frame[:3])
+    clock.advance(0.03)
+    trace.received(frame[3:])
+    assert recorded.pdus == [("<", REQUEST)]
+    clock.advance(1.0)
+    assert not clock.set
+
+
+def test_all_is_in_the_file_when_it_is_closed() -> None:
+    file = io.BytesIO()
+    capture = Capture(file)
+    TRACE.capture_into(capture)
+    try:
+        clock = FakeTime()
+        trace = LineTrace("rtu", "x", is_server=True, clock=clock, make_timer=clock.timer)
+        trace.received(encode_rtu(1, UNKNOWN))
+        assert capture.packets == 0
+        capture.close()
+        assert capture.packets == 1
+    finally:
+        TRACE.capture_into(None)
+
+
+@pytest.mark.real_time
+async def test_silence_ends_a_frame_without_anybody_who_asks() -> None:
+    file = io.BytesIO()
+    capture = Capture(file)
+    TRACE.capture_into(capture)
+    try:
+        trace = LineTrace("rtu", "x", is_server=True)
+        trace.received(encode_rtu(1, UNKNOWN))
+        await until(lambda: capture.packets == 1)
+    finally:
+        TRACE.capture_into(None)
+    assert [kind for kind, _ in blocks(file.getvalue())].count(6) == 1

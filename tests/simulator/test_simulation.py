@@ -418,16 +418,14 @@ async def test_values_are_kept_over_a_restart_and_go_on_where_they_were(tmp_path
     "content",
     [
         "",
-        "{",
-        "[]",
-        "null",
+        '{"kind": "busway simulation state"',
         '{"kind": "busway simulation state", "version": 2, "time": 1, "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": -1, "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": "x", "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": 1, "points": {"1/mode": 5}}',
         '{"kind": "busway simulation state", "version": 1, "time": 1, "points": []}',
-        "[" * 100_000,
-        "\xff\xfe",
+        '{"kind": "busway simulation state", "points": ' + "[" * 100_000,
+        '{"kind": "busway simulation state", \xff\xfe',
     ],
 )
 def test_a_state_that_means_nothing_is_put_aside_and_all_begins_anew(content: str, tmp_path: Path) -> None:
@@ -467,4 +465,28 @@ def test_a_state_that_can_not_be_written_is_said_and_stops_nothing(
     (tmp_path / "state.json").mkdir()
     with caplog.at_level(logging.WARNING, "busway.simulator"):
         simulation.keep()
-    assert "the values can not be kept" in caplog.text
+    assert "it is a directory, and a regular file is needed" in caplog.text
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "null", "[" * 100_000, "\xff\xfe", "# notes of somebody"])
+def test_a_file_that_is_no_state_is_refused_and_stays_as_it_is(content: str, tmp_path: Path) -> None:
+    file = kept(tmp_path)
+    state = tmp_path / "state.json"
+    state.write_bytes(content.encode("latin-1"))
+    with pytest.raises(ConfigError, match="is no state of a simulation, so it is not overwritten"):
+        Simulation(file)
+    assert state.read_bytes() == content.encode("latin-1")
+    assert not (tmp_path / "state.json.broken").exists()
+
+
+def test_a_file_that_takes_the_place_of_the_state_meanwhile_is_not_overwritten(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = kept(tmp_path)
+    simulation = Simulation(file)
+    state = tmp_path / "state.json"
+    state.write_text("# notes of somebody")
+    with caplog.at_level(logging.WARNING, "busway.simulator"):
+        simulation.keep()
+    assert state.read_text() == "# notes of somebody"
+    assert "is no state of a simulation" in caplog.text

@@ -1,5 +1,7 @@
 """The file of kept values: whole or as it was, and put aside where it means nothing."""
 
+import os
+import stat
 from pathlib import Path
 
 import pytest
@@ -54,5 +56,53 @@ def test_half_a_file_is_put_aside_and_said(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can not be read"):
+    with pytest.raises(ConfigError, match="it is a directory"):
         load_state(str(tmp_path))
+
+
+def test_a_state_is_for_its_owner_alone_whatever_the_umask_says(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    before = os.umask(0o000)
+    try:
+        save_state(str(path), STATE)
+        save_state(str(path), STATE)
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def strangers_link(link: Path, target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link that belongs neither to root nor to the user of this process."""
+    link.symlink_to(target)
+    if os.geteuid() == 0:
+        os.lchown(link, 12_345, 12_345)
+    else:
+        monkeypatch.setattr("os.geteuid", lambda: 12_345)
+
+
+def test_a_state_is_not_written_through_a_link_of_another_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, link = tmp_path / "precious", tmp_path / "state.json"
+    strangers_link(link, target, monkeypatch)
+    with pytest.raises(ConfigError, match="of another user"):
+        save_state(str(link), STATE)
+    assert not target.exists()
+    save_state(str(target), STATE)
+    with pytest.raises(ConfigError, match="of another user"):
+        load_state(str(link))
+
+
+def test_a_link_of_ones_own_is_followed_and_stays(tmp_path: Path) -> None:
+    target, link = tmp_path / "kept.json", tmp_path / "state.json"
+    link.symlink_to(target)
+    save_state(str(link), STATE)
+    assert link.is_symlink()
+    assert load_state(str(target)) == load_state(str(link)) == STATE
+
+
+def test_a_link_that_waits_where_the_new_file_is_made_is_not_followed(tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    (tmp_path / f"state.json.{os.getpid()}.new").symlink_to(precious)
+    save_state(str(tmp_path / "state.json"), STATE)
+    assert precious.read_text() == "precious"
+    assert load_state(str(tmp_path / "state.json")) == STATE

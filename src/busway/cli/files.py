@@ -4,9 +4,9 @@ Knows paths; what a file means is known where its schema stands (`busway.config.
 """
 
 import contextlib
+import os
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from ..assembly.reading import read_text
 from ..errors import ConfigError
@@ -14,14 +14,25 @@ from ..errors import ConfigError
 if TYPE_CHECKING:
     from ..observe.capture import Capture
 
+PRIVATE: Final = 0o600
+"""Rights of a file that shows what passes between devices: its owner may read and write it, nobody else."""
+
 
 def open_capture(name: str) -> "Capture":
-    """A new capture file, which takes the place of an old one. Raises `ConfigError` that names the file."""
-    from ..observe.capture import Capture
+    """A new capture file for its owner alone (0600), which takes the place of an old one.
 
+    Raises:
+        ConfigError: it cannot be written, is reached by a link of another user, or holds something else; names it.
+    """
+    from ..config.safe_files import open_to_replace
+    from ..observe.capture import Capture, is_capture
+
+    stream = os.fdopen(open_to_replace(name, is_ours=is_capture, kind="capture of busway", mode=PRIVATE), "wb")
     try:
-        return Capture(Path(name).open("wb"))
+        return Capture(stream)
     except (OSError, ValueError) as error:
+        with contextlib.suppress(OSError):
+            stream.close()
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=name) from error
 

@@ -13,6 +13,7 @@ Knows what Wireshark makes of each kind of packet; knows no driver. A driver han
 4. Damaged bytes are packets too; their comment says what is wrong with them.
 5. Capturing never disturbs the conversation: where the file can not be written any more, it ends there, is said once
    in the log, and everything else goes on.
+6. A packet is in the file as soon as it is known: of a line, as soon as silence ends it. At `close` all are there.
 """
 
 import logging
@@ -27,7 +28,8 @@ from ..framing.received import Damaged, Direction, Received
 from ..framing.rtu import encode_rtu
 from .ends import Ends
 from .headers import Node, line_pdu, tcp_packet, udp_packet
-from .pcapng import Flow, LinkType, PcapngWriter
+from .pcapng import SECTION_HEADER, Flow, LinkType, PcapngWriter
+from .trace import TRACE
 from .wording import described, in_words
 
 _log = logging.getLogger("busway.capture")
@@ -39,11 +41,17 @@ _UNIT_PORT: Final = 1
 """No Modbus server is there in earnest, so that the preference for lines takes nothing away from TCP."""
 _SHORTEST_DISSECTED: Final = 5
 """Bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
+_MARK: Final = "Made by busway"
 _HINT: Final = (
-    "Made by busway from payloads; packet headers are synthetic. On serial lines the master is 0.0.0.0 and unit n is"
+    f"{_MARK} from payloads; packet headers are synthetic. On serial lines the master is 0.0.0.0 and unit n is"
     " 0.0.0.n, port 1. Wireshark decodes everything with the preferences mbrtu.tcp.port:1 and, for Modbus/TCP on other"
     " ports than 502, mbtcp.tcp.port:502,5020."
 )
+
+
+def is_capture(head: bytes) -> bool:
+    """Whether the first bytes of a file are those of a capture file that was made here."""
+    return head.startswith(SECTION_HEADER) and _MARK.encode("ascii") in head
 
 
 class Capture:
@@ -107,10 +115,14 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """End the file. May be called twice; what comes afterwards is not written."""
+        """End the file, with what lines have not decided yet. May be called twice; what comes afterwards is lost."""
+        TRACE.settle()
         with self._lock:
             self.failure = self.failure or "closed"
-            self._stream.close()
+            try:
+                self._stream.close()
+            except OSError as error:  # what a full disk did not take; the failure to write it was said
+                _log.debug("closing the capture file: %s", error)
 
     # What the connections and lines of this file hand in.
 

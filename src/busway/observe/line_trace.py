@@ -2,14 +2,21 @@
 
 Knows frames and messages; knows no port: a driver hands it what it received and sent. It follows the line as an
 observer does, so frames of others are shown too.
+
+1. What a driver sends are whole frames: each is shown at once, and what was received before it is decided first.
+2. What was received and is undecided (a function of unknown length, the beginning of a frame) is decided when silence
+   ends it, by a timer of its own: drivers have none for what is only watched. At the end of a capture all is decided.
 """
 
 import logging
+import threading
 import time
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, Protocol
 
 from ..framing.conversation import Role
-from ..framing.received import Damaged, Direction, Received
+from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..framing.timing import SerialTiming
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
@@ -17,6 +24,9 @@ from ..session.line_framing import line_framing
 from .trace import TRACE, StreamTrace, TraceLevel
 
 _log = logging.getLogger("busway.trace")
+
+_SOONEST: Final = 0.001
+"""Seconds that a timer takes at least, so that one that comes a little early does not turn in circles."""
 
 
 class Trace(Protocol):
@@ -32,6 +42,16 @@ class Trace(Protocol):
         """Show what the frames do not tell."""
 
 
+class Timer(Protocol):
+    """A timer that was set: `threading.Timer`."""
+
+    def start(self) -> None:
+        """Let it run."""
+
+    def cancel(self) -> None:
+        """Let it not call any more."""
+
+
 def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> Trace:
     """The trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
 
@@ -39,38 +59,119 @@ def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = Non
     """
     if framing == "mbap":
         return StreamTrace(name, is_server=is_server, carrier=carrier)
-    return LineTrace(framing, name)
+    return LineTrace(framing, name, is_server=is_server)
+
+
+def _timer(delay: float, call: Callable[[], None]) -> Timer:
+    timer = threading.Timer(delay, call)
+    timer.daemon = True  # nobody waits for it at the end of the program
+    return timer
 
 
 class LineTrace:
-    """Shows one line."""
+    """Shows one line. Its methods may be called from several threads."""
 
-    __slots__ = ("_capture", "_functions", "_name", "_receiver")
+    __slots__ = (
+        "__weakref__",
+        "_capture",
+        "_clock",
+        "_functions",
+        "_lock",
+        "_make_timer",
+        "_name",
+        "_receiver",
+        "_sends",
+        "_timer",
+    )
 
-    def __init__(self, framing: str, name: str, functions: FunctionTable = STANDARD) -> None:
+    def __init__(
+        self,
+        framing: str,
+        name: str,
+        functions: FunctionTable = STANDARD,
+        *,
+        is_server: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        make_timer: Callable[[float, Callable[[], None]], Timer] = _timer,
+    ) -> None:
+        """A line of which nothing was seen yet.
+
+        Args:
+            framing: ``rtu`` or ``ascii``.
+            name: what the line is called.
+            functions: the functions whose lengths are known.
+            is_server: whether replies are sent here, and not requests.
+            clock: seconds, monotonic.
+            make_timer: makes what calls a function after so many seconds.
+        """
         self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
         self._name = name
         self._functions = functions
         self._receiver = line_framing(framing, Role.OBSERVER, SerialTiming.of_network(), functions=functions).receiver
+        self._sends = Direction.REPLY if is_server else Direction.REQUEST
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._make_timer = make_timer
+        self._timer: Timer | None = None
 
     def received(self, data: bytes) -> None:
-        """Show what came in."""
-        self._take("<", data)
+        """Show what came in, as far as it is decided."""
+        with self._lock:
+            now = self._heard("<", data)
+            self._take("<", self._receiver.receive(data, now), now)
+            self._wait(now)
 
     def sent(self, data: bytes) -> None:
-        """Show what went out."""
-        self._take(">", data)
+        """Show what went out: one frame or several, all of them whole."""
+        with self._lock:
+            self.settle()
+            now = self._heard(">", data)
+            found = [*self._receiver.receive(data, now), *self._receiver.flush(now)]
+            self._take(">", found, now)
 
     def note(self, text: str) -> None:
         """Show what the frames do not tell."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 
-    def _take(self, arrow: str, data: bytes) -> None:
+    def tick(self) -> None:
+        """Show what the silence until now has ended."""
+        with self._lock:
+            self._timer = None
+            now = self._clock()
+            self._take("<", self._receiver.tick(now), now)
+            self._wait(now)
+
+    def settle(self) -> None:
+        """Decide about all that was received, as a long silence would."""
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+            TRACE.undecided.discard(self)
+            now = self._clock()
+            self._take("<", self._receiver.flush(now), now)
+
+    def _heard(self, arrow: str, data: bytes) -> float:
         if TRACE.level >= TraceLevel.BYTES:
             _log.debug("%s %s %d bytes: %s", self._name, arrow, len(data), data.hex(" "))
-        now = time.monotonic()
-        for found in self._receiver.receive(data, now):
+        return self._clock()
+
+    def _wait(self, now: float) -> None:
+        """Come back when silence will have decided."""
+        due = self._receiver.deadline()
+        if due is None:
+            TRACE.undecided.discard(self)
+            return
+        TRACE.undecided.add(self)
+        if self._timer is None:  # one that comes too early sets the next
+            self._timer = self._make_timer(max(due - now, _SOONEST), self.tick)
+            self._timer.start()
+
+    def _take(self, arrow: str, all_found: list[Received], now: float) -> None:
+        for found in all_found:
+            if arrow == ">" and isinstance(found, SerialFrame):
+                found = replace(found, direction=self._sends)
             if self._capture is not None:
                 self._capture.heard(found, at=time.time() - (now - found.began), is_outgoing=arrow == ">")
             if TRACE.level >= TraceLevel.MESSAGE:

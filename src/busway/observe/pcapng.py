@@ -14,6 +14,8 @@ from typing import BinaryIO, Final
 from ..version import __version__
 
 _SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
+SECTION_HEADER: Final = struct.pack("<I", _SECTION)
+"""What each file begins with."""
 _BYTE_ORDER: Final = 0x1A2B3C4D
 _UNKNOWN_LENGTH: Final = -1
 _END_OF_OPTIONS: Final = 0

@@ -61,19 +61,28 @@ class Recorder(Protocol):
         """A line by its name."""
 
 
+class Undecided(Protocol):
+    """A line on which something was received that is not decided yet."""
+
+    def settle(self) -> None:
+        """Decide about it now."""
+
+
 class Trace:
     """The switch. One for the process: `TRACE`.
 
     Attributes:
         level: how much is shown; what drivers test.
         capture: what traffic goes into, a file or else, or None.
+        undecided: lines on which something was received that silence has not ended yet.
     """
 
-    __slots__ = ("capture", "level")
+    __slots__ = ("capture", "level", "undecided")
 
     def __init__(self) -> None:
         self.level = TraceLevel.OFF
         self.capture: Recorder | None = None
+        self.undecided: set[Undecided] = set()
 
     def set(self, level: TraceLevel) -> None:
         """Show traffic from now on; the logger ``busway.trace`` must let DEBUG pass."""
@@ -85,8 +94,14 @@ class Trace:
 
     def capture_into(self, capture: Recorder | None) -> None:
         """Hand the traffic of connections that are made from now on to this file or recorder; None ends it."""
+        self.settle()
         self.capture = capture
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
+
+    def settle(self) -> None:
+        """Let what was received on lines and is undecided go into captures and log now."""
+        for line in tuple(self.undecided):
+            line.settle()
 
 
 TRACE = Trace()

@@ -34,7 +34,7 @@ from .faults.board import FaultBoard
 from .faults.reading import put_on
 from .includes import SimulationDeclaration, load_declaration
 from .simulated import SIMULATION, PointChange, SimulatedPoint, SimulatedUnit
-from .state import KeptPoint, KeptState, load_state, save_state
+from .state import KeptPoint, KeptState, check_state, load_state, save_state
 from .wiring import wire
 from .writes import watch_writes
 
@@ -457,6 +457,7 @@ class Simulation:
         path = self.declaration.state
         kept = None
         if path is not None:
+            check_state(path)  # what is no state ends the start: it would never be written
             try:
                 kept = load_state(path)
             except ConfigError as error:

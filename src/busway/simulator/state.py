@@ -3,7 +3,9 @@
 Knows the file; knows no device.
 
 1. It is written beside its place and then put there in one step: who reads it sees all of it, or the one before.
-2. A file that can not be read is put aside, never overwritten, and said; the simulation begins anew.
+2. A state that cannot be understood is put aside, never overwritten, and said; the simulation begins anew.
+3. A file that is no state is refused and stays as it is. So is one that a link of another user leads to.
+4. It is made for its owner alone (0600): it holds what clients wrote.
 """
 
 import contextlib
@@ -14,10 +16,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from ..config.safe_files import check_replaceable, read_safely
 from ..errors import ConfigError
 
 _KIND: Final = "busway simulation state"
 _VERSION: Final = 1
+_RIGHTS: Final = 0o600
+_LARGEST: Final = 256 << 20
+"""Bytes of a state: a hundred thousand units have 100 MB."""
 ASIDE: Final = ".broken"
 """What is appended to the name of a file that could not be read."""
 
@@ -61,36 +67,49 @@ def save_state(path: str, state: KeptState) -> None:
             for key, point in state.points.items()
         },
     }
-    fresh = Path(f"{path}.{os.getpid()}.new")
+    place = check_state(path)
+    fresh = Path(f"{place}.{os.getpid()}.new")
     try:
-        with fresh.open("w", encoding="utf-8") as file:
+        fresh.unlink(missing_ok=True)  # of a process of the same number that was killed
+        handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _RIGHTS)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
             json.dump(document, file, ensure_ascii=False, indent=1)
             file.flush()
             os.fsync(file.fileno())
-        fresh.replace(path)
+        fresh.replace(place)
     except OSError as error:
         with contextlib.suppress(OSError):
             fresh.unlink()
         raise ConfigError(f"the values can not be kept: {error.strerror or error}", file=path) from error
 
 
+def check_state(path: str) -> str:
+    """The path without links of a state, or of a file that is not there yet.
+
+    Raises:
+        ConfigError: it is no regular file, is no state, or is reached by a link of another user; it stays as it is.
+    """
+    return check_replaceable(
+        path, is_ours=lambda head: f'"{_KIND}"'.encode("ascii") in head, kind="state of a simulation"
+    )
+
+
 def load_state(path: str) -> KeptState | None:
     """The state in a file; None where there is no file.
 
     Raises:
-        ConfigError: it is there and means nothing; it now stands beside, with ``.broken`` after its name.
+        ConfigError: it is there and means nothing; it now stands beside, with ``.broken`` after its name. Or as of
+            `check_state`.
     """
-    try:
-        data = Path(path).read_bytes()
-    except FileNotFoundError:
+    place = check_state(path)
+    if not os.path.lexists(place):
         return None
-    except OSError as error:
-        raise ConfigError(f"the values that were kept can not be read: {error.strerror or error}", file=path) from error
+    data = read_safely(place, most=_LARGEST)
     try:
         return _state(json.loads(data))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         with contextlib.suppress(OSError):
-            Path(path).replace(f"{path}{ASIDE}")
+            Path(place).replace(f"{path}{ASIDE}")
         raise ConfigError(
             f"the values that were kept can not be understood, and stand in {path}{ASIDE} now", file=path
         ) from error
