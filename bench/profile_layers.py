@@ -28,7 +28,7 @@ import busway
 from busway.server.local import LocalHandler
 from busway.session.client import TcpClientSession
 from busway.session.demand import Demand
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.parameters import ClientParameters
 from busway.session.server import TcpServerSession, TransactionSlots
@@ -102,7 +102,7 @@ def server_steps() -> dict[str, Step]:
         # A handler each: its connections share what they remember, and there is no more room once the plans are full.
         own = LocalHandler({1: scripts.device()})
         made = TcpServerSession(
-            own, diagnostics=CommunicationState(), slots=TransactionSlots(16), deliver=_nothing, peer="127.0.0.1:1"
+            own, diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=_nothing, peer="127.0.0.1:1"
         )
         for one in first:
             made.receive(one, len(one))

@@ -25,7 +25,7 @@ from busway.server.pools import Pool, PoolLimits, Pools
 from busway.server.rates import Rates
 from busway.session.client import TcpClientSession
 from busway.session.demand import Demand
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.parameters import ClientParameters
 from busway.session.server import TcpServerSession, TransactionSlots
@@ -51,7 +51,7 @@ def test_the_client_alone_makes_bytes_of_demands_and_confirmations_of_bytes() ->
 def test_the_server_alone_makes_answers_of_indications() -> None:
     server = TcpServerSession(
         ScriptedHandler(lambda context, request: ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008"))),
-        diagnostics=CommunicationState(),
+        diagnostics=LineDiagnostics(),
         slots=TransactionSlots(1),
         deliver=lambda adu: None,
     )
@@ -125,7 +125,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
     slots = TransactionSlots(1)
     waiting = ScriptedHandler(lambda context, request: busway.LATER)
     first, second = (
-        TcpServerSession(waiting, diagnostics=CommunicationState(), slots=slots, deliver=lambda adu: None)
+        TcpServerSession(waiting, diagnostics=LineDiagnostics(), slots=slots, deliver=lambda adu: None)
         for _ in range(2)
     )
     assert first.receive(QUESTION, len(QUESTION)) == []

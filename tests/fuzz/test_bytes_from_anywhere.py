@@ -21,7 +21,7 @@ from busway.pdu.message import Message
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.server import TcpServerSession, TransactionSlots
 
 PDUS = st.one_of(
@@ -104,7 +104,7 @@ def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
     late: list[bytes] = []
     session = TcpServerSession(
         LocalHandler({1: device}),
-        diagnostics=CommunicationState(changes_allowed=True),
+        diagnostics=LineDiagnostics(changes_allowed=True),
         slots=TransactionSlots(4),
         deliver=late.append,
     )
@@ -153,7 +153,7 @@ MATERIAL = {
 def server(stream: bytes, cut: int) -> None:
     session = TcpServerSession(
         LocalHandler({1: Device(holding_registers=100)}),
-        diagnostics=CommunicationState(),
+        diagnostics=LineDiagnostics(),
         slots=TransactionSlots(4),
         deliver=lambda adu: None,
     )

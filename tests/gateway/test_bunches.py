@@ -22,7 +22,7 @@ from busway.pdu.read_items import ReadRegisters
 from busway.server.policy.handler import PolicyHandler
 from busway.session.client import TcpClientSession
 from busway.session.demand import Demand
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ReadForwarder
 from busway.session.handler import Outcome, RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
@@ -144,7 +144,7 @@ class Client:
 
     def __init__(self, handler: Any, name: str, *, slots: int = 16) -> None:
         self.slots = TransactionSlots(slots)
-        self.diagnostics = CommunicationState()
+        self.diagnostics = LineDiagnostics()
         self.writes: list[list[bytes]] = []
         self.session = TcpServerSession(
             handler,
@@ -341,7 +341,7 @@ def test_what_comes_together_goes_behind_in_one_segment_and_comes_back_in_one() 
 def test_what_waits_for_its_answer_has_been_counted_as_received_and_the_log_says_when_what_was(bunches: bool) -> None:
     plant = Plant(bunches=bunches)
     client = plant.client("client")
-    state = client.diagnostics
+    state = client.diagnostics.of(1)
     for _ in range(2):
         state.restart(clear_log=True)
         client.ask(read(0), read(SIZE), read(1))
@@ -586,7 +586,7 @@ def test_a_muted_front_answers_nothing_and_asks_nothing() -> None:
     client.ask(read(0))
     plant.link.answer()
     client.got()
-    client.diagnostics.listen_only = True
+    client.diagnostics.listen_only_units.add(1)
     client.ask(read(0))
     assert (client.got(), plant.link.asked) == ({}, [])
 

@@ -15,7 +15,7 @@ from busway.pdu.message import Message, ReplyMessage, Request
 from busway.pdu.model import Context, DataModel
 from busway.server.device import Device
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.server import TcpServerSession, TransactionSlots
 
 
@@ -55,7 +55,7 @@ def exchange(request: Request, functions: FunctionTable = STANDARD) -> Message |
     late: list[bytes] = []
     server = TcpServerSession(
         LocalHandler({1: device()}, functions=functions),
-        diagnostics=CommunicationState(changes_allowed=True),
+        diagnostics=LineDiagnostics(changes_allowed=True),
         slots=TransactionSlots(1),
         deliver=late.append,
     )

@@ -1,10 +1,13 @@
-"""Counters, event log, listen-only mode and restart of a line or listener."""
+"""Counters, event log, listen-only mode and restart of the units of a line or listener."""
+
+from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from busway.codes import DiagnosticCode
 from busway.pdu.model import Refusal
-from busway.session.diagnostics import EVENT_LOG_SIZE, CommunicationState, Counters
+from busway.session.diagnostics import EVENT_LOG_SIZE, CommunicationState, Counters, Heard, LineDiagnostics
 
 COUNTERS = {
     0x0B: "bus_message_count",
@@ -20,7 +23,7 @@ CHANGES = (0x01, 0x03, 0x04, 0x0A, 0x14)
 
 
 def state(*, changes_allowed: bool = True) -> CommunicationState:
-    return CommunicationState(changes_allowed=changes_allowed)
+    return LineDiagnostics(changes_allowed=changes_allowed).of(1)
 
 
 def log(one: CommunicationState) -> bytes:
@@ -45,7 +48,7 @@ def test_a_message_for_this_server_is_a_bus_message_and_a_server_message() -> No
 @pytest.mark.clause("S16")
 def test_a_message_for_another_unit_is_a_bus_message_only() -> None:
     one = state()
-    one.received_foreign()
+    one.line.received_foreign()
     assert counters(one) == {"bus_message_count": 1}
     assert log(one) == b""
 
@@ -53,8 +56,8 @@ def test_a_message_for_another_unit_is_a_bus_message_only() -> None:
 @pytest.mark.clause("S16")
 def test_a_damaged_frame_is_a_communication_error_and_an_overrun_is_counted_too() -> None:
     one = state()
-    one.received_damaged()
-    one.received_damaged(overrun=True)
+    one.line.received_damaged()
+    one.line.received_damaged(overrun=True)
     assert counters(one) == {"bus_communication_error_count": 2, "bus_character_overrun_count": 1}
     assert log(one) == b"\x92\x82"
 
@@ -78,10 +81,10 @@ def test_an_exception_is_counted_by_its_kind_and_is_no_event(exception: int, cou
 @pytest.mark.clause("S16")
 def test_what_gets_no_answer_is_counted() -> None:
     one = state()
-    one.received(broadcast=True)
+    one.line.received_broadcast([1])
     one.kept_silent()
     assert counters(one) == {"bus_message_count": 1, "server_message_count": 1, "server_no_response_count": 1}
-    assert log(one) == b"\xc0"
+    assert log(one) == b"\x40\xc0"
 
 
 @pytest.mark.clause("S16")
@@ -91,7 +94,7 @@ def test_exchanges_that_are_added_in_passing_count_like_single_ones() -> None:
         for one in (summed, single):
             one.received()
             one.answered(exception=2)
-        summed.exchanged += number
+        summed.line.exchanged[1] += number
         for _ in range(number):
             single.received()
             single.answered()
@@ -108,7 +111,10 @@ def test_exchanges_that_are_added_in_passing_count_like_single_ones() -> None:
 @pytest.mark.parametrize(("sub_code", "name"), COUNTERS.items())
 def test_each_counter_is_read_by_its_sub_function_on_16_bits(sub_code: int, name: str) -> None:
     one = state()
-    setattr(one.counters, name, 0x1_2345)
+    if name in {"bus_message_count", "bus_communication_error_count", "bus_character_overrun_count"}:
+        one.line.heard = Heard(0x1_2345, 0x1_2345, 0x1_2345)
+    else:
+        setattr(one.own, name, 0x1_2345)
     assert one.diagnose(sub_code, b"\x00\x00") == b"\x23\x45"
     assert getattr(one.counters, name) == 0x1_2345, "a status shows the true number"
 
@@ -126,8 +132,8 @@ def test_a_query_comes_back_and_the_diagnostic_register_is_what_the_application_
 def test_0a_clears_counters_counts_and_the_diagnostic_register_and_keeps_the_log() -> None:
     one = state()
     one.diagnostic_register = 7
-    one.exchanged += 3
-    one.received_damaged()
+    one.line.exchanged[1] += 3
+    one.line.received_damaged()
     assert one.diagnose(0x0A, b"\x00\x00") == b"\x00\x00"
     assert one.counters == Counters()
     assert (one.event_count, one.message_count, one.diagnostic_register) == (0, 0, 0)
@@ -137,7 +143,7 @@ def test_0a_clears_counters_counts_and_the_diagnostic_register_and_keeps_the_log
 @pytest.mark.clause("S17")
 def test_14_clears_the_overrun_counter_alone() -> None:
     one = state()
-    one.received_damaged(overrun=True)
+    one.line.received_damaged(overrun=True)
     one.diagnose(0x14, b"\x00\x00")
     assert counters(one) == {"bus_communication_error_count": 1}
 
@@ -145,9 +151,9 @@ def test_14_clears_the_overrun_counter_alone() -> None:
 @pytest.mark.clause("S12")
 def test_03_changes_the_delimiter() -> None:
     one = state()
-    assert one.ascii_delimiter == 0x0A
+    assert one.line.ascii_delimiter == 0x0A
     assert one.diagnose(0x03, b"\x3b\x00") == b"\x3b\x00"
-    assert one.ascii_delimiter == 0x3B
+    assert one.line.ascii_delimiter == 0x3B
 
 
 @pytest.mark.clause("S17")
@@ -158,7 +164,7 @@ def test_what_changes_the_listener_is_refused_where_it_is_not_allowed(sub_code: 
     with pytest.raises(Refusal) as caught:
         one.diagnose(sub_code, b"\x00\x00")
     assert caught.value.code == 1
-    assert (one.listen_only, one.ascii_delimiter) == (False, 0x0A)
+    assert (one.listen_only, one.line.ascii_delimiter) == (False, 0x0A)
     assert counters(one)
 
 
@@ -178,7 +184,7 @@ def test_a_sub_function_that_does_not_exist_is_refused(sub_code: int) -> None:
 @pytest.mark.parametrize(("data", "kept"), [(b"\x00\x00", b"\x40\x80\x40\x80"), (b"\xff\x00", b"")])
 def test_a_restart_comes_after_its_answer_and_ff00_also_clears_the_log(data: bytes, kept: bytes) -> None:
     one = state()
-    one.exchanged += 1
+    one.line.exchanged[1] += 1
     one.received()
     assert one.diagnose(0x01, data) == data
     assert one.message_count == 2, "not before the answer"
@@ -200,13 +206,13 @@ def test_listen_only_mode_is_entered_and_left_without_an_answer() -> None:
     one.diagnose(0x04, b"\x00\x00")
     one.kept_silent()
     assert one.listen_only
-    assert log(one) == b"\x04\x80"
+    assert log(one) == b"\x60\x04\x80"
     one.received()
     assert log(one)[:1] == b"\xa0", "received in listen-only mode"
     one.diagnose(0x01, b"\x00\x00")
     one.kept_silent()
     assert not one.listen_only
-    assert log(one)[:1] == b"\x00"
+    assert log(one)[:3] == b"\x00\x60\xa0"
     assert one.counters == Counters()
 
 
@@ -219,7 +225,7 @@ def test_in_listen_only_mode_only_a_restart_is_processed() -> None:
         with pytest.raises(Refusal):
             one.diagnose(sub_code, b"\x3b\x00")
     assert counters(one)
-    assert one.ascii_delimiter == 0x0A
+    assert one.line.ascii_delimiter == 0x0A
 
 
 # Functions 11 and 12.
@@ -261,3 +267,170 @@ def test_the_log_holds_the_64_newest_events_newest_first() -> None:
     one.answered(exception=7)
     assert len(log(one)) == EVENT_LOG_SIZE == 64
     assert log(one)[:3] == b"\x48\x40\x80"
+
+
+# Each bit of the event bytes, as §6.10 has them: what happens → the bytes, the newest first.
+
+READ_EXCEPTION, ABORT, BUSY, NAK, LISTEN_ONLY_SENT = 0x01, 0x02, 0x04, 0x08, 0x20
+COMMUNICATION_ERROR, OVERRUN, LISTEN_ONLY_RECEIVED, BROADCAST = 0x02, 0x10, 0x20, 0x40
+RECEIVE, SEND = 0x80, 0x40
+
+
+def _request(one: CommunicationState) -> None:
+    one.received()
+
+
+def _answer(exception: int | None) -> Callable[[CommunicationState], None]:
+    return lambda one: one.answered(exception=exception)
+
+
+def _silence(one: CommunicationState) -> None:
+    one.kept_silent()
+
+
+def _broadcast(one: CommunicationState) -> None:
+    one.line.received_broadcast([1])
+
+
+def _damage(*, overrun: bool) -> Callable[[CommunicationState], None]:
+    return lambda one: one.line.received_damaged(overrun=overrun)
+
+
+def _mute(one: CommunicationState) -> None:
+    one.received()
+    one.diagnose(0x04, b"\x00\x00")
+    one.kept_silent()
+
+
+def _restart(data: bytes) -> Callable[[CommunicationState], None]:
+    def ask(one: CommunicationState) -> None:
+        muted = one.listen_only
+        one.received()
+        one.diagnose(0x01, data)
+        one.kept_silent() if muted else one.answered()
+
+    return ask
+
+
+MUTED = [SEND | LISTEN_ONLY_SENT, 0x04, RECEIVE]
+EVENT_BYTES = {
+    "receive, bit 7: a query message is received": ([_request], [RECEIVE]),
+    "receive, bit 1: communication error": ([_damage(overrun=False)], [RECEIVE | COMMUNICATION_ERROR]),
+    "receive, bit 4: character overrun": ([_damage(overrun=True)], [RECEIVE | COMMUNICATION_ERROR | OVERRUN]),
+    "receive, bit 5: currently in listen only mode": ([_mute, _request], [RECEIVE | LISTEN_ONLY_RECEIVED, *MUTED]),
+    "receive, bit 5, of a damaged one": (
+        [_mute, _damage(overrun=False)],
+        [RECEIVE | COMMUNICATION_ERROR | LISTEN_ONLY_RECEIVED, *MUTED],
+    ),
+    "receive, bit 6: broadcast received": ([_broadcast], [RECEIVE | BROADCAST]),
+    "receive, bits 5 and 6": ([_mute, _broadcast], [RECEIVE | BROADCAST | LISTEN_ONLY_RECEIVED, *MUTED]),
+    "send, bit 6: a normal response": ([_request, _answer(None)], [SEND, RECEIVE]),
+    "send, bit 6: no response": ([_request, _silence], [SEND, RECEIVE]),
+    "send, bit 6: no response to a broadcast": ([_broadcast, _silence], [SEND, RECEIVE | BROADCAST]),
+    **{f"send, bit 0: exception {code}": ([_answer(code)], [SEND | READ_EXCEPTION]) for code in (1, 2, 3)},
+    "send, bit 1: server abort exception, 4": ([_answer(4)], [SEND | ABORT]),
+    **{f"send, bit 2: server busy exception, {code}": ([_answer(code)], [SEND | BUSY]) for code in (5, 6)},
+    "send, bit 3: server program NAK exception, 7": ([_answer(7)], [SEND | NAK]),
+    **{f"send, no bit: exception {code}": ([_answer(code)], [SEND]) for code in (8, 10, 11)},
+    "send, bit 5: currently in listen only mode": (
+        [_mute, _request, _silence],
+        [SEND | LISTEN_ONLY_SENT, RECEIVE | LISTEN_ONLY_RECEIVED, *MUTED],
+    ),
+    "entered listen only mode": ([_mute], MUTED),
+    "restart, the log goes on": ([_request, _silence, _restart(b"\x00\x00")], [0x00, SEND, RECEIVE, SEND, RECEIVE]),
+    "restart, the rest of the log is cleared": ([_request, _silence, _restart(b"\xff\x00")], [0x00]),
+    "restart in listen only mode": (
+        [_mute, _restart(b"\x00\x00")],
+        [0x00, SEND | LISTEN_ONLY_SENT, RECEIVE | LISTEN_ONLY_RECEIVED, *MUTED],
+    ),
+}
+
+
+@pytest.mark.clause("A23")
+@pytest.mark.parametrize(("steps", "expected"), EVENT_BYTES.values(), ids=EVENT_BYTES.keys())
+def test_event_bytes_are_those_of_the_specification(
+    steps: list[Callable[[CommunicationState], None]], expected: list[int]
+) -> None:
+    one = state()
+    for step in steps:
+        step(one)
+    assert log(one).hex(" ") == bytes(expected).hex(" ")
+
+
+@pytest.mark.clause("A23")
+def test_message_count_of_function_12_is_the_bus_message_count_of_08_0b() -> None:
+    one = state()
+    one.received()
+    one.answered(exception=2)
+    one.line.received_foreign()
+    one.line.received_broadcast([1])
+    one.kept_silent(executed=True)
+    one.line.received_damaged()
+    one.line.exchanged[1] += 2
+    assert one.event_log()[2] == int.from_bytes(one.diagnose(0x0B, b"\x00\x00"), "big") == 5
+    assert one.event_log()[1] == one.event_counter()[1] == 3, "the successful ones"
+    one.diagnose(0x0A, b"\x00\x00")
+    assert one.event_log()[:3] == (0, 0, 0)
+
+
+# Units of one line.
+
+
+@pytest.mark.clause("S16")
+def test_each_unit_of_a_line_counts_what_is_for_it_and_all_hear_the_same() -> None:
+    line = LineDiagnostics(changes_allowed=True)
+    one, other = line.of(1), line.of(3)
+    one.received()
+    one.answered(exception=6)
+    line.received_damaged(overrun=True)
+    line.received_foreign()
+    assert one.counters == Counters(2, 1, 0, 1, 0, 0, 1, 1)
+    assert other.counters == Counters(2, 1, 0, 0, 0, 0, 0, 1)
+    assert line.counters == Counters(2, 1, 0, 1, 0, 0, 1, 1), "what is heard is not summed up"
+    assert log(one) == b"\x92\x44\x80"
+    assert log(other) == log(line.of(9)) == b"\x92", "a unit that nothing was sent to has heard it too"
+    assert line.of(9).counters == other.counters
+
+
+@pytest.mark.clause("S16")
+@pytest.mark.clause("S17")
+@pytest.mark.parametrize("sub_code", [0x01, 0x0A, 0x14])
+def test_restart_and_clear_concern_the_unit_addressed(sub_code: int) -> None:
+    line = LineDiagnostics(changes_allowed=True)
+    for unit in (1, 3):
+        line.of(unit).received()
+        line.of(unit).answered(exception=2)
+    line.received_damaged(overrun=True)
+    before = line.of(1).counters
+    line.of(3).diagnose(sub_code, b"\x00\x00")
+    if sub_code == 0x01:
+        line.of(3).answered()
+    assert line.of(1).counters == before
+    cleared = replace(before, bus_character_overrun_count=0) if sub_code == 0x14 else Counters()
+    assert line.of(3).counters == cleared
+    line.received_foreign()
+    assert line.of(3).counters.bus_message_count == cleared.bus_message_count + 1
+
+
+@pytest.mark.clause("S17")
+def test_listen_only_mode_is_that_of_one_unit() -> None:
+    line = LineDiagnostics(changes_allowed=True)
+    line.of(3).received()
+    line.of(3).diagnose(0x04, b"\x00\x00")
+    line.of(3).kept_silent()
+    assert (line.of(1).listen_only, line.of(3).listen_only, line.listen_only) == (False, True, True)
+    line.of(1).received()
+    assert log(line.of(1)) == b"\x80"
+    assert line.of(1).diagnose(0x00, b"\x12\x34") == b"\x12\x34"
+    line.of(3).restart()
+    assert not line.listen_only
+
+
+@pytest.mark.clause("S16")
+def test_device_that_answers_as_several_units_has_one_state() -> None:
+    line = LineDiagnostics(listed_unit=lambda unit: 1 if unit in (0, 255) else unit)
+    assert line.of(255) is line.of(1) is line.of(0) is not line.of(2)
+    line.exchanged[255] += 2
+    line.exchanged[1] += 1
+    assert line.of(1).counters.server_message_count == line.counters.server_message_count == 3
+    assert line.event_count == 3

@@ -15,7 +15,7 @@ from busway.pdu.general import ExceptionResponse
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
 from busway.session.handler import Outcome, RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
@@ -104,7 +104,7 @@ class HandingOn(LongRoad):
 class Client:
     def __init__(self, handler: LongRoad, slots: int = 16) -> None:
         self.slots = TransactionSlots(slots)
-        self.diagnostics = CommunicationState()
+        self.diagnostics = LineDiagnostics()
         self.out: list[bytes] = []
         self.session = TcpServerSession(
             handler, diagnostics=self.diagnostics, slots=self.slots, deliver=self.out.append, peer="client"

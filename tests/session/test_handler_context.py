@@ -3,7 +3,7 @@
 from busway.codes import FunctionCode
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import LATER, Outcome, RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
 
@@ -30,7 +30,7 @@ class _Promises:
 def _session(handler: _Promises, sent: list[bytes]) -> TcpServerSession:
     return TcpServerSession(
         handler,
-        diagnostics=CommunicationState(),
+        diagnostics=LineDiagnostics(),
         slots=TransactionSlots(16),
         deliver=sent.append,  # type: ignore[arg-type]
     )

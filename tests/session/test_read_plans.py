@@ -2,6 +2,7 @@
 
 import struct
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -9,7 +10,7 @@ from busway.pdu.model import Refusal
 from busway.server.device import Device
 from busway.server.hooks import Access
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.server import TcpServerSession, TransactionSlots
 
 SIZE = 200
@@ -17,7 +18,7 @@ SIZE = 200
 
 def session_of(handler: LocalHandler) -> TcpServerSession:
     return TcpServerSession(
-        handler, diagnostics=CommunicationState(), slots=TransactionSlots(16), deliver=lambda adu: None
+        handler, diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=lambda adu: None
     )
 
 
@@ -28,6 +29,12 @@ def ask(session: TcpServerSession, *pdus: bytes, unit: int = 1) -> list[bytes]:
     for number, adu in enumerate(replies):
         assert struct.unpack(">HHHB", adu[:7]) == (number, 0, len(adu) - 6, unit)
     return [adu[7:] for adu in replies]
+
+
+def ask_units(session: TcpServerSession, *asked: tuple[int, bytes]) -> list[tuple[int, bytes]]:
+    """The same of several units: unit and PDU of each request, and of each reply."""
+    stream = b"".join(struct.pack(">HHHB", 0, 0, len(pdu) + 1, unit) + pdu for unit, pdu in asked)
+    return [(adu[6], adu[7:]) for adu in session.receive(bytearray(stream), len(stream))]
 
 
 def read(function: int, address: int, count: int) -> bytes:
@@ -76,10 +83,48 @@ def test_a_hook_that_is_added_later_ends_the_plans() -> None:
 def test_plans_count_as_exchanges() -> None:
     device = Device(holding_registers=10)
     handler = LocalHandler({1: device})
-    diagnostics = CommunicationState()
+    diagnostics = LineDiagnostics()
     session = TcpServerSession(handler, diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None)
     ask(session, *[read(3, 2, 1)] * 5)
     assert diagnostics.counters.bus_message_count == diagnostics.event_count == session.requests == 5
+
+
+@pytest.mark.clause("S16")
+def test_units_of_a_connection_count_their_own_on_every_road() -> None:
+    units = {1: Device(holding_registers=10), 3: Device(holding_registers=10, coils=8)}
+    diagnostics = LineDiagnostics(changes_allowed=True)
+    session = TcpServerSession(
+        LocalHandler(units), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+    )
+    write, longer, refused = (bytes.fromhex(one) for one in ("06 0000 0007", "10 0000 0001 02 0007", "03 0046 0001"))
+    sent = [(1, read(3, 0, 1)), (3, read(3, 0, 1)), (3, write), (3, longer), (1, refused), (3, bytes.fromhex("07"))]
+    for _ in range(3):  # the first time by the short road, then by plans
+        ask_units(session, *sent)
+        ask_units(session, *sent[:2])  # nothing but planned reads
+        ask_units(session, *sent[:1])
+    first, third = diagnostics.of(1), diagnostics.of(3)
+    assert (first.counters.server_message_count, first.counters.bus_exception_error_count) == (12, 3)
+    assert (third.counters.server_message_count, third.counters.bus_exception_error_count) == (15, 0)
+    assert (first.event_count, third.event_count) == (9, 15)
+    assert first.counters.bus_message_count == third.counters.bus_message_count == session.requests == 27
+    assert diagnostics.counters.server_message_count == 27
+    ask_units(session, (3, bytes.fromhex("08 000a 0000")))
+    assert (third.counters.bus_message_count, first.counters.bus_message_count) == (0, 28)
+
+
+@pytest.mark.clause("S17")
+def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_listener_alone() -> None:
+    units = {1: Device(holding_registers=10), 3: Device(holding_registers=10)}
+    diagnostics = LineDiagnostics(changes_allowed=True)
+    session = TcpServerSession(
+        LocalHandler(units), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+    )
+    asked = [(unit, read(3, 0, 1)) for unit in (1, 3)]
+    ask_units(session, *asked)
+    answers = ask_units(session, *asked, (3, bytes.fromhex("08 0004 0000")), *asked)
+    assert answers == [(unit, bytes.fromhex("03 02 0000")) for unit in (1, 3, 1)]
+    assert ask_units(session, *asked) == [(1, bytes.fromhex("03 02 0000"))]
+    assert ask_units(session, (3, bytes.fromhex("08 0001 0000")), *asked) == answers[:2]
 
 
 def test_a_request_of_another_unit_is_not_answered_by_a_plan() -> None:
@@ -123,12 +168,12 @@ def test_what_lies_behind_the_bytes_that_came_is_not_looked_at() -> None:
 
 
 def test_a_planned_read_gets_no_answer_from_a_listener_that_only_listens() -> None:
-    diagnostics = CommunicationState(changes_allowed=True)
+    diagnostics = LineDiagnostics(changes_allowed=True)
     handler = LocalHandler({1: Device(holding_registers=10)})
     session = TcpServerSession(handler, diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None)
     ask(session, read(3, 2, 1), read(3, 2, 1))
     assert ask(session, bytes.fromhex("08 0004 0000"), read(3, 2, 1)) == []
     assert ask(session, read(3, 2, 1)) == []
     assert diagnostics.listen_only
-    diagnostics.listen_only = False
+    diagnostics.of(1).restart()
     assert ask(session, read(3, 2, 1)) == [bytes.fromhex("03 02 0000")]

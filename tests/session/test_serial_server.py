@@ -31,6 +31,7 @@ from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
+from busway.session.diagnostics import Counters
 from busway.session.handler import LATER, SILENCE, Outcome, Refusal, RequestContext
 from busway.session.line_framing import FramingParameters
 from busway.session.parameters import ClientParameters
@@ -181,9 +182,11 @@ def test_broadcast_is_executed_by_every_unit_and_answered_by_none() -> None:
     send(bus, encode_rtu(0, WriteSingleRegister(0, 9).encode()))
     assert one.holding_registers[0] == other.holding_registers[0] == 9
     assert server.sent == []
-    counters = server.diagnostics.counters
-    assert (counters.bus_message_count, counters.server_message_count, counters.server_no_response_count) == (1, 1, 1)
-    assert counters.bus_exception_error_count == 0
+    assert server.diagnostics.counters.bus_message_count == 1
+    for unit in (1, 7):
+        own = Counters(bus_message_count=1, server_message_count=1, server_no_response_count=1)
+        assert server.diagnostics.of(unit).counters == own
+        assert server.diagnostics.of(unit).event_count == 1
 
 
 @pytest.mark.clause("S2")
@@ -196,18 +199,21 @@ def test_device_with_several_units_executes_a_broadcast_once() -> None:
     send(bus, encode_rtu(0, WriteSingleRegister(0, 9).encode()))
     assert len(written) == 2
     assert shared.holding_registers[0] == other.holding_registers[0] == 9
-    assert server.diagnostics.event_count == 1
+    # The message is every unit's; the success is that of the unit as which the device has executed it.
+    assert [server.diagnostics.of(unit).event_count for unit in (1, 2, 7, 9)] == [1, 0, 1, 0]
+    assert [server.diagnostics.of(unit).counters.server_message_count for unit in (1, 2, 7, 9)] == [1, 1, 1, 1]
     assert isinstance(master.get(9, WriteSingleRegister(0, 8)), Message)
     assert len(written) == 3
 
 
 @pytest.mark.clause("S16")
-def test_broadcast_that_fails_on_several_units_is_one_message_in_error() -> None:
+def test_broadcast_that_fails_on_some_units_is_an_error_of_theirs_alone() -> None:
     bus, _, server = pair({1: Device(holding_registers=10), 2: Device(holding_registers=5), 3: Device(coils=1)})
     send(bus, encode_rtu(0, WriteSingleRegister(7, 9).encode()))
-    counters = server.diagnostics.counters
-    assert (counters.server_message_count, counters.bus_exception_error_count) == (1, 1)
-    assert server.diagnostics.event_count == 0
+    units = [server.diagnostics.of(unit) for unit in (1, 2, 3)]
+    assert [one.counters.bus_exception_error_count for one in units] == [0, 1, 1]
+    assert [one.event_count for one in units] == [1, 0, 0]
+    assert server.diagnostics.counters.bus_message_count == 1
 
 
 @pytest.mark.clause("S2")
@@ -313,7 +319,7 @@ def test_event_counter_counts_successes_and_neither_exceptions_nor_polls_of_itse
 @pytest.mark.clause("A23")
 def test_status_is_ffff_while_a_program_command_runs() -> None:
     _, master, server = pair()
-    server.diagnostics.program_command_running = True
+    server.diagnostics.of(5).program_command_running = True
     reply = master.get(5, GetCommEventCounter())
     assert isinstance(reply, GetCommEventCounter.Reply)
     assert reply.status == 0xFFFF
@@ -328,12 +334,13 @@ def test_event_log_tells_what_happened_newest_first() -> None:
     master.get(5, READ)
     reply = master.get(5, GetCommEventLog())
     assert isinstance(reply, GetCommEventLog.Reply)
-    # this request; answer and request of the read; exception 02 and its request; broadcast; communication error
-    assert bytes(reply.events) == bytes.fromhex("80 40 80 41 80 c0 82")
+    # this request; answer and request of the read; exception 02 and its request; broadcast, done with without an
+    # answer; communication error
+    assert bytes(reply.events) == bytes.fromhex("80 40 80 41 80 40 c0 82")
     assert reply.message_count == 4
     for _ in range(40):
         master.get(5, READ)
-    assert len(server.diagnostics.event_log()[3]) == 64
+    assert len(server.diagnostics.of(5).event_log()[3]) == 64
 
 
 @pytest.mark.clause("S17")
@@ -348,7 +355,7 @@ def test_listen_only_mode_mutes_until_a_restart_that_is_not_answered_either() ->
         master.session.breakers.answered(5)
     assert server.sent == []
     assert device.holding_registers[0] == 0
-    assert server.diagnostics.event_log()[3][:3].hex(" ") == "a0 a0 a0"
+    assert server.diagnostics.of(5).event_log()[3][:6].hex(" ") == "60 a0 60 a0 60 a0"
     bus.run(1.0)
     assert isinstance(master.get(5, RestartCommunications(), timeout=0.1), Exception)
     assert server.sent == []
@@ -356,7 +363,49 @@ def test_listen_only_mode_mutes_until_a_restart_that_is_not_answered_either() ->
     bus.run(1.0)
     markers = master.session.counters.markers
     assert isinstance(master.get(5, READ), Message)
-    assert server.diagnostics.counters.bus_message_count == 1 + master.session.counters.markers - markers
+    assert server.diagnostics.of(5).counters.bus_message_count == 1 + master.session.counters.markers - markers
+
+
+@pytest.mark.clause("S16")
+@pytest.mark.clause("S17")
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_line_alone(framing: str) -> None:
+    one, other = Device(holding_registers=10), Device(holding_registers=10)
+    encode = encode_rtu if framing == "rtu" else encode_ascii
+    bus, master, server = pair({1: one, 3: other}, framing=framing)
+    send(bus, encode(3, ForceListenOnly().encode()), 0.1)
+    assert server.diagnostics.listen_only_units == {3}
+    assert isinstance(master.get(1, READ), Message)
+    send(bus, encode(3, READ.encode()), 0.1)
+    send(bus, encode(0, WriteSingleRegister(0, 9).encode()), 0.1)
+    assert (one.holding_registers[0], other.holding_registers[0]) == (9, 0), "nor does it execute a broadcast"
+    send(bus, encode(3, RestartCommunications().encode()), 0.1)
+    assert [frame[:3] for _, frame in server.sent] == [encode(1, REPLY)[:3]]
+    assert isinstance(master.get(3, READ), Message)
+    assert value_of(master.get(1, ReturnServerMessageCount())) == 3
+
+
+@pytest.mark.clause("S16")
+def test_units_of_a_line_count_what_is_theirs_and_hear_the_same() -> None:
+    bus, master, server = pair({1: Device(holding_registers=10), 3: Device(holding_registers=10)})
+    send(bus, encode_rtu(9, READ.encode())[:-1] + b"\x00")  # damaged, for everybody
+    master.get(1, READ)
+    master.get(1, ReadHoldingRegisters(70, 2))
+    send(bus, encode_rtu(0, WriteSingleRegister(0, 1).encode()))
+    master.get(3, READ)
+    first, third = server.diagnostics.of(1), server.diagnostics.of(3)
+    assert first.counters == Counters(4, 1, 1, 3, 1, 0, 0, 0)
+    assert third.counters == Counters(4, 1, 0, 2, 1, 0, 0, 0)
+    assert (first.event_count, third.event_count) == (2, 2)
+    assert first.event_log()[3].hex(" ") == "40 c0 41 80 40 80 82"
+    assert third.event_log()[3].hex(" ") == "40 80 40 c0 82"
+    assert isinstance(master.get(3, ClearCounters()), Message)
+    assert third.counters == Counters()
+    assert value_of(master.get(1, ReturnBusMessageCount())) == 6
+    assert value_of(master.get(1, ReturnBusExceptionErrorCount())) == 1
+    assert value_of(master.get(1, ReturnBusCommunicationErrorCount())) == 1
+    assert value_of(master.get(3, ReturnBusMessageCount())) == 4
+    assert value_of(master.get(3, ReturnBusCommunicationErrorCount())) == 0
 
 
 @pytest.mark.clause("S17")
@@ -365,9 +414,9 @@ def test_restart_is_answered_first_and_clears_counters_and_the_log_where_it_is_t
     _, master, server = pair()
     master.get(5, READ)
     assert isinstance(master.get(5, RestartCommunications(data)), Message)
-    assert server.diagnostics.counters.bus_message_count == 0
-    assert (len(server.diagnostics.event_log()[3]) > 1) is left
-    assert server.diagnostics.event_log()[3][0] == 0x00
+    assert server.diagnostics.of(5).counters.bus_message_count == 0
+    assert (len(server.diagnostics.of(5).event_log()[3]) > 1) is left
+    assert server.diagnostics.of(5).event_log()[3][0] == 0x00
 
 
 @pytest.mark.clause("S12")

@@ -19,7 +19,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import LATER, SILENCE, Deferral, Outcome, Refusal, RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
 
@@ -53,7 +53,7 @@ class Peer:
 
     def __init__(self, handler: Any, *, slots: TransactionSlots | None = None, changes_allowed: bool = True) -> None:
         self.slots = slots or TransactionSlots(16)
-        self.diagnostics = CommunicationState(changes_allowed=changes_allowed)
+        self.diagnostics = LineDiagnostics(changes_allowed=changes_allowed)
         self.late: list[bytes] = []
         self.session = TcpServerSession(
             handler,
@@ -411,7 +411,7 @@ def test_short_and_long_road_answer_alike_count_alike_and_leave_the_same_device(
     devices = [device(short=True), device(short=False)]
     peers = [Peer(LocalHandler({1: one})) for one in devices]
     assert peers[0].send(*pdus) == peers[1].send(*pdus)
-    first, second = (peer.diagnostics for peer in peers)
+    first, second = (peer.diagnostics.of(1) for peer in peers)
     assert first.counters == second.counters
     assert first.event_log() == second.event_log()
     assert peers[0].session.requests == peers[1].session.requests
@@ -471,13 +471,13 @@ def test_in_listen_only_mode_nothing_is_answered_by_any_road_or_for_want_of_slot
     peer = Peer(handler, slots=slots)
     short = bytes.fromhex("04 0000 0001")
     assert peer.send(short) == [b"\x04\x02\x00\x09"]
-    peer.diagnostics.listen_only = True
+    peer.diagnostics.listen_only_units.add(1)
     assert peer.send(short, READ, b"\x00", short) == []
     assert handler.asked == []
     slots.used = 1
     assert peer.send(short, READ) == []
     slots.used = 0
-    peer.diagnostics.listen_only = False
+    peer.diagnostics.of(1).restart()
     assert peer.send(short) == [b"\x04\x02\x00\x09"]
 
 

@@ -21,7 +21,7 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.breaker import BreakerParameters
 from busway.session.demand import Demand
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import Handler, RequestContext
 from busway.session.line_framing import FramingParameters, LineFraming, line_framing
 from busway.session.parameters import ClientParameters
@@ -260,7 +260,7 @@ class ServerEnd:
 
     def __init__(self, port: VirtualPort, handler: Handler, units: Container[int], framing: LineFraming) -> None:
         self.port = port
-        self.diagnostics = CommunicationState(changes_allowed=True)
+        self.diagnostics = LineDiagnostics(changes_allowed=True)
         self.sent: list[tuple[float, bytes]] = []
         self._pending: Emission | None = None
         self.session = SerialServerSession(
@@ -348,12 +348,12 @@ class DeviceEnd:
 def honest(units: dict[int, Device]) -> Callable[[int, bytes], bytes | None]:
     """What devices answer that do nothing wrong: unit and PDU of a request → PDU of the reply, None for others."""
     handler = LocalHandler(units)
-    diagnostics = CommunicationState(changes_allowed=True)
+    diagnostics = LineDiagnostics(changes_allowed=True)
 
     def answer(unit: int, pdu: bytes) -> bytes | None:
         if unit not in handler.serial_units:
             return None
-        context = RequestContext(unit=unit, function=pdu[0], diagnostics=diagnostics)
+        context = RequestContext(unit=unit, function=pdu[0], diagnostics=diagnostics.of(unit))
         reply = handler.handle(context, handler.functions.decode_request(pdu))
         assert isinstance(reply, Message)
         return reply.encode()

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.server import TcpServerSession, TransactionSlots
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
 
@@ -168,7 +168,7 @@ class Answering(asyncio.Protocol):
     def __init__(self) -> None:
         self.session = TcpServerSession(
             LocalHandler({1: known_device()}),
-            diagnostics=CommunicationState(),
+            diagnostics=LineDiagnostics(),
             slots=TransactionSlots(1),
             deliver=lambda adu: None,
         )

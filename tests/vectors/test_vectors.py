@@ -22,7 +22,7 @@ from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.cells import Cells
 from busway.server.local import LocalHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.server import TcpServerSession, TransactionSlots
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))
@@ -182,7 +182,7 @@ class Asked:
 
     def __init__(self) -> None:
         self.late: list[bytes] = []
-        self.diagnostics = CommunicationState(changes_allowed=True)
+        self.diagnostics = LineDiagnostics(changes_allowed=True)
         self.session = TcpServerSession(
             LocalHandler({1: example_device()}),
             diagnostics=self.diagnostics,

@@ -30,7 +30,7 @@ class Refusal(Exception):
 
 
 class Diagnostics(Protocol):
-    """Communication state of the line or listener that a request came by (functions 08, 11, 12)."""
+    """Communication state of the unit that a request is for (functions 08, 11, 12)."""
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Do sub-function ``sub_code`` of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
@@ -55,7 +55,7 @@ class Context(Protocol):
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """Counters and log of the line or listener."""
+        """Counters and log of the unit."""
 
 
 class Tables(Protocol):

@@ -10,7 +10,7 @@ import asyncio
 import time
 from collections.abc import Callable, Container
 
-from ..session.diagnostics import CommunicationState
+from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler
 from ..session.line_framing import LineFraming
 from ..session.serial_server import Emission, SerialServerSession
@@ -34,7 +34,7 @@ class FramedSession:
         units: Container[int],
         *,
         framing: LineFraming,
-        diagnostics: CommunicationState,
+        diagnostics: LineDiagnostics,
         deliver: Callable[[bytes], None],
         attend: Callable[[], None],
         peer: str,

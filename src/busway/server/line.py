@@ -20,7 +20,7 @@ from typing import Final
 from ..errors import LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
-from ..session.diagnostics import CommunicationState
+from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler
 from ..session.serial_server import Emission, SerialServerSession
 from ..transport.serial.alarm import Alarm
@@ -50,7 +50,7 @@ class SerialListener:
 
     Attributes:
         name: URL of the endpoint.
-        diagnostics: counters and mode of the line.
+        diagnostics: counters and modes of the units of the line.
         diagnosis: for the lamps.
     """
 
@@ -67,7 +67,7 @@ class SerialListener:
     ) -> None:
         assert settings.port is not None
         self.name = settings.endpoint.url
-        self.diagnostics = CommunicationState(changes_allowed=changes_allowed)
+        self.diagnostics = LineDiagnostics(changes_allowed=changes_allowed)
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
         self.diagnosis = Diagnosis()
         self._loop = loop
@@ -160,9 +160,10 @@ class SerialListener:
             endpoint=self.name,
             is_open=self.diagnosis.is_open,
             lamps=self.diagnosis.lamps(time.monotonic(), listen_only=diagnostics.listen_only),
-            counters=replace(diagnostics.counters),
+            counters=diagnostics.counters,
             event_count=diagnostics.event_count,
             listen_only=diagnostics.listen_only,
+            listen_only_units=tuple(sorted(diagnostics.listen_only_units)),
             requests=session.requests,
             foreign=session.foreign,
             damaged=session.damaged_frames,

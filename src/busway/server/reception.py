@@ -10,11 +10,10 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Container, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
-from ..session.diagnostics import CommunicationState
-from ..session.handler import Handler
+from ..session.diagnostics import LineDiagnostics
+from ..session.handler import Handler, ListedUnits
 from ..session.parameters import Scope, ServerParameters
 from ..session.server import HandlerFailure, TcpServerSession, TransactionSlots
 from ..transport.interfaces import interfaces_with
@@ -91,7 +90,7 @@ class Reception:
         hosts: numeric addresses that it is bound to.
         settings, parameters: of the listener.
         counters: shared by all listeners of a server.
-        diagnostics: communication counters of the listener (functions 08, 11, 12).
+        diagnostics: communication counters of the listener and its units (functions 08, 11, 12).
         diagnosis: for the lamps.
         rates: of requests; None without a limit.
         damaged: what could not be followed.
@@ -116,7 +115,10 @@ class Reception:
         self.settings = settings
         self.parameters = settings.limits
         self.counters = counters
-        self.diagnostics = CommunicationState(changes_allowed=session_parameters.diagnostics_changes is True)
+        self.diagnostics = LineDiagnostics(
+            changes_allowed=session_parameters.diagnostics_changes is True,
+            listed_unit=handler.listed_unit if isinstance(handler, ListedUnits) else None,
+        )
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
         self.diagnosis = Diagnosis()
         self.rates = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
@@ -251,9 +253,10 @@ class Reception:
             endpoint=self.listener,
             is_open=self.diagnosis.is_open,
             lamps=self.diagnosis.lamps(time.monotonic(), listen_only=diagnostics.listen_only),
-            counters=replace(diagnostics.counters),
+            counters=diagnostics.counters,
             event_count=diagnostics.event_count,
             listen_only=diagnostics.listen_only,
+            listen_only_units=tuple(sorted(diagnostics.listen_only_units)),
             requests=diagnostics.counters.server_message_count,
             damaged=self.damaged,
             priority_connections=count(Pool.PRIORITY),

@@ -72,9 +72,12 @@ class ListenerStatus:
         endpoint: its URL, as it is bound.
         is_open: whether it can be reached: False while a port is waited for.
         lamps: what its lamps show.
-        counters: the diagnostic counters of function 08 (Serial Line V1.02 appendix A).
-        event_count: successful messages (function 11).
-        listen_only: whether nothing is answered until a restart.
+        counters: the diagnostic counters of function 08 (Serial Line V1.02 appendix A). Bus messages, communication
+            errors and overruns are those of the line since the start, whatever a unit has cleared. The others are sums
+            over its units, since the last restart or clear of each; a broadcast counts once for each unit.
+        event_count: successful messages (function 11), the sum over its units.
+        listen_only: whether a unit answers nothing until it is restarted.
+        listen_only_units: the units of which that is so, in ascending order.
         requests: requests for own units since the start.
         foreign: frames of others that passed by; 0 on TCP.
         damaged: disturbances; on UDP, datagrams that were no whole frame; on TCP, streams that could not be followed.
@@ -90,6 +93,7 @@ class ListenerStatus:
     counters: Counters
     event_count: int
     listen_only: bool
+    listen_only_units: tuple[int, ...] = ()
     requests: int = 0
     foreign: int = 0
     damaged: int = 0

@@ -1,17 +1,23 @@
-"""What functions 08, 11 and 12 tell: the counters, the event log and listen-only mode of one line or listener.
+"""What functions 08, 11 and 12 tell: counters, event log and listen-only mode, of each unit of a line or listener.
 
 Knows when something is counted; knows no bytes and no port (Application Protocol V1.1b3 §6.8–§6.10, Serial Line
 V1.02 appendix A).
 
-1. Counters are 16 bit on the wire and wrap there; here they go on, so that a status can show the true number.
-2. 01 answers before it restarts, except in listen-only mode, where it restarts without an answer. So it is done when
+1. Several units on one port are several devices to a master. Each has counters, an event log and a mode of its own;
+   restart, clear and listen-only mode concern the unit addressed. What every device of a line hears is counted once,
+   for the line: messages, damaged frames and overruns. Each unit reads it from its own last restart or clear on.
+2. Counters are 16 bit on the wire and wrap there; here they go on, so that a status can show the true number.
+3. A receive event is stored when a message comes in, a send event when it is done with, answered or not (§6.10).
+4. 01 answers before it restarts, except in listen-only mode, where it restarts without an answer. So it is done when
    the outcome of its request is reported, by `answered` or `kept_silent`. In listen-only mode nothing else is done.
-3. On a network listener the sub-functions that change something (01, 03, 04, 0A, 14) are refused with 01 unless
+5. On a network listener the sub-functions that change something (01, 03, 04, 0A, 14) are refused with 01 unless
    ``changes_allowed``: one packet could mute a server for everybody.
+6. The ASCII delimiter is the port's: sub-function 03 changes it for all units of the line.
 """
 
-from collections import deque
-from dataclasses import dataclass, fields
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 
 from ..codes import DiagnosticCode, ExceptionCode
@@ -55,7 +61,7 @@ class SendEvent(IntFlag):
     LISTEN_ONLY = 0x20
 
 
-_SEND_EVENT_OF_EXCEPTION = {
+_SEND_EVENT_OF_EXCEPTION: dict[int, int] = {
     1: SendEvent.READ_EXCEPTION,
     2: SendEvent.READ_EXCEPTION,
     3: SendEvent.READ_EXCEPTION,
@@ -64,7 +70,12 @@ _SEND_EVENT_OF_EXCEPTION = {
     6: SendEvent.BUSY_EXCEPTION,
     7: SendEvent.NAK_EXCEPTION,
 }
-_PLAIN_EXCHANGE = bytes((SendEvent.SENT, ReceiveEvent.RECEIVED))
+# The events of most messages, as plain numbers: an operation of a flag takes 0.3 µs.
+_RECEIVED = int(ReceiveEvent.RECEIVED)
+_RECEIVED_MUTED = int(ReceiveEvent.RECEIVED | ReceiveEvent.LISTEN_ONLY)
+_SENT = int(SendEvent.SENT)
+_SENT_MUTED = int(SendEvent.SENT | SendEvent.LISTEN_ONLY)
+_PLAIN_EXCHANGE = bytes((_SENT, _RECEIVED))
 
 
 @dataclass(slots=True)
@@ -80,11 +91,6 @@ class Counters:
     server_busy_count: int = 0
     bus_character_overrun_count: int = 0
 
-    def clear(self) -> None:
-        """Set all of them to zero."""
-        for field in fields(self):
-            setattr(self, field.name, 0)
-
 
 _COUNTER_OF = {
     DiagnosticCode.BUS_MESSAGE_COUNT: "bus_message_count",
@@ -98,80 +104,206 @@ _COUNTER_OF = {
 }
 
 
-class CommunicationState:
-    """Counters, event log and mode of one line or listener; what `busway.pdu.model.Diagnostics` asks for.
+@dataclass(slots=True)
+class Heard:
+    """What every device on a line hears, whatever its unit: whole messages, damaged frames, and of these overruns."""
+
+    messages: int = 0
+    damaged: int = 0
+    overruns: int = 0
+
+
+class LineDiagnostics:
+    """The diagnostics of a line or listener: what all of its units hear, and a `CommunicationState` for each unit.
+
+    Args:
+        changes_allowed: whether the sub-functions of 08 that change something are offered.
+        listed_unit: the unit as which a device is listed that also answers as another (`ListedUnits.listed_unit`):
+            both have the same state. Left out, every number is a unit of its own.
 
     Attributes:
-        exchanged: requests that came in and were answered, all well, and are not in counters and log yet. Whoever
-            answers many at once adds here, 30 ns instead of 600; every reading of the counters takes it in.
+        exchanged: by unit, requests that came in and were answered, all well, and are not in counters and log yet.
+            A caller that answers many at once adds here, which is quicker by far than `CommunicationState.received` and
+            `answered`; every reading of the counters takes it in.
         arrived, departed: likewise, where the answers come later: requests that came in, and answers that went out,
             all well.
-        listen_only: whether nothing is answered until a restart.
-        program_command_running: whether the status word of 11 and 12 is FFFF.
-        diagnostic_register: what sub-function 02 returns; the application sets it.
+        heard: what was heard since the start; call `fold` before you read it.
+        listen_only_units: the units that answer nothing until they are restarted.
         ascii_delimiter: the character that ends an ASCII frame (sub-function 03), 0x0A by default.
-        changes_allowed: whether the sub-functions that change something are offered.
+        changes_allowed: as above.
     """
 
     __slots__ = (
-        "_counters",
-        "_event_count",
-        "_log",
-        "_message_count",
-        "_restart_clears_log",
+        "_damage_log",
+        "_listed_unit",
+        "_states",
         "arrived",
         "ascii_delimiter",
         "changes_allowed",
         "departed",
-        "diagnostic_register",
         "exchanged",
-        "listen_only",
-        "program_command_running",
+        "heard",
+        "listen_only_units",
     )
 
-    def __init__(self, *, changes_allowed: bool = False) -> None:
-        self._counters = Counters()
-        self._event_count = 0
-        self._message_count = 0
-        self.exchanged = self.arrived = self.departed = 0
-        self.listen_only = False
+    def __init__(self, *, changes_allowed: bool = False, listed_unit: Callable[[int], int] | None = None) -> None:
+        self.changes_allowed = changes_allowed
+        self.ascii_delimiter = 0x0A
+        self.listen_only_units: set[int] = set()
+        self.exchanged: Counter[int] = Counter()
+        self.arrived: Counter[int] = Counter()
+        self.departed: Counter[int] = Counter()
+        self.heard = Heard()
+        self._listed_unit = listed_unit
+        self._states: dict[int, CommunicationState] = {}
+        # A unit that nothing was sent to yet has no state, but has heard the damaged frames like all others.
+        self._damage_log: deque[int] = deque(maxlen=EVENT_LOG_SIZE)
+
+    def of(self, unit: int) -> "CommunicationState":
+        """The state of a unit, 0…255."""
+        state = self._states.get(unit)
+        if state is None:
+            listed = unit if self._listed_unit is None else self._listed_unit(unit)
+            state = self._states.get(listed)
+            if state is None:
+                state = self._states[listed] = CommunicationState(self, listed, self._damage_log)
+            self._states[unit] = state
+        return state
+
+    @property
+    def counters(self) -> Counters:
+        """What was heard since the start, which no unit clears, and the sums of the counters that each unit has."""
+        self.fold()
+        total = _with_heard(Counters(), self.heard, Heard())
+        for state in self._distinct():
+            for name in _OWN_COUNTERS:
+                setattr(total, name, getattr(total, name) + getattr(state.own, name))
+        return total
+
+    @property
+    def event_count(self) -> int:
+        """The sum of the event counts of the units (function 11)."""
+        return sum(state.event_count for state in self._distinct())
+
+    @property
+    def listen_only(self) -> bool:
+        """Whether one of the units is in listen-only mode."""
+        return bool(self.listen_only_units)
+
+    def received_foreign(self) -> None:
+        """A whole frame for another unit passed by."""
+        self.heard.messages += 1
+
+    def received_broadcast(self, units: Iterable[int]) -> None:
+        """A broadcast came in: one message of the line, and one for each of ``units``."""
+        self.fold()
+        self.heard.messages += 1
+        for unit in units:
+            self.of(unit).received_broadcast()
+
+    def received_damaged(self, *, overrun: bool = False) -> None:
+        """A damaged frame came in; every unit hears it."""
+        self.fold()
+        self.heard.damaged += 1
+        event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
+        if overrun:
+            self.heard.overruns += 1
+            event |= ReceiveEvent.CHARACTER_OVERRUN
+        self._damage_log.appendleft(event)
+        for state in self._distinct():
+            state.log_received(event)
+
+    def fold(self) -> None:
+        """Take what `exchanged`, `arrived` and `departed` say into the counters and the logs."""
+        if not (self.exchanged or self.arrived or self.departed):
+            return
+        exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
+        self.exchanged, self.arrived, self.departed = Counter(), Counter(), Counter()
+        self.heard.messages += sum(exchanged.values()) + sum(arrived.values())
+        for unit in {*exchanged, *arrived, *departed}:
+            self.of(unit).take_many(exchanged[unit], arrived[unit], departed[unit])
+
+    def _distinct(self) -> list["CommunicationState"]:
+        """The states, each once: a device that answers as several units has one."""
+        return [state for unit, state in list(self._states.items()) if unit == state.unit]
+
+
+class CommunicationState:
+    """Counters, event log and mode of one unit; what `busway.pdu.model.Diagnostics` asks for.
+
+    Args:
+        line: the line or listener that the unit is on; one of its own if left out.
+        unit: its number, 0…255.
+        heard_before: events of damaged frames, the newest first, from before anything was sent to the unit.
+        changes_allowed: of a line of its own.
+
+    Attributes:
+        line: as above.
+        unit: as above.
+        own: the counters of what concerned this unit; those of what every unit hears are 0 here.
+        program_command_running: whether the status word of 11 and 12 is FFFF.
+        diagnostic_register: what sub-function 02 returns; the application sets it.
+    """
+
+    __slots__ = (
+        "_event_count",
+        "_heard_before",
+        "_log",
+        "_restart_clears_log",
+        "diagnostic_register",
+        "line",
+        "own",
+        "program_command_running",
+        "unit",
+    )
+
+    def __init__(
+        self,
+        line: LineDiagnostics | None = None,
+        unit: int = 1,
+        heard_before: Iterable[int] = (),
+        *,
+        changes_allowed: bool = False,
+    ) -> None:
+        self.line = LineDiagnostics(changes_allowed=changes_allowed) if line is None else line
+        self.unit = unit
+        self.own = Counters()
         self.program_command_running = False
         self.diagnostic_register = 0
-        self.ascii_delimiter = 0x0A
-        self.changes_allowed = changes_allowed
-        self._log: deque[int] = deque(maxlen=EVENT_LOG_SIZE)
+        self._event_count = 0
+        self._heard_before = Heard()
+        self._log: deque[int] = deque(heard_before, maxlen=EVENT_LOG_SIZE)
         self._restart_clears_log: bool | None = None  # None: no restart is asked for
 
     @property
     def counters(self) -> Counters:
-        """The eight counters, up to date."""
-        self._fold()
-        return self._counters
+        """The eight counters of the unit, up to date: a copy."""
+        self.line.fold()
+        return _with_heard(self.own, self.line.heard, self._heard_before)
 
     @property
     def event_count(self) -> int:
-        """Successful messages since the last restart (function 11)."""
-        self._fold()
+        """Successful messages since the last restart or clear (function 11)."""
+        self.line.fold()
         return self._event_count
-
-    @event_count.setter
-    def event_count(self, value: int) -> None:
-        self._fold()
-        self._event_count = value
 
     @property
     def message_count(self) -> int:
-        """Messages seen since the last restart (function 12)."""
-        self._fold()
-        return self._message_count
+        """Messages heard since the last restart or clear (function 12): the bus message count of 08/0B (§6.10)."""
+        self.line.fold()
+        return self.line.heard.messages - self._heard_before.messages
+
+    @property
+    def listen_only(self) -> bool:
+        """Whether nothing is answered until a restart."""
+        return self.unit in self.line.listen_only_units
 
     # What functions 08, 11 and 12 ask for.
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Do a sub-function of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
-        if sub_code in _CHANGES and not self.changes_allowed:
+        self.line.fold()
+        if sub_code in _CHANGES and not self.line.changes_allowed:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "this listener does not take diagnostics that change it")
         if self.listen_only and sub_code != DiagnosticCode.RESTART_COMMUNICATIONS:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "in listen-only mode only a restart is processed")
@@ -183,17 +315,15 @@ class CommunicationState:
         if sub_code == DiagnosticCode.RESTART_COMMUNICATIONS:
             self._restart_clears_log = data == b"\xff\x00"
         elif sub_code == DiagnosticCode.CHANGE_ASCII_DELIMITER:
-            self.ascii_delimiter = data[0]
+            self.line.ascii_delimiter = data[0]
         elif sub_code == DiagnosticCode.FORCE_LISTEN_ONLY:
-            self.listen_only = True
+            self.line.listen_only_units.add(self.unit)
             self._log.appendleft(EVENT_ENTERED_LISTEN_ONLY)
         elif sub_code == DiagnosticCode.CLEAR_COUNTERS:
-            # The counts of 11 and 12 are those "since its last restart, clear counters operation, or power-up" (§6.10).
-            self._counters.clear()
-            self._event_count = self._message_count = 0
+            self._clear()
             self.diagnostic_register = 0
         elif sub_code == DiagnosticCode.CLEAR_OVERRUN:
-            self._counters.bus_character_overrun_count = 0
+            self._heard_before = replace(self._heard_before, overruns=self.line.heard.overruns)
         elif sub_code != DiagnosticCode.RETURN_QUERY_DATA:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, f"there is no sub-function {sub_code}")
         return data
@@ -209,10 +339,8 @@ class CommunicationState:
 
     def restart(self, *, clear_log: bool = False) -> None:
         """Restart communications: counters cleared, listen-only mode left, the event log kept unless asked."""
-        self._fold()
-        self._counters.clear()
-        self._event_count = self._message_count = 0
-        self.listen_only = False
+        self._clear()
+        self.line.listen_only_units.discard(self.unit)
         self._restart_clears_log = None
         if clear_log:
             self._log.clear()
@@ -220,82 +348,89 @@ class CommunicationState:
 
     # What the conversation reports.
 
-    def received(self, *, broadcast: bool = False) -> None:
-        """A frame for this server came in, whole."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
-        self._counters.bus_message_count += 1
-        self._counters.server_message_count += 1
-        self._message_count += 1
-        event = ReceiveEvent.RECEIVED
-        if broadcast:
-            event |= ReceiveEvent.BROADCAST
-        if self.listen_only:
-            event |= ReceiveEvent.LISTEN_ONLY
-        self._log.appendleft(event)
+    def received(self) -> None:
+        """A message for this unit alone came in, whole."""
+        line = self.line
+        if line.exchanged or line.arrived or line.departed:
+            line.fold()
+        line.heard.messages += 1
+        self.own.server_message_count += 1
+        self._log.appendleft(_RECEIVED_MUTED if self.unit in line.listen_only_units else _RECEIVED)
 
-    def received_foreign(self) -> None:
-        """A whole frame for another unit passed by."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
-        self._counters.bus_message_count += 1
+    def received_broadcast(self) -> None:
+        """A broadcast came in, which the line has counted."""
+        self.own.server_message_count += 1
+        self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
-    def received_damaged(self, *, overrun: bool = False) -> None:
-        """A damaged frame came in."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
-        self._counters.bus_communication_error_count += 1
-        event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
-        if overrun:
-            self._counters.bus_character_overrun_count += 1
-            event |= ReceiveEvent.CHARACTER_OVERRUN
-        self._log.appendleft(event)
+    def log_received(self, event: int) -> None:
+        """Log what every unit hears."""
+        self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
         """An answer goes out; ``counts`` is False for functions that leave the event counter alone (11)."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
-        event = SendEvent.SENT
-        if exception is None:
-            if counts:
-                self._event_count += 1
-        else:
+        line = self.line
+        if line.exchanged or line.arrived or line.departed:
+            line.fold()
+        event = _SENT
+        if exception is not None:
             self.failed(exception)
-            event |= _SEND_EVENT_OF_EXCEPTION.get(exception, SendEvent(0))
-        self._log.appendleft(event)
-        if self._restart_clears_log is not None:
-            self.restart(clear_log=self._restart_clears_log)
+            event |= _SEND_EVENT_OF_EXCEPTION.get(exception, 0)
+        elif counts:
+            self._event_count += 1
+        self._finish(event)
 
     def failed(self, exception: int) -> None:
         """A request, perhaps a broadcast, ended with an exception code."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
         if exception == ExceptionCode.SERVER_DEVICE_BUSY:
-            self._counters.server_busy_count += 1
+            self.own.server_busy_count += 1
         elif exception == ExceptionCode.NEGATIVE_ACKNOWLEDGE:
-            self._counters.server_nak_count += 1
+            self.own.server_nak_count += 1
         else:
-            self._counters.bus_exception_error_count += 1
+            self.own.bus_exception_error_count += 1
 
-    def kept_silent(self) -> None:
-        """A message for this server gets no answer."""
-        if self.exchanged or self.arrived or self.departed:
-            self._fold()
-        self._counters.server_no_response_count += 1
-        if self._restart_clears_log is not None:
-            self.restart(clear_log=self._restart_clears_log)
+    def kept_silent(self, *, executed: bool = False) -> None:
+        """A message for this unit gets no answer; ``executed``: it was a broadcast, and is done."""
+        self.line.fold()
+        self.own.server_no_response_count += 1
+        if executed:
+            self._event_count += 1
+        self._finish(_SENT)
 
-    def _fold(self) -> None:
-        """Take what `exchanged`, `arrived` and `departed` say into the counters and the log."""
-        exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
-        self.exchanged = self.arrived = self.departed = 0
-        came = exchanged + arrived
-        counters = self._counters
-        counters.bus_message_count += came
-        counters.server_message_count += came
-        self._message_count += came
+    def take_many(self, exchanged: int, arrived: int, departed: int) -> None:
+        """Count and log what was added to `LineDiagnostics.exchanged`, `arrived` and `departed`."""
+        self.own.server_message_count += exchanged + arrived
         self._event_count += exchanged + departed
         log = self._log
         log.extendleft(_PLAIN_EXCHANGE[::-1] * min(exchanged, EVENT_LOG_SIZE // 2))
         log.extendleft(_PLAIN_EXCHANGE[1:] * min(arrived, EVENT_LOG_SIZE))
         log.extendleft(_PLAIN_EXCHANGE[:1] * min(departed, EVENT_LOG_SIZE))
+
+    def _finish(self, event: int) -> None:
+        """A message is done with: log it, and do the restart that it may have asked for."""
+        self._log.appendleft(event | _SENT_MUTED if self.unit in self.line.listen_only_units else event)
+        if self._restart_clears_log is not None:
+            self.restart(clear_log=self._restart_clears_log)
+
+    def _clear(self) -> None:
+        """Begin to count anew. The counts of 11 and 12 do too (§6.9, §6.10)."""
+        self.line.fold()
+        self._heard_before = replace(self.line.heard)
+        self.own = Counters()
+        self._event_count = 0
+
+
+def _with_heard(own: Counters, heard: Heard, before: Heard) -> Counters:
+    """Counters of a unit, completed by what was heard since ``before``."""
+    return replace(
+        own,
+        bus_message_count=heard.messages - before.messages,
+        bus_communication_error_count=heard.damaged - before.damaged,
+        bus_character_overrun_count=heard.overruns - before.overruns,
+    )
+
+
+_OWN_COUNTERS = tuple(
+    field.name
+    for field in fields(Counters)
+    if field.name not in {"bus_message_count", "bus_communication_error_count", "bus_character_overrun_count"}
+)

@@ -11,8 +11,10 @@ Knows how a read and its answer look on TCP, and the slots of a connection; know
 4. What goes this road gets the same answers, and is counted as, what goes the long one.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from operator import itemgetter
 from struct import Struct
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -20,7 +22,7 @@ from ..framing.mbap import HEAD
 from ..pdu.message import Request
 
 if TYPE_CHECKING:
-    from .diagnostics import CommunicationState
+    from .diagnostics import LineDiagnostics
     from .handler import RequestContext
     from .server import TransactionSlots
 
@@ -28,6 +30,10 @@ READ_SIZE = 12
 """Bytes of a read of one of the four tables."""
 _READ_LENGTH = b"\0\0\0\6"
 """Protocol and length of such a read."""
+_unit_asked = itemgetter(4)
+"""The unit in what a read is known by, and in the head of its answer."""
+_unit_answered = itemgetter(6)
+"""The unit in an ADU."""
 _LAST_READ = 4
 """The greatest function code among them."""
 _PLAN_LIMIT = 4096
@@ -140,7 +146,19 @@ class ForwardedReads:
         works: what is asked for the connection; whoever asks puts it in and takes it out.
     """
 
-    __slots__ = ("_deliver", "_diagnostics", "_is_open", "_ready", "_slots", "peer", "plans", "waiting", "works")
+    __slots__ = (
+        "_answered",
+        "_asked",
+        "_deliver",
+        "_diagnostics",
+        "_is_open",
+        "_ready",
+        "_slots",
+        "peer",
+        "plans",
+        "waiting",
+        "works",
+    )
 
     def __init__(
         self,
@@ -148,7 +166,7 @@ class ForwardedReads:
         *,
         peer: str,
         slots: "TransactionSlots",
-        diagnostics: "CommunicationState",
+        diagnostics: "LineDiagnostics",
         deliver: DeliverTogether,
     ) -> None:
         self.plans = plans
@@ -158,6 +176,8 @@ class ForwardedReads:
         self._deliver = deliver
         self._is_open = True
         self._ready: list[bytes] = []
+        self._asked: Counter[int] = Counter()  # by unit, as are those that were answered
+        self._answered: Counter[int] = Counter()
         self.waiting = 0
         self.works: dict[Asked, None] = {}
 
@@ -179,7 +199,9 @@ class ForwardedReads:
                 return at
         slots.used += count
         self.waiting += count
-        self._diagnostics.arrived += count
+        units = bytes(map(_unit_asked, fields[1 : 2 * count : 2]))
+        self._diagnostics.arrived.update(units)
+        self._asked.update(units)
         way = self.plans.sole_way
         if way is not None:
             way.ask(self, reads)
@@ -209,15 +231,20 @@ class ForwardedReads:
             count = len(reads)
             self.waiting -= count
             self._slots.used -= count
-            self._diagnostics.departed += count
-            self._ready += [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
+            adus = [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
+            units = bytes(map(_unit_answered, adus))
+            self._diagnostics.departed.update(units)
+            self._answered.update(units)
+            self._ready += adus
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
         """A read is answered with an exception code, which leaves with `send`."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
-            self._diagnostics.answered(exception=code)
+            unit = _unit_asked(read[1].head)
+            self._answered[unit] += 1
+            self._diagnostics.of(unit).answered(exception=code)
             self._ready.append(read[0] + read[1].refusal(code))
 
     def send(self) -> None:
@@ -232,8 +259,8 @@ class ForwardedReads:
         """The connection has ended: what still waits gets no answer, and its slots are free."""
         self._is_open = False
         self._slots.used -= self.waiting
-        for _ in range(self.waiting):
-            self._diagnostics.kept_silent()
+        for unit in (self._asked - self._answered).elements():
+            self._diagnostics.of(unit).kept_silent()
         self.waiting = 0
         works, self.works = self.works, {}
         for work in works:

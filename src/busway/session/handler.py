@@ -16,7 +16,8 @@ from ..pdu.direct import Answer, ReadPlan
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
-from ..pdu.model import Diagnostics, Refusal
+from ..pdu.model import Refusal
+from .diagnostics import CommunicationState
 
 
 class Deferral(Enum):
@@ -43,7 +44,7 @@ class RequestContext:
         role: role of the client's certificate; None without one.
         unit: the unit identifier asked, 0…255.
         transaction: the identifier of the request; 0 where the framing has none.
-        diagnostics: counters of the line or listener.
+        diagnostics: counters, event log and mode of the unit asked.
         executed: of a broadcast, which goes to every unit of a line: the ids of what has executed it, so that a device
             with several units does it once. None otherwise.
         gone: called if the client goes away while a late reply is awaited; whoever promised `LATER` may set it.
@@ -68,7 +69,7 @@ class RequestContext:
         *,
         unit: int,
         function: int,
-        diagnostics: Diagnostics,
+        diagnostics: CommunicationState,
         peer: str = "",
         listener: str = "",
         role: str | None = None,

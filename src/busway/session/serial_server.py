@@ -7,10 +7,11 @@ RTU and ASCII differ only in the framing that is handed in.
    the line and nothing else.
 2. A damaged frame is never answered and never executed; an error of content is answered.
 3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. One that
-   asks for a read, or fails, is only counted. Counters are the line's: whatever the number of units, it is one message.
+   asks for a read, or fails, is only counted: it is one message of the line, and one for each unit.
 4. The answer leaves t3.5 after the last byte on the line at the earliest. If somebody else has spoken before a slow
    handler is ready, its answer is not sent: the master has given up and the line is not ours.
-5. In listen-only mode nothing is answered, until a restart that is not answered either.
+5. A unit in listen-only mode answers and executes nothing, until a restart that is not answered either. The other
+   units of the line are not concerned.
 6. Function 08/03 changes the delimiter of what comes after its own answer.
 """
 
@@ -22,7 +23,7 @@ from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
-from .diagnostics import CommunicationState
+from .diagnostics import LineDiagnostics
 from .handler import LATER, Deferral, Handler, Outcome, Refusal, RequestContext
 from .line_framing import LineFraming
 from .server import Deferred, HandlerFailure
@@ -80,7 +81,7 @@ class SerialServerSession:
         units: Container[int],
         *,
         framing: LineFraming,
-        diagnostics: CommunicationState,
+        diagnostics: LineDiagnostics,
         deliver: Callable[[Emission], None],
         line: str = "",
         listener: str = "",
@@ -91,7 +92,7 @@ class SerialServerSession:
             handler: what answers.
             units: the own units, 1…247; a live view is welcome.
             framing: in the role of a server with the same units.
-            diagnostics: counters and mode of the line.
+            diagnostics: counters and modes of the units of the line.
             deliver: takes late answers.
             line: name of the line or of the peer, for contexts.
             listener: URL of the listener, for contexts.
@@ -160,7 +161,7 @@ class SerialServerSession:
         """The port has gone: what is still waiting gets no answer."""
         context, self._waiting = self._waiting, None
         if context is not None:
-            self._diagnostics.kept_silent()
+            context.diagnostics.kept_silent()
             context.abandon()
         self._receiver.flush(self._last_byte)
 
@@ -188,11 +189,11 @@ class SerialServerSession:
             self._diagnostics.received_foreign()
             return None
         self.requests += 1
-        self._diagnostics.received(broadcast=broadcast)
         if broadcast:
             self._broadcast(frame.pdu)
             return None
         context = self._waiting = self._context(frame.unit, function)
+        context.diagnostics.received()
         outcome = self._outcome(context, frame.pdu)
         if context.replied:
             return None  # by ``reply``, before the handler returned; a request has one answer
@@ -201,7 +202,7 @@ class SerialServerSession:
             return Emission(self._answer(context, outcome), self.clear_at())
         if outcome is Deferral.SILENCE:
             self._settle(context)
-            self._diagnostics.kept_silent()
+            context.diagnostics.kept_silent()
         elif outcome is not LATER:
             self.deferred.append(Deferred(context, outcome))
         return None
@@ -212,7 +213,7 @@ class SerialServerSession:
         context._finish = None
 
     def _outcome(self, context: RequestContext, pdu: bytes) -> Outcome:
-        diagnostics = self._diagnostics
+        diagnostics = context.diagnostics
         if diagnostics.listen_only and context.function != FunctionCode.DIAGNOSTICS:
             return Deferral.SILENCE
         if context.function == 0:
@@ -225,34 +226,36 @@ class SerialServerSession:
         return outcome
 
     def _broadcast(self, pdu: bytes) -> None:
-        """Execute a write on every unit; count what can not be done."""
-        diagnostics = self._diagnostics
-        diagnostics.kept_silent()
-        if diagnostics.listen_only:
-            return
+        """Execute a write on every unit that is not in listen-only mode; each counts it, and what became of it."""
+        units = [unit for unit in range(1, LAST_SERIAL_UNIT + 1) if unit in self._units]
+        self._diagnostics.received_broadcast(units)
         request = self._handler.functions.decode_request(pdu)
-        if not isinstance(request, AnyFunction) or not request.broadcast:
-            diagnostics.failed(ExceptionCode.ILLEGAL_FUNCTION)
-            return
+        may_be_broadcast = isinstance(request, AnyFunction) and request.broadcast
         executed: set[int] = set()
-        done, failure = False, 0
-        for unit in range(1, LAST_SERIAL_UNIT + 1):
-            if unit not in self._units:
-                continue
-            context = self._context(unit, pdu[0])
-            context.executed = executed
-            outcome = self._ask(context, pdu)
-            if isinstance(outcome, ExceptionResponse):
-                failure = failure or outcome.exception
-            elif not isinstance(outcome, Message | Deferral):
-                self.deferred.append(Deferred(context, outcome))
+        for unit in units:
+            diagnostics = self._diagnostics.of(unit)
+            done = False
+            if diagnostics.listen_only:
+                pass
+            elif may_be_broadcast:
+                done = self._broadcast_to(unit, pdu, executed)
             else:
-                context._finish = None
-                done = done or isinstance(outcome, Message)
-        if failure:
-            diagnostics.failed(failure)
-        elif done:
-            diagnostics.event_count += 1
+                diagnostics.failed(ExceptionCode.ILLEGAL_FUNCTION)
+            diagnostics.kept_silent(executed=done)
+
+    def _broadcast_to(self, unit: int, pdu: bytes, executed: set[int]) -> bool:
+        """Execute a broadcast on one unit; whether that was a success."""
+        context = self._context(unit, pdu[0])
+        context.executed = executed
+        outcome = self._ask(context, pdu)
+        if isinstance(outcome, ExceptionResponse):
+            context.diagnostics.failed(outcome.exception)
+            return False
+        if not isinstance(outcome, Message | Deferral):
+            self.deferred.append(Deferred(context, outcome))
+            return False
+        context._finish = None
+        return isinstance(outcome, Message)
 
     def _ask(self, context: RequestContext, pdu: bytes) -> Outcome:
         handler = self._handler
@@ -268,7 +271,7 @@ class SerialServerSession:
         return RequestContext(
             unit=unit,
             function=function,
-            diagnostics=self._diagnostics,
+            diagnostics=self._diagnostics.of(unit),
             peer=self._line,
             listener=self._listener,
             finish=self._finish,
@@ -282,21 +285,22 @@ class SerialServerSession:
         if isinstance(reply, Message):
             self._deliver(Emission(self._answer(context, reply), self.clear_at()))
         else:
-            self._diagnostics.kept_silent()
+            context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
         """Somebody speaks while a request is still in work: its master has given up."""
         context, self._waiting = self._waiting, None
         if context is not None:
             self.abandoned += 1
-            self._diagnostics.kept_silent()
+            context.diagnostics.kept_silent()
             context.abandon()
 
     def _answer(self, context: RequestContext, reply: Message) -> bytes:
+        diagnostics = context.diagnostics
         if isinstance(reply, ExceptionResponse):
-            self._diagnostics.answered(exception=reply.exception)
+            diagnostics.answered(exception=reply.exception)
         else:
-            self._diagnostics.answered(counts=context.function not in _POLLS)
+            diagnostics.answered(counts=context.function not in _POLLS)
         frame = self._framing.encode(context.unit, reply.encode())
         if context.function == FunctionCode.DIAGNOSTICS:
             self._framing.delimit_by(self._diagnostics.ascii_delimiter)

@@ -5,10 +5,12 @@ import json
 import struct
 
 import pytest
+from handlers import ScriptedHandler
 
 import busway
 from busway.config.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
+from busway.observe.metrics.handler import metered
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.model import Refusal
@@ -18,8 +20,8 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler, UnitPolicy
 from busway.server.policy.audit import AuditLog
 from busway.server.policy.handler import PolicyHandler
-from busway.session.diagnostics import CommunicationState
-from busway.session.handler import LATER, SILENCE, Handler, ReadPlanner, RequestContext, UnitHolder
+from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.handler import LATER, SILENCE, Handler, ListedUnits, ReadPlanner, RequestContext, UnitHolder
 from busway.session.server import TcpServerSession, TransactionSlots
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)
@@ -42,7 +44,7 @@ def context(function=6, *, peer="10.0.0.7:5000", role=None, unit=1, finish=lambd
 def session(handler, peer="10.0.0.7:5000", role=None, sent=None):
     return TcpServerSession(
         handler,
-        diagnostics=CommunicationState(),
+        diagnostics=LineDiagnostics(),
         slots=TransactionSlots(16),
         deliver=(sent if sent is not None else []).append,
         peer=peer,
@@ -464,3 +466,10 @@ async def test_a_client_that_hammers_leaves_two_lines_and_the_writes_of_another_
     denied = [each.get("repeated", 0) for each in told if each["outcome"] == "denied"]
     assert denied == [0, 4999]
     assert log.path.stat().st_size < 40_000
+
+
+@pytest.mark.parametrize("wrap", [lambda inner: PolicyHandler(inner, OPERATORS_WRITE), metered])
+def test_what_stands_around_a_handler_tells_the_names_of_its_devices(wrap):
+    handler = wrap(LocalHandler({7: Device(holding_registers=1)}))
+    assert [handler.listed_unit(unit) for unit in (0, 7, 255, 9)] == [7, 7, 7, 9]
+    assert not isinstance(wrap(ScriptedHandler(lambda context, request: None)), ListedUnits)

@@ -28,7 +28,7 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.server.policy.audit import AuditLog
 from busway.server.policy.handler import PolicyHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
 
@@ -346,7 +346,7 @@ class World:
         self.sessions = [
             TcpServerSession(
                 self.handler,
-                diagnostics=CommunicationState(),
+                diagnostics=LineDiagnostics(),
                 slots=TransactionSlots(16),
                 deliver=lambda adu: None,
                 peer=peer,

@@ -14,7 +14,7 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.server.policy.audit import AuditLog
 from busway.server.policy.handler import PolicyHandler
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.server import TcpServerSession, TransactionSlots
 
@@ -48,7 +48,7 @@ def log(tmp_path: Any) -> AuditLog:
 def session(handler: PolicyHandler, peer: str = "10.0.0.7:5000") -> TcpServerSession:
     return TcpServerSession(
         handler,
-        diagnostics=CommunicationState(),
+        diagnostics=LineDiagnostics(),
         slots=TransactionSlots(16),
         deliver=lambda adu: None,
         peer=peer,

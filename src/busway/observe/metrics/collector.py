@@ -214,7 +214,11 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
     """The listeners: their lamps, their mode, and the diagnostic counters of function 08."""
     lamps = StateSetMetricFamily("busway_listener_lamp", "What the lamps show.", labels=("listener", "lamp"))
     is_open = GaugeMetricFamily("busway_listener_open", "Whether it can be reached.", labels=("listener",))
-    muted = GaugeMetricFamily("busway_listener_listen_only", "Whether it answers nothing.", labels=("listener",))
+    muted = GaugeMetricFamily(
+        "busway_listener_listen_only",
+        "Whether one of its units answers nothing until it is restarted.",
+        labels=("listener",),
+    )
     counted: dict[str, Family] = {}
     for one in listeners:
         for lamp in fields(one.lamps):

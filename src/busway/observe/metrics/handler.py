@@ -19,7 +19,7 @@ from ...pdu.direct import Answer
 from ...pdu.functions import AnyRequest, FunctionTable
 from ...pdu.general import ExceptionResponse
 from ...pdu.message import Message
-from ...session.handler import LATER, Deferral, Handler, Outcome, Refusal, RequestContext, UnitHolder
+from ...session.handler import LATER, Deferral, Handler, ListedUnits, Outcome, Refusal, RequestContext, UnitHolder
 from .requests import Durations, PeerClass, RequestTally, Series, Unanswered
 
 Classify = Callable[[RequestContext], PeerClass]
@@ -66,6 +66,8 @@ class MeteredHandler:
         clock: seconds, of which only differences count.
     """
 
+    listed_unit: Callable[[int], int]
+
     def __init__(
         self,
         inner: Handler,
@@ -75,6 +77,8 @@ class MeteredHandler:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.inner = inner
+        if isinstance(inner, ListedUnits):  # set only where the handler inside has it
+            self.listed_unit = inner.listed_unit
         self.tally = tally or RequestTally(inner.functions.codes())
         self._classify = classify
         self._clock = clock
@@ -220,5 +224,5 @@ class _Waiting:
 
 
 def _is_muted(context: RequestContext) -> bool:
-    """Whether the listener is in listen-only mode."""
-    return bool(getattr(context.diagnostics, "listen_only", False))
+    """Whether the unit asked is in listen-only mode."""
+    return context.diagnostics.listen_only

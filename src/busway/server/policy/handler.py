@@ -145,12 +145,13 @@ class PolicyHandler:
 
     Attributes:
         refusals: how many requests each rule has refused, by the name of the rule (``default`` where none decided).
-        serial_units: as the handler inside has it, if it has.
+        serial_units, listed_unit: as the handler inside has them, if it has.
         forward_plans, forward_plan: those of a `ReadForwarder`, if the handler inside is one: reads that are permitted
             without a rate are handed on as they are without a policy.
     """
 
     serial_units: Container[int]
+    listed_unit: Callable[[int], int]
     forward_plans: Callable[[RequestContext], ForwardPlans]
     forward_plan: Callable[[RequestContext, bytes], ForwardPlan | None]
 
@@ -178,6 +179,8 @@ class PolicyHandler:
         # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
+        if isinstance(inner, ListedUnits):
+            self.listed_unit = inner.listed_unit
         if isinstance(inner, ReadForwarder):
             self.forward_plans = partial(self._forward_plans, inner)
             self.forward_plan = partial(self._forward_plan, inner)
