@@ -131,8 +131,8 @@ $(VENV)/bin/python:
 	"$$interpreter" -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
-	@echo "== $(VENV): the project"
-	@$(RUN)/python $(PIP) --editable .
+	@echo "== $(VENV): the project with its commands"
+	@$(RUN)/python $(PIP) --editable '.[serial,cli,files]'
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python

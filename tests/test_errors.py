@@ -13,6 +13,7 @@ from busway.errors import (
     ExceptionReply,
     InvalidRequest,
     LinkDown,
+    MissingExtra,
     ModbusError,
     NoReply,
     Overloaded,
@@ -35,6 +36,7 @@ EXAMPLES: list[ModbusError] = [
     WriteOutcomeUnknown("the write was sent and may have been executed"),
     LinkDown("connection refused"),
     ConfigError("must be 1…16, not 17", key="max_transactions"),
+    MissingExtra("serialx", "serial", purpose="a serial port"),
 ]
 
 
@@ -69,6 +71,7 @@ def test_the_builtin_kind_beside_a_name_in_the_tree_is_true() -> None:
         "NoReply": "TimeoutError",
         "LinkDown": "ConnectionError",
         "ConfigError": "ValueError",
+        "MissingExtra": "ImportError",
     }
     for name, kind in kinds.items():
         assert issubclass(CLASSES[name], vars(__import__("builtins"))[kind])

@@ -12,6 +12,7 @@
     ├─ WriteOutcomeUnknown              a write left this host and no answer came
     ├─ LinkDown (ConnectionError)       the connection could not be had, or ended
     └─ ConfigError (ValueError)         a setting, URL or file that can not be
+       └─ MissingExtra (ImportError)    a package that this needs is not installed
 
 Rules:
 
@@ -311,3 +312,17 @@ class ConfigError(ModbusError, ValueError):
             place = f"{place}:{self.line}" if place else f"line {self.line}"
         parts = [part for part in (place, self.key) if part]
         return f"{': '.join(parts)}: {self.message}" if parts else self.message
+
+
+class MissingExtra(ConfigError, ImportError):
+    """A package that this needs is not installed; the sentence ends with the command that installs it.
+
+    Attributes:
+        package: the package that is missing.
+        extra: the extra of busway that brings it: ``serial``, ``cli``, ``files`` …
+    """
+
+    def __init__(self, package: str, extra: str, *, purpose: str, key: str | None = None) -> None:
+        super().__init__(f"{purpose} needs the package {package}: pip install 'busway[{extra}]'", key=key)
+        self.package = package
+        self.extra = extra

@@ -66,11 +66,21 @@ def distribution(tmp_path_factory: pytest.TempPathFactory) -> Distribution:
 
 @pytest.fixture(scope="module")
 def installed(distribution: Distribution, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of programs of an environment that holds the wheel and its dependencies, nothing else."""
-    folder = tmp_path_factory.mktemp("environment")
+    """The folder of programs of an environment that holds the wheel and nothing else."""
+    return environment(tmp_path_factory.mktemp("environment"), f"{distribution.wheel}")
+
+
+@pytest.fixture(scope="module")
+def installed_with_commands(distribution: Distribution, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with what the commands need."""
+    return environment(tmp_path_factory.mktemp("commands"), f"{distribution.wheel}[cli]")
+
+
+def environment(folder: Path, wanted: str) -> Path:
+    """The folder of programs of a new environment with one requirement and what it declares to need."""
     venv.create(folder, with_pip=True)
     programs = folder / ("Scripts" if sys.platform == "win32" else "bin")
-    run(programs / "python", "-m", "pip", "--disable-pip-version-check", "install", distribution.wheel, folder=folder)
+    run(programs / "python", "-m", "pip", "--disable-pip-version-check", "install", wanted, folder=folder)
     return programs
 
 
@@ -99,9 +109,31 @@ def test_the_source_distribution_holds_what_its_own_tests_need(distribution: Dis
     assert not [name for name in names if name.startswith((".venv", ".peers", "dist/"))]
 
 
-def test_the_installed_command_tells_its_version(installed: Path, tmp_path: Path) -> None:
-    version = run(installed / "python", "-c", "import busway; print(busway.__version__)", folder=tmp_path).strip()
-    assert version in run(installed / "busway", "--version", folder=tmp_path)
+def test_the_installed_command_tells_its_version(installed_with_commands: Path, tmp_path: Path) -> None:
+    python = installed_with_commands / "python"
+    version = run(python, "-c", "import busway; print(busway.__version__)", folder=tmp_path).strip()
+    assert version in run(installed_with_commands / "busway", "--version", folder=tmp_path)
+
+
+def test_the_bare_installation_brings_no_other_package(installed: Path, tmp_path: Path) -> None:
+    code = (
+        "from importlib.metadata import distributions\n"
+        "print(sorted({one.name for one in distributions()} - {'pip', 'setuptools'}))"
+    )
+    assert run(installed / "python", "-c", code, folder=tmp_path) == "['busway']\n"
+
+
+def test_the_bare_command_names_the_extra_that_it_needs(installed: Path, tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [installed / "busway", "read", "tcp://127.0.0.1", "4x1"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert ended.stderr == "busway: this command needs the package typer: pip install 'busway[cli]'\n"
 
 
 def test_the_installed_library_is_found_by_type_checkers(installed: Path, tmp_path: Path) -> None:

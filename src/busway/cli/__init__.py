@@ -13,9 +13,25 @@ One file per command. Only here are files and the environment read, and only her
 ==============  =======================================================================
 """
 
+import sys
+from typing import NoReturn
+
 
 def main() -> None:
     """Run the command that ``sys.argv`` names, and end the process with its exit code."""
-    from .program import app  # here: `import busway.cli` alone costs nothing
-
+    try:
+        from .program import app  # here: `import busway.cli` alone costs nothing
+    except ImportError as error:
+        _refuse(error)
     app(prog_name="busway")
+
+
+def _refuse(error: ImportError) -> NoReturn:
+    """End with code 2 and the command that installs what is missing; anything else is an error of ours."""
+    from ..config.extras import missing_extra
+
+    missing = missing_extra(error)
+    if missing is None:
+        raise error
+    print(f"busway: {missing}", file=sys.stderr)
+    sys.exit(2)

@@ -20,6 +20,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from ..config.extras import missing_extra
 from ..errors import ModbusError
 from .exits import ExitCode, exit_code_of
 
@@ -137,6 +138,11 @@ class Program(TyperGroup):
             code = ExitCode.INTERRUPTED
         except (BrokenPipeError, ReaderGoneError):
             code = _leave_pipe()
+        except ImportError as error:
+            missing = missing_extra(error)
+            if missing is None:
+                raise
+            code = _fail(str(missing), ExitCode.WRONG_USE)
         except Exception as error:
             if not hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
                 raise

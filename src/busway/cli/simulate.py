@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import ConfigError
+from ..errors import ConfigError, MissingExtra
 from .arguments import CAPTURE, VERBOSE, seconds, show_traffic, whole_number
 from .cloning import CloneWishes, clone_device, refuse_without_clone
 from .exits import ExitCode
@@ -219,9 +219,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
     try:
         from ..web.hosting import ControlPage
     except ImportError as error:
-        raise ConfigError(
-            f"{error.name} is not installed; it comes with: pip install 'busway[web]'", key="--api"
-        ) from error
+        raise MissingExtra(error.name or "starlette", "web", purpose="the page", key="--api") from error
 
     parse_host_port(api, "--api")
     token = None if token_file is None else read_text(token_file).strip()

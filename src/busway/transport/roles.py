@@ -10,7 +10,7 @@ Knows the extension and its encoding; knows no right that a role has.
 from dataclasses import dataclass
 from typing import Final
 
-from ..errors import ConfigError
+from ..errors import ConfigError, MissingExtra
 from .tls_failures import FailureKind, TlsFailure
 
 ROLE_EXTENSION: Final = "1.3.6.1.4.1.50316.802.1"
@@ -32,11 +32,11 @@ class RoleReading:
 
 
 def require_cryptography(purpose: str) -> None:
-    """Raises `ConfigError` that says what to install, where the package is missing."""
+    """Raises `MissingExtra` that says what to install, where the package is missing."""
     try:
         import cryptography.x509  # noqa: F401
     except ImportError:
-        raise ConfigError(f"{purpose} needs the package cryptography: pip install 'busway[tls]'") from None
+        raise MissingExtra("cryptography", "tls", purpose=purpose) from None
 
 
 def role_of_certificate(certificate: bytes) -> RoleReading:

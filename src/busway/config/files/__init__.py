@@ -17,3 +17,7 @@ devices. Imported only where a file is used: it loads pydantic.
 `gateway`       the schema of gateway files
 ==============  =======================================================================
 """
+
+from ..extras import require
+
+require("pydantic", "a configuration")

@@ -16,7 +16,7 @@ from http import HTTPStatus
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 
-from ...errors import ConfigError
+from ...errors import MissingExtra
 from ...session.handler import Handler
 from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
 from .handler import Classify, ClassifyByMark, MeteredHandler, classify_by_listener, metered
@@ -161,13 +161,11 @@ class MetricsEndpoint:
 
 
 def need_prometheus() -> None:
-    """Raises `ConfigError` unless ``prometheus-client`` is installed."""
+    """Raises `MissingExtra` unless ``prometheus-client`` is installed."""
     try:
         import prometheus_client  # noqa: F401
     except ImportError as error:
-        raise ConfigError(
-            "prometheus-client is not installed; it comes with: pip install 'busway[metrics]'", key="metrics"
-        ) from error
+        raise MissingExtra("prometheus-client", "metrics", purpose="metrics", key="metrics") from error
 
 
 def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:

@@ -10,6 +10,7 @@ import os
 import time
 from typing import TYPE_CHECKING, Self
 
+from ...config.extras import require
 from ...errors import LinkDown
 from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
@@ -50,8 +51,9 @@ class BlockingSerialPort:
 
         Raises:
             LinkDown: it is not there, taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, or can not be set so.
+            ConfigError: it is no serial port, can not be set so, or `serialx` is not installed.
         """
+        require("serialx", "a serial port")
         import serialx
 
         self.port = port

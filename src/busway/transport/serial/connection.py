@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self, cast
 
+from ...config.extras import require
 from ...errors import LinkDown
 from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
@@ -83,8 +84,9 @@ class SerialConnection:
 
         Raises:
             LinkDown: it is not there, taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, or can not be set so.
+            ConfigError: it is no serial port, can not be set so, or `serialx` is not installed.
         """
+        require("serialx", "a serial port")
         import serialx
 
         loop = asyncio.get_running_loop()

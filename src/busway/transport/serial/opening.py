@@ -12,6 +12,7 @@ import threading
 import weakref
 from dataclasses import dataclass
 
+from ...config.extras import require
 from ...errors import ConfigError
 from .reopen import ReopenPolicy
 
@@ -60,8 +61,9 @@ class Claim:
             user: who holds it, for the message of the next one.
 
         Raises:
-            ConfigError: this process has it open already. Nothing was opened.
+            ConfigError: this process has it open already, or `serialx` is not installed. Nothing was opened.
         """
+        require("serialx", "a serial port")
         self.port = _key(port)
         self.user = user
         with _lock:

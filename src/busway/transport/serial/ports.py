@@ -17,6 +17,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from ...config.extras import require
 from ...errors import ConfigError, LinkDown
 
 _USB = re.compile(r"/?(?:usb:)?(?P<vendor>[0-9A-Fa-f]{4}):(?P<product>[0-9A-Fa-f]{4})(?::(?P<serial>[^/]+))?")
@@ -58,7 +59,12 @@ class FoundPort:
 
 
 def list_ports() -> list[FoundPort]:
-    """The serial ports of this machine, sorted by path. Opens none; pseudo-terminals are not among them."""
+    """The serial ports of this machine, sorted by path. Opens none; pseudo-terminals are not among them.
+
+    Raises:
+        MissingExtra: `serialx` is not installed.
+    """
+    require("serialx", "finding serial ports")
     import serialx
 
     found = []
