@@ -16,7 +16,7 @@ from marked import ROOT, replaced, update
 from busway.client.management import ManagementParameters
 from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
-from busway.session.breaker import BreakerParameters
+from busway.session.breaker import OPEN_AFTER_BY_FRAMING, BreakerParameters
 from busway.session.line_framing import FramingParameters
 from busway.session.parameters import TIMEOUT_BY_FRAMING, ClientParameters, ServerParameters
 from busway.session.serial_client import SerialClientParameters
@@ -37,7 +37,10 @@ TABLES = {
     "opening": OpeningParameters,
 }
 """The parts of the page and the class that each shows."""
-BY_FRAMING = {(ClientParameters, "timeout"): TIMEOUT_BY_FRAMING}
+BY_FRAMING: Mapping[tuple[type[Any], str], Mapping[str, float]] = {
+    (ClientParameters, "timeout"): TIMEOUT_BY_FRAMING,
+    (BreakerParameters, "open_after"): OPEN_AFTER_BY_FRAMING,
+}
 """Options whose default depends on the framing of the endpoint."""
 
 

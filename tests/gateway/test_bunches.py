@@ -1,7 +1,8 @@
 """Reads that clients ask together go behind as bunches: the answers of the long road, each as soon as it is there."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -51,6 +52,22 @@ def answer_of(pdu: bytes) -> bytes:
     return bytes((function, 2 * count)) + struct.pack(f">{count}H", *range(address, address + count))
 
 
+@dataclass
+class WireTimer:
+    """A timer in virtual time."""
+
+    when: float
+    callback: Callable[[], None]
+    is_cancelled: bool = False
+
+    def cancel(self) -> None:
+        self.is_cancelled = True
+
+    def ring(self) -> None:
+        if not self.is_cancelled:
+            self.callback()
+
+
 class WireLink:
     """A link whose wire and clock are in the hands of the test.
 
@@ -66,6 +83,7 @@ class WireLink:
         self.asked: list[tuple[int, int, bytes]] = []
         self.segments: list[int] = []
         self.time = 0.0
+        self.timers: list[WireTimer] = []
         self._line = line
         line._links.append(self)  # type: ignore[arg-type]  # instead of a connection
 
@@ -79,6 +97,11 @@ class WireLink:
             self.pump()
         else:
             self._left(adu)
+
+    def call_at(self, when: float, callback: Callable[[], None]) -> "WireTimer":
+        timer = WireTimer(when, callback)
+        self.timers.append(timer)
+        return timer
 
     def give_up(self, demand: Demand) -> None:
         self.session.cancel(demand)
@@ -104,6 +127,10 @@ class WireLink:
 
     def wait(self, seconds: float) -> None:
         self.time += seconds
+        due = [one for one in self.timers if one.when <= self.time]
+        self.timers = [one for one in self.timers if one.when > self.time]
+        for timer in due:
+            timer.ring()
         self.session.tick(self.time)
         self._wake()
         self.pump()

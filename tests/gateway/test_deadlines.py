@@ -223,7 +223,7 @@ async def test_the_deadline_holds_whatever_the_timeouts_of_the_line_add_up_to() 
 async def test_a_read_is_repeated_as_often_as_the_line_says_and_a_write_never() -> None:
     async with (
         ScriptedPeer(lambda peer, frame: None) as peer,
-        gateway(peer.endpoint, timeout=0.05, retries=2) as made,
+        gateway(peer.endpoint, timeout=0.05, retries=2, open_after=0) as made,
         client(made) as link,
     ):
         assert await code_of(link.unit(1).read_holding_registers(0, count=1)) == 0x0B
@@ -231,6 +231,24 @@ async def test_a_read_is_repeated_as_often_as_the_line_says_and_a_write_never() 
         with pytest.raises(busway.WriteOutcomeUnknown):
             await link.unit(1).write_single_register(0, 1)
         assert len(peer.frames) == 4
+
+
+async def test_a_silent_unit_of_a_server_on_tcp_is_not_asked_for_a_while_and_the_others_are() -> None:
+    def all_but_nine(peer: ScriptedPeer, frame: MbapFrame) -> bytes | None:
+        return None if frame.unit == 9 else first_address(peer, frame)
+
+    pauses = {"first_pause": 60.0, "longest_pause": 60.0}
+    async with (
+        ScriptedPeer(all_but_nine) as peer,
+        gateway(peer.endpoint, timeout=0.05, retries=0, **pauses) as made,
+        client(made) as link,
+    ):
+        for _ in range(5):
+            assert await code_of(link.unit(9).read_holding_registers(0, count=1)) == 0x0B
+            assert await link.unit(1).read_holding_registers(7, count=1) == [7]
+        assert [frame.unit for frame in peer.frames].count(9) == 3
+        (unit,) = made.status().lines[0].links[0].suspended
+        assert (unit.unit, unit.state, 0 < unit.next_probe <= 60) == (9, "open", True)
 
 
 async def test_a_repeated_read_that_is_answered_brings_its_data_and_a_client_sees_no_more() -> None:

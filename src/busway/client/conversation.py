@@ -10,6 +10,7 @@ from ..errors import ModbusError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import Parity, SerialTiming
+from ..session.breaker import Breakers
 from ..session.client import TcpClientSession
 from ..session.demand import Demand
 from ..session.flights import Places
@@ -34,6 +35,10 @@ class Conversation(Protocol):
     finished: list[Demand]
     recycle: str
     valid_reply: bool
+
+    @property
+    def breakers(self) -> Breakers | None:
+        """Which units are not asked; None where units are not watched."""
 
     @property
     def has_demands(self) -> bool:
@@ -95,12 +100,15 @@ def conversation_for(
     name = settings.endpoint.url
     if settings.line is None:
         # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
-        return TcpClientSession(
+        session = TcpClientSession(
             settings.parameters,
             endpoint=name,
             first_transaction=random.getrandbits(16),
             shared_places=shared_places,
         )
+        if settings.breaker is not None:
+            session.watch_units(Breakers(settings.breaker, random.random))
+        return session
     line = settings.line
     port = line.port
     framing = line_framing(

@@ -294,6 +294,10 @@ class Link:
         """Whether a connection stands."""
         return self._transport is not None
 
+    def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
+        """A timer in the clock of demands."""
+        return self._loop.call_later(max(when - self._clock(), 0.0), callback)
+
     @property
     def down_because(self) -> str:
         """Why no connection could be had; empty while one stands, and before the first attempt."""
@@ -442,6 +446,8 @@ class Link:
                 transport.write(chunk)
             if TRACE.level:
                 self._traced().sent(b"".join(out))
+            if session.breakers is not None and self._line is None:
+                self._rearm()  # a probe waits for less than its call
         else:
             if session.finished:  # a breaker has opened, and what waited for its unit waits no more
                 self._wake()

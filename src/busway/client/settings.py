@@ -14,7 +14,7 @@ from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.options import build_parameters, option_names
 from ..config.profiles import OPTION, STRICT_LINKS, with_profile
 from ..errors import ConfigError
-from ..session.breaker import BreakerParameters
+from ..session.breaker import OPEN_AFTER_BY_FRAMING, BreakerParameters
 from ..session.line_framing import FramingParameters
 from ..session.parameters import TIMEOUT_BY_FRAMING, ClientParameters
 from ..session.serial_client import SerialClientParameters
@@ -74,6 +74,7 @@ class LinkSettings:
         sockets: of the connection; without effect on a serial port.
         management: when connections come and go; without effect on a serial port.
         line: of the line, where the framing is RTU or ASCII.
+        breaker: when units are given up, where the framing is another; None: never.
         security: certificates and what else TLS needs, where the carrier is TLS.
     """
 
@@ -82,6 +83,7 @@ class LinkSettings:
     sockets: SocketParameters
     management: ManagementParameters
     line: LineSettings | None = None
+    breaker: BreakerParameters | None = None
     security: TlsParameters | None = None
 
     def differs(self, other: "LinkSettings") -> str:
@@ -96,11 +98,16 @@ class LinkSettings:
         parts: list[Any] = [self.parameters, self.sockets, self.management]
         if self.security is not None:
             parts.append(self.security)
-        if self.line is not None:
+        if self.line is None:
+            parts.append(self.breaker or _NEVER)
+        else:
             parts += [self.line.conversation, self.line.breaker, self.line.framing, self.line.opening]
             if self.line.port is not None:
                 parts.append(self.line.port)
         return parts
+
+
+_NEVER: Final = BreakerParameters(open_after=0)
 
 
 def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSettings:
@@ -120,15 +127,18 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
         parameters = replace(parameters, single_adu_segments=True)  # one ADU per datagram
     sockets = build_parameters(SocketParameters, chosen.get(SocketParameters, {}))
     management = build_parameters(ManagementParameters, chosen.get(ManagementParameters, {}))
+    chosen[BreakerParameters].setdefault("open_after", OPEN_AFTER_BY_FRAMING[endpoint.framing])
+    breaker = build_parameters(BreakerParameters, chosen[BreakerParameters])
     if endpoint.framing == "mbap":
         security = tls_parameters(chosen[TlsParameters]) if TlsParameters in chosen else None
-        return LinkSettings(endpoint, parameters, sockets, management, security=security)
+        watched = breaker if breaker.open_after else None
+        return LinkSettings(endpoint, parameters, sockets, management, breaker=watched, security=security)
     port = None
     if endpoint.carrier == "serial":
         port = SerialSettings.from_options(chosen[SerialSettings], binary=endpoint.framing == "rtu")
     line = LineSettings(
         build_parameters(SerialClientParameters, chosen[SerialClientParameters]),
-        build_parameters(BreakerParameters, chosen[BreakerParameters]),
+        breaker,
         build_parameters(FramingParameters, chosen[FramingParameters]),
         port,
         build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
@@ -147,7 +157,7 @@ def _names_of(offered: Mapping[type[Any], list[str]]) -> frozenset[str]:
 
 def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
     """The options of a scheme, by the class that takes them."""
-    kinds: list[type[Any]] = [ClientParameters]
+    kinds: list[type[Any]] = [ClientParameters, BreakerParameters]
     without: frozenset[str] = frozenset()
     if endpoint.carrier != "serial":
         kinds += [SocketParameters, ManagementParameters]
@@ -157,7 +167,7 @@ def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:
         kinds.append(TlsParameters)
         without |= OF_SERVERS | {"interface"}
     if endpoint.framing != "mbap":
-        kinds += [SerialClientParameters, BreakerParameters, FramingParameters]
+        kinds += [SerialClientParameters, FramingParameters]
         without |= _ONE_AT_A_TIME | (_ONLY_ASCII if endpoint.framing == "rtu" else _ONLY_RTU)
         if endpoint.carrier == "serial":
             kinds += [SerialSettings, OpeningParameters]

@@ -226,7 +226,7 @@ class Bunches:
         asker.works[bunch] = None
         now, patience = bunch.link.now(), way.front.deadline
         if bunch.deadlines is None:
-            bunch.deadlines = WaiterDeadlines(bunch.link.now, partial(self._time_is_over, bunch))
+            bunch.deadlines = WaiterDeadlines(bunch.link.now, bunch.link.call_at, partial(self._time_is_over, bunch))
             if bunch.deadline is not None and bunch.asker is not None:
                 bunch.deadlines.add((bunch.asker, None), bunch.deadline)
         if patience is not None:

@@ -35,6 +35,7 @@ from ..server.policy.handler import PolicyHandler
 from ..server.rates import Rates
 from ..server.server import Server, ServerStatus
 from ..server.status import ConnectionStatus, ListenerStatus
+from ..session.breaker import OPEN_AFTER_BY_FRAMING
 from ..session.handler import Handler
 from ..session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ..session.reconnect import ConnectionState
@@ -48,9 +49,14 @@ if TYPE_CHECKING:
     from ..server.policy.audit import AuditLog
 
 DRAIN_SECONDS = 5.0
-OF_LINES: Mapping[str, Any] = {"port_wait": 0.0, "timeout": TIMEOUT_BY_FRAMING["rtu"]}  # Any: values of options
-"""Options of links that have another default behind a gateway: nobody waits for a port that is not there, and a server
-on a network is given up, after its repetition, before the gateway's clients give up."""
+OF_LINES: Mapping[str, Any] = {  # Any: values of options
+    "port_wait": 0.0,
+    "timeout": TIMEOUT_BY_FRAMING["rtu"],
+    "open_after": OPEN_AFTER_BY_FRAMING["rtu"],
+}
+"""Options of links that have another default behind a gateway: nobody waits for a port that is not there, a server on a
+network is given up, after its repetition, before the gateway's clients give up, and a unit there that does not answer
+does not stall the others."""
 _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
 
 
@@ -105,7 +111,7 @@ class LineSettings:
         """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`.
 
         A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once. ``timeout``
-        is 1 second for every scheme.
+        is 1 second, and ``open_after`` 3, for every scheme.
         """
         endpoint = parse_endpoint(url)
         offered = options_of(endpoint)

@@ -102,7 +102,7 @@ class LinkStatus:
         in_flight: requests whose reply is awaited.
         queued: requests that wait for their turn.
         counters: what happened on it.
-        suspended: units that are not asked now; there are some on serial lines only.
+        suspended: units that are not asked now.
         reason: why it cannot be reached; empty while it can be, and before the first attempt.
         next_attempt: seconds until it is tried again at the earliest; None where the next request tries it.
     """
@@ -374,7 +374,9 @@ class Line:
         waiter[0].gone = partial(self.gone, exchange, waiter[0])
         demand, now = exchange.demand, exchange.link.now()
         if exchange.deadlines is None:
-            exchange.deadlines = WaiterDeadlines(exchange.link.now, partial(self._time_is_over, exchange))
+            exchange.deadlines = WaiterDeadlines(
+                exchange.link.now, exchange.link.call_at, partial(self._time_is_over, exchange)
+            )
             if demand.deadline is not None:
                 for context, _, _ in exchange.waiters[:-1]:
                     exchange.deadlines.add(context, demand.deadline)
@@ -528,9 +530,9 @@ def _lamps(links: Sequence[LinkStatus]) -> Lamps:
 
 
 def _suspended(link: Link) -> tuple[SuspendedUnit, ...]:
-    """The units that a serial line does not ask now."""
+    """The units that are not asked now."""
     session = link.session
-    if not isinstance(session, SerialClientSession):
+    if session.breakers is None:
         return ()
     now = link.now()
     return tuple(

@@ -3,28 +3,40 @@
 Knows waiters and times; knows no read. One timer, for the nearest deadline; there is none where a read is one client's.
 """
 
-import asyncio
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 Waiter = TypeVar("Waiter")
 
 
+class Timer(Protocol):
+    """What is called at its time."""
+
+    def cancel(self) -> None:
+        """It is not called any more."""
+
+
+CallAt = Callable[[float, Callable[[], None]], Timer]
+"""Time and callback → the timer that calls it."""
+
+
 class WaiterDeadlines(Generic[Waiter]):
-    """The deadlines of those who wait for one read. In a coroutine.
+    """The deadlines of those who wait for one read.
 
     Args:
         now: the clock of the deadlines.
+        call_at: makes a timer of that clock.
         over: called with each waiter whose time is over.
     """
 
-    __slots__ = ("_deadlines", "_now", "_over", "_timer")
+    __slots__ = ("_call_at", "_deadlines", "_now", "_over", "_timer")
 
-    def __init__(self, now: Callable[[], float], over: Callable[[Waiter], None]) -> None:
+    def __init__(self, now: Callable[[], float], call_at: CallAt, over: Callable[[Waiter], None]) -> None:
         self._now = now
+        self._call_at = call_at
         self._over = over
         self._deadlines: list[tuple[float, Waiter]] = []
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: Timer | None = None
 
     def add(self, waiter: Waiter, deadline: float) -> None:
         """One more waits, until ``deadline``."""
@@ -46,8 +58,7 @@ class WaiterDeadlines(Generic[Waiter]):
     def _arm(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        pause = max(self._nearest(self._deadlines) - self._now(), 0.0)
-        self._timer = asyncio.get_running_loop().call_later(pause, self._ring)
+        self._timer = self._call_at(self._nearest(self._deadlines), self._ring)
 
     def _ring(self) -> None:
         self._timer = None

@@ -1,4 +1,4 @@
-"""Which units of a shared line are asked at all: one circuit breaker per unit.
+"""Which units behind a link are asked at all: one circuit breaker per unit.
 
 Knows timeouts, replies and times; knows no bytes. ``jitter`` is handed in, a number 0…1 per call, so a test can fix it.
 
@@ -11,11 +11,16 @@ Knows timeouts, replies and times; knows no bytes. ``jitter`` is handed in, a nu
 4. Any valid reply of the unit, also a late one, closes it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from types import MappingProxyType
 
 from ..errors import ConfigError
+
+OPEN_AFTER_BY_FRAMING: Mapping[str, int] = MappingProxyType({"mbap": 0, "rtu": 3, "ascii": 3})
+"""The default of ``open_after``, by the framing of an endpoint: a device on TCP disturbs no other. Behind a gateway the
+units of a server share its connection, and the default is that of a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +28,14 @@ class BreakerParameters:
     """When a unit is given up, and when it is tried again.
 
     Attributes:
-        open_after: timeouts in a row that open the breaker; 0 switches it off.
+        open_after: timeouts in a row that open the breaker; 0 switches it off. Where nothing is said, the framing of
+            the endpoint decides; it is 3 behind a gateway.
         first_pause, longest_pause: seconds until the first probe, and between probes at most.
         probe_timeout: seconds that a probe waits for its reply at least, where the request's own timeout is not
             shorter; a unit that never answered and is slower than all others needs a longer one.
     """
 
-    open_after: int = 3
+    open_after: int = OPEN_AFTER_BY_FRAMING["rtu"]
     first_pause: float = 3.0
     longest_pause: float = 8.5
     probe_timeout: float = 0.1
@@ -64,7 +70,7 @@ class _UnitBreaker:
 
 
 class Breakers:
-    """The breakers of one line."""
+    """The breakers of one link."""
 
     __slots__ = ("_jitter", "_units", "parameters")
 
@@ -81,6 +87,11 @@ class Breakers:
     def states(self) -> dict[int, BreakerState]:
         """All units that ever timed out, with their state."""
         return {unit: breaker.state for unit, breaker in self._units.items()}
+
+    @property
+    def has_doubts(self) -> bool:
+        """Whether a unit timed out and has not answered since."""
+        return bool(self._units)
 
     def suspended_for(self, unit: int, now: float) -> float | None:
         """Seconds until a request may probe the unit; None if it may be asked now."""

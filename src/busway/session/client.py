@@ -15,11 +15,14 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
 6. A connection that brings nothing but timeouts, or late replies only, is made anew.
 7. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
    still working on it.
-8. Reads of one demand fly as a volley, and are taken together when all of them are answered in their order. Whatever
+8. Where units are watched, one that does not answer is not asked for a while, and its requests fail with
+   `UnitSuspended`: one transaction at a time would else be lost to it, and all others wait (`breaker`).
+9. Reads of one demand fly as a volley, and are taken together when all of them are answered in their order. Whatever
    else happens takes all volleys apart first (`_scatter`), so that all rules are about single requests.
 """
 
 from collections import deque
+from functools import partial
 
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
@@ -27,6 +30,7 @@ from ..framing.mbap import HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuff
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
+from .breaker import Breakers, BreakerState
 from .demand import Demand
 from .flights import HEAD_SIZE, Flight, Places, Volley, places, plan_of, route_of
 from .ledger import Ledger
@@ -35,6 +39,8 @@ from .queue import BURST
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
+_PACE_FORGETS = 0.9
+"""The usual time of a unit is its slowest lately: each faster reply takes a tenth off."""
 _LAUNCHES_APART = 32
 """So many times requests fly one by one after replies have come in another order, or one was an exception: to take a
 volley apart costs a fifth of what its requests cost."""
@@ -55,6 +61,7 @@ class TcpClientSession:
         recycle: why the connection must be closed and made anew; empty while it need not.
         observed_delay: seconds that the last late reply had taken; None before the first, and after one in time.
         valid_reply: whether this connection has brought a reply that answers a request, in time or late.
+        breakers: which units are not asked; None where units are not watched.
     """
 
     __slots__ = (
@@ -66,12 +73,14 @@ class TcpClientSession:
         "_launches_apart",
         "_ledger",
         "_not_before",
+        "_pace",
         "_pending",
         "_queue",
         "_timeouts_in_row",
         "_timeouts_since_reply",
         "_transaction",
         "_volleys",
+        "breakers",
         "counters",
         "finished",
         "observed_delay",
@@ -108,11 +117,21 @@ class TcpClientSession:
         self._timeouts_since_reply = 0
         self._foreign_in_row = 0
         self._launches_apart = 0  # how many more times requests fly one by one
+        self.breakers: Breakers | None = None
+        self._pace: dict[int, float] = {}  # seconds that units usually take, where they are watched
+
+    def watch_units(self, breakers: Breakers) -> None:
+        """Ask no unit for a while that does not answer."""
+        self.breakers = breakers
 
     # What the application asks.
 
     def submit(self, demand: Demand, now: float) -> None:
-        """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
+        """Take a demand. Raises `Overloaded` where the queue is full, `UnitSuspended`; nothing was sent then."""
+        if self.breakers is not None:
+            pause = self.breakers.suspended_for(demand.unit, now)
+            if pause is not None:
+                raise self._ledger.suspended(demand, pause, self.breakers.parameters.open_after)
         self._ledger.submit(demand, now)
 
     def cancel(self, demand: Demand) -> None:
@@ -176,6 +195,8 @@ class TcpClientSession:
         self._scatter()
         for flight in list(self._pending.values()):
             self._release(flight)
+            if self.breakers is not None:
+                self.breakers.not_decided(flight.route.unit)
             if flight.demand is not None:
                 error = LinkDown(f"the connection ended before the reply: {reason}", sent=True)
                 self._failed(flight, flight.demand, error, now, again=True)
@@ -206,7 +227,11 @@ class TcpClientSession:
         free = self._free
         gap = self.parameters.request_gap
         room = len(free)
-        while free and (demand := queue.pick()) is not None:
+        eligible = None
+        breakers = self.breakers
+        if breakers is not None and breakers.has_doubts:
+            eligible = partial(self._may_ask, now)
+        while free and (demand := queue.pick(eligible)) is not None:
             turn = 1 if gap else min(len(free), queue.share(room))
             while demand is not None:
                 before = len(free)
@@ -214,7 +239,7 @@ class TcpClientSession:
                 sent = before - len(free)
                 queue.sent(demand, sent)
                 turn -= sent
-                demand = queue.pick_same() if turn > 0 else None
+                demand = queue.pick_same(eligible) if turn > 0 else None
             if gap:
                 break
         return out
@@ -229,6 +254,7 @@ class TcpClientSession:
             or now < self._not_before
             or self.recycle
             or self._buffer.kept
+            or (self.breakers is not None and self.breakers.has_doubts and self._is_doubted(demand))
         ):
             return None
         if count == 1:
@@ -243,8 +269,17 @@ class TcpClientSession:
             self._ledger.begin(demand, now)
         return adus
 
+    def _is_doubted(self, demand: Demand) -> bool:
+        """Whether the unit is not asked, or only probed."""
+        return self.breakers is not None and self.breakers.state(demand.unit) is not BreakerState.CLOSED
+
+    def _may_ask(self, now: float, demand: Demand) -> bool:
+        return self.breakers is None or self.breakers.suspended_for(demand.unit, now) is None
+
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
+        if self._is_doubted(demand):
+            at_most = 1  # it is a probe
         requests = len(demand.requests)
         if requests > 1 and not demand.again and not demand.is_write and not self.parameters.single_adu_segments:
             together = self._launch_volley(demand, min(at_most, requests - demand.next), now)
@@ -264,7 +299,7 @@ class TcpClientSession:
         Where others fly by themselves the device answers one by one, or in another order: a volley would only be taken
         apart again.
         """
-        if count < 2 or self._pending:
+        if count < 2 or self._pending or self._is_doubted(demand):
             return None
         if self._launches_apart:
             self._launches_apart -= 1
@@ -302,8 +337,18 @@ class TcpClientSession:
         flight.position = position
         flight.route = route
         flight.sent = now
-        flight.expires = now + demand.timeout
+        flight.expires = now + (demand.timeout if self.breakers is None else self._patience(demand, now))
         return transaction.to_bytes(2, "big") + route.tail
+
+    def _patience(self, demand: Demand, now: float) -> float:
+        """Seconds to wait for a unit that is watched: fewer for a probe, where it is known what is usual."""
+        assert self.breakers is not None
+        usual = self._usual(demand.unit)
+        return self.breakers.asked(demand.unit, now, demand.timeout, usual or demand.timeout)
+
+    def _usual(self, unit: int) -> float:
+        """Seconds that a unit usually takes, or else the slowest of the others; 0 if nobody has answered yet."""
+        return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _scatter(self) -> None:
         """Take all volleys apart: from here on each of their requests flies by itself."""
@@ -321,6 +366,9 @@ class TcpClientSession:
         pending = self._pending
         free = self._free
         ledger = self._ledger
+        breakers = self.breakers
+        doubts = breakers is not None and breakers.has_doubts
+        last: Flight | None = None
         at = good = 0
         if self._volleys:
             at = self._receive_volleys(data, size, now)
@@ -338,6 +386,9 @@ class TcpClientSession:
                     del pending[transaction]
                     free.append(flight)
                     good += 1
+                    last = flight
+                    if doubts:
+                        self._unit_lives(demand.unit)
                     demand.outcomes[flight.position] = route.take(data[at + HEAD_SIZE : end])
                     demand.open -= 1
                     if not demand.open:
@@ -350,8 +401,10 @@ class TcpClientSession:
                 break
             self._odd_frame(transaction, protocol, unit, data[at:end], now)
             at = end
-        if good:
+        if last is not None:
             self._answered(good, now)
+            if breakers is not None:
+                self._learn_pace(last.route.unit, now - last.sent)
         if size - at >= 6:
             length = data[at + 4] << 8 | data[at + 5]
             if not MIN_LENGTH <= length <= MAX_LENGTH:
@@ -393,6 +446,9 @@ class TcpClientSession:
             if volley.answered == len(plan.heads):
                 volleys.popleft()
             demand.open -= len(replies)
+            if self.breakers is not None:
+                self._unit_lives(demand.unit)
+                self._learn_pace(demand.unit, now - volley.sent)
             if not demand.open:
                 self._ledger.finish(demand)
         if good:
@@ -450,13 +506,17 @@ class TcpClientSession:
     def _timed_out(self, transaction: int, flight: Flight, now: float, *, over: bool) -> None:
         """The reply did not come in time: remember the identifier, and repeat or fail."""
         self._remember(transaction, flight.sent)
-        partial = self._buffer.kept
+        kept = self._buffer.kept
+        is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, flight, now)
         if flight.demand is not None:
             self.counters.timeouts += 1
             self._timeouts_in_row += 1
             self._timeouts_since_reply += 1
-            self._failed(flight, flight.demand, self._no_reply(flight, partial, now, over=over), now, again=not over)
-        if partial:
+            error = self._no_reply(flight, kept, now, over=over)
+            self._failed(flight, flight.demand, error, now, again=not over and not is_given_up)
+        if is_given_up:
+            self._fail_suspended(now)
+        if kept:
             self._recycle("a frame began and did not end within the timeout")
         elif self._tolerant:
             self._recycle("a timeout where transactions can not be told apart")
@@ -464,6 +524,35 @@ class TcpClientSession:
             self._recycle(f"{self._timeouts_in_row} timeouts in a row")
         elif self._timeouts_since_reply >= _LATE_FACTOR * self.parameters.recycle_after_timeouts:
             self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
+
+    def _unit_is_silent(self, breakers: Breakers, flight: Flight, now: float) -> bool:
+        """A unit did not answer; whether it is not asked any more now."""
+        unit, waited = flight.route.unit, now - flight.sent
+        usual = self._usual(unit)
+        if now < flight.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
+            breakers.not_decided(unit)  # its call had waited for its turn, and ends before the unit could have answered
+            return False
+        return breakers.timed_out(unit, now)
+
+    def _fail_suspended(self, now: float) -> None:
+        """What waits for a unit that is not asked any more does not wait for its probe."""
+        breakers = self.breakers
+        assert breakers is not None
+        in_flight = {(id(one.demand), one.position) for one in self._pending.values()}
+        for demand in list(self._queue):
+            pause = breakers.suspended_for(demand.unit, now)
+            if pause is not None:
+                reason = partial(self._ledger.suspended, demand, pause, breakers.parameters.open_after)
+                self._ledger.give_up(demand, now, reason, in_flight)
+
+    def _unit_lives(self, unit: int) -> None:
+        """A unit has answered, whatever it said."""
+        if self.breakers is not None:
+            self.breakers.answered(unit)
+
+    def _learn_pace(self, unit: int, seconds: float) -> None:
+        """The usual time of a unit is its slowest lately."""
+        self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, flight: Flight, partial: bytes, now: float, *, over: bool) -> NoReply:
         timeout = flight.expires - flight.sent
@@ -494,6 +583,7 @@ class TcpClientSession:
                 self.counters.late_replies += 1
                 self.observed_delay = now - sent
                 self._timeouts_in_row = 0
+                self._unit_lives(unit)
                 self.valid_reply = True
                 self._start_gap(now)
                 return
@@ -505,6 +595,7 @@ class TcpClientSession:
         del self._pending[transaction]
         self._free.append(flight)
         if flight.demand is None:
+            self._unit_lives(flight.route.unit)
             return  # cancelled: its reply has come, the place is free
         self._confirm(flight, flight.demand, protocol, unit, adu, now)
 
@@ -521,6 +612,7 @@ class TcpClientSession:
         elif pdu[0] & 0x7F != function:
             reason = f"function {pdu[0]} answers function {function}"
         if not reason:
+            self._unit_lives(demand.unit)
             try:
                 self._accept(flight, demand, pdu, now)
                 return

@@ -8,10 +8,10 @@ Knows the queue, retries and the errors a request ends with; knows no framing, a
 3. A demand may have a deadline; time in the queue counts.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from ..errors import LinkDown, ModbusError, NoReply, Overloaded, WriteOutcomeUnknown
+from ..errors import LinkDown, ModbusError, NoReply, Overloaded, UnitSuspended, WriteOutcomeUnknown
 from ..pdu.message import Message, Request
 from .demand import Demand
 from .parameters import ClientParameters
@@ -88,12 +88,38 @@ class Ledger:
             self.counters.cancelled += 1
             self._leave(demand)
 
-    def give_up(self, demand: Demand, now: float, reason: Callable[[], ModbusError]) -> None:
-        """What of a demand waits to be sent is not sent any more; each request gets an error of its own."""
+    def give_up(
+        self,
+        demand: Demand,
+        now: float,
+        reason: Callable[[], ModbusError],
+        in_flight: Collection[tuple[int, int]] = (),
+    ) -> None:
+        """What of a demand waits to be sent is not sent any more; each request gets an error of its own.
+
+        ``in_flight`` holds (identity of demand, position) of what is sent, and goes on.
+        """
         self.queue.remove(demand)
         for position, outcome in enumerate(demand.outcomes):
-            if outcome is None:
+            if outcome is None and (id(demand), position) not in in_flight:
                 self._given_up(demand, position, reason(), now)
+
+    def suspended(self, demand: Demand, pause: float, timeouts: int) -> UnitSuspended:
+        """The error of a request whose unit is not asked, counted.
+
+        Args:
+            demand: of it.
+            pause: seconds until the unit may be asked again.
+            timeouts: how often in a row it did not answer.
+        """
+        self.counters.suspended += 1
+        return UnitSuspended(
+            f"not asked: it did not answer {timeouts} times in a row; it may be asked again in {pause:.1f} s",
+            next_probe=pause,
+            endpoint=self.endpoint or None,
+            unit=demand.unit,
+            function=function_of(demand.requests[0]),
+        )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """No connection could be had: everything that waits fails, at once and with the same reason.

@@ -150,13 +150,14 @@ class RequestQueue:
             demand.places -= freed
             self.waiting -= freed
 
-    def pick_same(self) -> Demand | None:
+    def pick_same(self, eligible: Eligible | None = None) -> Demand | None:
         """The next demand of the caller that was picked last, while it is its turn; None where it has no more."""
         caller = self._last
         if caller is None or not caller.demands:
             return None
-        demand = caller.pick(None)
-        assert demand is not None  # nothing is held up where turns are more than one request
+        demand = caller.pick(eligible)
+        if demand is None:
+            return None
         self._note_unit(caller, demand)
         return demand
 

@@ -252,15 +252,7 @@ class SerialClientSession:
                     )
 
     def _suspended(self, demand: Demand, pause: float) -> UnitSuspended:
-        self.counters.suspended += 1
-        return UnitSuspended(
-            f"not asked: it did not answer {self.breakers.parameters.open_after} times in a row; "
-            f"it may be asked again in {pause:.1f} s",
-            next_probe=pause,
-            endpoint=self._ledger.endpoint or None,
-            unit=demand.unit,
-            function=function_of(demand.requests[0]),
-        )
+        return self._ledger.suspended(demand, pause, self.breakers.parameters.open_after)
 
     def cancel(self, demand: Demand) -> None:
         """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen."""
