@@ -26,6 +26,11 @@ def owed(request: Request, *, call: object = None, sent: float = 0.0) -> OwedRep
     return OwedReply(request, wire[0], sent, sent + 2.0, call)
 
 
+def answered(request: Request) -> Request:
+    request.prepare()
+    return request
+
+
 def registers(outcome: object) -> list[int]:
     assert isinstance(outcome, ReadHoldingRegisters.Reply), outcome
     return outcome.registers
@@ -39,7 +44,7 @@ def test_reply_belongs_to_the_earliest_request_it_could_answer_and_ends_what_cam
     coils, first, second = owed(ReadCoils(0, 8)), owed(READ), owed(READ)
     for one in (coils, first, second):
         doubt.owe(one)
-    assert doubt.earliest(REPLY) is first
+    assert doubt.candidates(REPLY) == [first, second]
     doubt.came(first)
     assert doubt.owed == [second]
 
@@ -66,10 +71,20 @@ def test_owed_reply_is_known_by_function_length_and_echo(request_: Request, pdu:
 def test_own_repetition_is_not_in_doubt_and_the_same_request_of_another_call_is() -> None:
     doubt, call = UnitDoubt(), object()
     doubt.owe(owed(READ, call=call))
-    assert not doubt.in_doubt(3, call, 0)
-    assert doubt.in_doubt(3, call, 1)
-    assert doubt.in_doubt(3, object(), 0)
-    assert not doubt.in_doubt(4, object(), 0)
+    assert not doubt.in_doubt(READ, call, 0)
+    assert doubt.in_doubt(READ, call, 1)
+    assert doubt.in_doubt(READ, object(), 0)
+    for other in (ReadHoldingRegisters(0, 3), ReadInputRegisters(0, 2)):
+        other.prepare()
+        assert not doubt.in_doubt(other, object(), 0)
+
+
+def test_write_is_in_doubt_by_its_function_alone_because_it_is_not_asked_again() -> None:
+    doubt = UnitDoubt()
+    doubt.owe(owed(WriteSingleRegister(1, 2)))
+    other = WriteSingleRegister(3, 4)
+    other.prepare()
+    assert doubt.in_doubt(other, None, 0)
 
 
 def test_more_owed_replies_than_can_be_told_apart_make_a_doubt_longer_and_never_shorter() -> None:
@@ -77,13 +92,16 @@ def test_more_owed_replies_than_can_be_told_apart_make_a_doubt_longer_and_never_
     for number in range(OWED_LIMIT + 1):
         doubt.owe(owed(ReadHoldingRegisters(0, 1 + number % 100)))
         doubt.owe(owed(ReturnQueryData(number.to_bytes(2, "big"))))
-    assert len(doubt.owed) <= OWED_LIMIT + 1
-    for _ in range(3):
-        late = doubt.earliest(REPLY)
-        assert late is not None
-        doubt.came(late)
-        assert doubt.in_doubt(3, None, 0)
-    assert doubt.earliest(bytes.fromhex("08 00 00 ff ff")) is None  # a number that no request had yet
+    assert len(doubt.owed) == OWED_LIMIT
+    count = 0
+    while doubt.is_older(REPLY):
+        doubt.older_came(REPLY)
+        assert doubt.in_doubt(READ, None, 0)
+        count += 1
+    assert count == (2 * (OWED_LIMIT + 1) - OWED_LIMIT) // 2
+    number = bytes.fromhex("08 00 00 ff ff")  # one that no request had yet
+    assert not doubt.is_older(number)
+    assert doubt.candidates(number) == []
 
 
 def test_what_two_links_were_owed_is_put_in_the_order_in_which_it_was_asked() -> None:
@@ -100,7 +118,7 @@ def test_what_two_links_were_owed_is_put_in_the_order_in_which_it_was_asked() ->
 
 
 def test_markers_are_tried_one_after_the_other_and_what_worked_is_tried_first() -> None:
-    doubt = UnitDoubt(good=ReadHoldingRegisters(10, 4))
+    doubt = UnitDoubt(good=answered(ReadHoldingRegisters(10, 4)))
     doubt.owe(owed(ReadHoldingRegisters(10, 4)))
     kinds = []
     while (marker := doubt.marker(1)) is not None:
@@ -118,7 +136,7 @@ def test_markers_are_tried_one_after_the_other_and_what_worked_is_tried_first() 
 
 
 def test_read_of_another_length_has_none_that_is_owed() -> None:
-    doubt = UnitDoubt(good=ReadHoldingRegisters(10, 4), works=MarkerKind.OTHER_LENGTH)
+    doubt = UnitDoubt(good=answered(ReadHoldingRegisters(10, 4)), works=MarkerKind.OTHER_LENGTH)
     for count in (4, 3, 2):
         doubt.owe(owed(ReadHoldingRegisters(0, count)))
     marker = doubt.marker(1)
@@ -258,6 +276,54 @@ def test_exception_under_an_owed_function_decides_nothing() -> None:
     assert isinstance(master.get(1, READ), NoReply)
     second = master.get(1, READ)
     assert not isinstance(second, ExceptionReply)
+
+
+def test_reply_that_may_answer_another_call_between_two_attempts_ends_no_call() -> None:
+    """Attempts of one call on both sides of another's: the reply may be the other's, so it is nobody's."""
+    bus = Bus()
+    master = bus.master(
+        parameters=ClientParameters(timeout=0.3, retries=3),
+        serial=SerialClientParameters(trust_reply_order=True),
+        breaker=NO_BREAKER,
+    )
+    bus.device(lambda unit, pdu, now: [])
+    ours = master.ask(1, ReadHoldingRegisters(0, 1), caller="a")
+    bus.run(until=lambda: len(master.sent) == 1)
+    doubt = master.session.doubts.of(1)
+    doubt.silent.update(MarkerKind)
+    bus.run(until=lambda: master.session.counters.timeouts == 1)
+    doubt.owe(owed(ReadHoldingRegisters(50, 1), call=object(), sent=bus.now))
+    bus.run(until=lambda: len(master.sent) == 2)
+    bus.line.inject(encode_rtu(1, bytes.fromhex("03 02 be ef")), bus.now + 0.05)
+    bus.run(0.2)
+    assert not ours.done
+    assert master.session.counters.late_replies == 1
+
+
+def test_master_sleeps_while_a_call_that_could_be_asked_stands_behind_one_that_cannot() -> None:
+    bus = Bus()
+    master = bus.master(parameters=ClientParameters(timeout=1.0, retries=0), breaker=NO_BREAKER)
+    bus.device(lambda unit, pdu, now: [])
+    master.get(1, WriteSingleRegister(0, 1))
+    master.ask(1, WriteSingleRegister(0, 1))
+    master.ask(1, READ)
+    bus.run(0.2)
+    due = master.session.deadline()
+    assert due is not None
+    assert due > bus.now + 0.5
+
+
+def test_error_of_a_call_that_was_sent_does_not_say_that_nothing_was_sent() -> None:
+    bus = Bus()
+    master = bus.master(parameters=ClientParameters(timeout=0.2, retries=2), breaker=NO_BREAKER)
+    bus.device(lambda unit, pdu, now: [])
+    calls = [master.ask(1, ReadHoldingRegisters(address, 1), caller=address) for address in (0, 1)]
+    bus.run(until=lambda: all(call.done for call in calls))
+    for address, call in enumerate(calls):
+        sent = any(frame[1:4] == bytes((3, 0, address)) for _, frame in master.sent)
+        assert isinstance(call.outcome, NoReply)
+        assert ("nothing was sent" in str(call.outcome)) != sent
+        assert (call.outcome.kind == "in doubt") != sent
 
 
 def test_doubt_survives_a_reconnection() -> None:

@@ -45,6 +45,8 @@ _LAUNCHES_APART = 32
 """So many times requests fly one by one after replies have come in another order, or one was an exception: to take a
 volley apart costs a fifth of what its requests cost."""
 _LATE_FACTOR = 2
+_LATE_KNOWN = 60.0
+"""Seconds for which a unit that answered too late is called slow."""
 """A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
 helps: so many times more timeouts are borne while late replies come."""
 _STEP = 1021
@@ -59,7 +61,7 @@ class TcpClientSession:
         counters: what happened.
         finished: demands that have all their outcomes; the driver empties the list.
         recycle: why the connection must be closed and made anew; empty while it need not.
-        observed_delay: seconds that the last late reply had taken; None before the first, and after one in time.
+        late_units: by unit, when its last late reply came and how many seconds it had taken.
         valid_reply: whether this connection has brought a reply that answers a request, in time or late.
         breakers: which units are not asked; None where units are not watched.
     """
@@ -83,7 +85,7 @@ class TcpClientSession:
         "breakers",
         "counters",
         "finished",
-        "observed_delay",
+        "late_units",
         "parameters",
         "recycle",
         "valid_reply",
@@ -102,7 +104,7 @@ class TcpClientSession:
         self.counters = self._ledger.counters
         self.finished = self._ledger.finished
         self.recycle = ""
-        self.observed_delay: float | None = None
+        self.late_units: dict[int, tuple[float, float]] = {}
         self.valid_reply = False
         self._queue = self._ledger.queue
         self._pending: dict[int, Flight] = {}
@@ -562,12 +564,13 @@ class TcpClientSession:
             )
         if partial:
             return NoReply(f"only a part of a reply came within {timeout:g} s", kind="partial", raw=partial)
-        if self.observed_delay is not None:
+        came, delay = self.late_units.get(flight.route.unit, (-_LATE_KNOWN, 0.0))
+        if now - came < _LATE_KNOWN:
             return NoReply(
-                f"no reply within {timeout:g} s; the device is slow: its last late reply had taken "
-                f"{self.observed_delay:.3f} s, a longer timeout would take it",
+                f"no reply within {timeout:g} s; the unit is slow: its last late reply had taken "
+                f"{delay:.3f} s, a longer timeout would take it",
                 kind="late",
-                observed_delay=self.observed_delay,
+                observed_delay=delay,
             )
         return NoReply(f"no reply within {timeout:g} s")
 
@@ -581,7 +584,7 @@ class TcpClientSession:
             sent = self._expired.pop(transaction, None)
             if sent is not None:
                 self.counters.late_replies += 1
-                self.observed_delay = now - sent
+                self.late_units[unit] = now, now - sent
                 self._timeouts_in_row = 0
                 self._unit_lives(unit)
                 self.valid_reply = True
@@ -702,7 +705,6 @@ class TcpClientSession:
     def _answered(self, good: int, now: float) -> None:
         self.counters.replies += good
         self._timeouts_in_row = self._timeouts_since_reply = self._foreign_in_row = 0
-        self.observed_delay = None
         self.valid_reply = True
         self._start_gap(now)
 

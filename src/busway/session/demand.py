@@ -35,6 +35,7 @@ class Demand:
         owner: whatever the driver wants to find here again.
         attempts: attempts begun, by position; only positions that were tried more than once appear.
         markers: requests of the session's own that its unit did not answer while this call waited for it.
+        repeated: further attempts that were no retries: the reply before them may have been the right one.
         places: how many places of the queue it takes. A call takes one, whatever it asks; what a gateway asks for a
             client takes one for each request.
     """
@@ -52,6 +53,7 @@ class Demand:
     ended: bool = False
     places: int = 1
     markers: int = 0
+    repeated: int = 0
 
     def __init__(
         self,

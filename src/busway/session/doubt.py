@@ -10,12 +10,13 @@ what it received at most once, and in the order in which it received it.
    outlives connections; no clock ends it.
 2. A reply belongs to the earliest request of its unit that it could answer. What was sent before that request is not
    answered any more.
-3. A unit is *in doubt* for a function while a reply under that function is owed to another call. Exceptions of one
-   function all look alike, so the function decides, and not the length.
-4. A request under such a function goes out only behind a *marker*: a harmless request whose answer cannot be taken for
-   an owed one. Its answer ends the doubt (rule 2).
-5. A unit may not keep the order. So a request under such a function waits until twice the timeout has passed since the
-   last attempt that is owed an answer, or until as many answers have come as are owed. ``trust_reply_order`` skips it.
+3. A unit is *in doubt* for a request while another call is owed a reply that could be taken for the reply to it. A
+   read is known by function and length; its exception decides nothing then. A write is known by its function alone: it
+   cannot be asked again to make sure.
+4. Such a request goes out only behind a *marker*: a harmless request whose answer cannot be taken for an owed one. Its
+   answer ends the doubt (rule 2).
+5. A unit may not keep the order. So a request under a function that is owed an answer waits until twice the timeout has
+   passed since the last attempt, or until as many answers have come as are owed. ``trust_reply_order`` skips that.
 6. A unit that is silent to every marker is asked the read itself: what comes is counted against what is owed (rule 2),
    so a read may have to be repeated, and is never wrong. A write is not sent.
 7. A unit that spoke unasked, or too early, is in doubt for that function. Answers nobody asked for may look like good
@@ -68,14 +69,14 @@ class OwedReply:
     """A request that was sent and got no answer.
 
     Attributes:
-        request: what was asked, prepared; None stands for every request of the function.
+        request: what was asked, prepared.
         function: its function code.
         sent: when its last byte left, in seconds.
         until: when its answer has come even from a unit that keeps no order (rule 5).
         call, position: whose request it was; None of a marker, or of a call that nobody waits for.
     """
 
-    request: Request | None
+    request: Request
     function: int
     sent: float
     until: float
@@ -86,11 +87,9 @@ class OwedReply:
         """Whether this PDU may be its answer."""
         if pdu[0] & ~_EXCEPTION != self.function:
             return False
-        request = self.request
         if pdu[0] & _EXCEPTION:
             return True
-        if request is None:  # what 08/00 brings back tells its number
-            return self.function != ReturnQueryData.code
+        request = self.request
         size = request.expected_size
         return (size in (UNKNOWN_LENGTH, len(pdu))) and pdu.startswith(request.expected_prefix)
 
@@ -105,6 +104,7 @@ class UnitDoubt:
 
     Attributes:
         owed: the answers that may still come, in the order in which they were asked for.
+        older: how many more are owed by function, asked for before all of ``owed``.
         pending: the same by count alone, for units that keep no order (rule 5).
         unasked: the function under which it spoke unasked; None where it did not.
         delay: seconds that its last late reply had taken; None before the first, and after a reply in time.
@@ -116,6 +116,7 @@ class UnitDoubt:
     """
 
     owed: list[OwedReply] = field(default_factory=list)
+    older: dict[int, int] = field(default_factory=dict)
     pending: list[OwedReply] = field(default_factory=list)
     unasked: int | None = None
     delay: float | None = None
@@ -130,24 +131,34 @@ class UnitDoubt:
     def owe(self, reply: OwedReply) -> None:
         """A request got no answer in time, or the connection ended before it."""
         if len(self.owed) >= OWED_LIMIT:
-            self._forget_details()
+            first = self.owed.pop(0)
+            self.older[first.function] = self.older.get(first.function, 0) + 1
         self.owed.append(reply)
         self.pending.append(reply)
 
-    def _forget_details(self) -> None:
-        """Keep of each function only that answers may come: what matches more ends a doubt later, never sooner."""
-        self.owed = [
-            OwedReply(None, function, 0.0, 0.0) for function in dict.fromkeys(owed.function for owed in self.owed)
-        ]
+    def is_older(self, pdu: bytes) -> bool:
+        """Whether this PDU must be taken for an answer of which only the function is known any more.
 
-    def earliest(self, pdu: bytes) -> OwedReply | None:
-        """The owed reply that this PDU is, or must be taken for (rule 2)."""
-        return next((owed for owed in self.owed if owed.may_be(pdu)), None)
+        What 08/00 brings back tells its number.
+        """
+        function = pdu[0] & ~_EXCEPTION
+        return function in self.older and pdu[0] != ReturnQueryData.code
+
+    def older_came(self, pdu: bytes) -> None:
+        """One of those has come; counting the earliest makes a doubt longer, never shorter."""
+        function = pdu[0] & ~_EXCEPTION
+        self.older[function] -= 1
+        if not self.older[function]:
+            del self.older[function]
+
+    def candidates(self, pdu: bytes) -> list[OwedReply]:
+        """The owed replies that this PDU may be, the earliest first: that is what it must be taken for (rule 2)."""
+        return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
         """An owed reply has come; what was asked before it is not answered any more."""
-        if reply.request is not None:
-            del self.owed[: self.owed.index(reply) + 1]
+        del self.owed[: self.owed.index(reply) + 1]
+        self.older.clear()
         self._count(reply.function)
 
     def _count(self, function: int) -> None:
@@ -160,16 +171,19 @@ class UnitDoubt:
     def answered(self, request: Request) -> None:
         """The request in flight was answered by what no owed reply could be: nothing sent before it comes any more."""
         self.owed.clear()
+        self.older.clear()
         if request.wire[0] != self.unasked:
             self.unasked = None
 
     # What may be sent.
 
-    def in_doubt(self, function: int, call: object, position: int) -> bool:
-        """Whether the answer to a request could be taken for an owed one (rule 3). Its own repetition cannot."""
-        if self.unasked == function:
+    def in_doubt(self, request: Request, call: object, position: int) -> bool:
+        """Whether the answer to a prepared request could be taken for an owed one (rule 3); of its own call it may."""
+        function = request.wire[0]
+        if self.unasked == function or function in self.older:
             return True
-        return any(owed.function == function and not owed.is_of(call, position) for owed in self.owed)
+        others = [owed for owed in self.owed if owed.function == function and not owed.is_of(call, position)]
+        return any(request.is_write or _same_shape(owed.request, request) for owed in others)
 
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
         """When a request may be sent as far as the order of replies is not relied on (rule 5); ``now`` if it may."""
@@ -187,7 +201,7 @@ class UnitDoubt:
     @property
     def is_empty(self) -> bool:
         """Whether nothing is owed, and nothing has to be proved."""
-        return not self.owed and not self.pending and self.unasked is None
+        return not self.owed and not self.older and not self.pending and self.unasked is None
 
     # Markers.
 
@@ -213,13 +227,14 @@ class UnitDoubt:
         if kind is MarkerKind.OTHER_LENGTH:
             return self._read_of_other_length()
         request = GetCommEventCounter() if kind is MarkerKind.EVENT_COUNTER else ReadExceptionStatus()
-        taken = self.unasked == request.code or any(owed.function == request.code for owed in self.owed)
+        taken = request.code in self.older or any(owed.function == request.code for owed in self.owed)
+        taken = taken or self.unasked == request.code
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
         """A part of a read that was answered, of a length that no owed reply and no last one has."""
         good = self.good
-        if good is None:
+        if good is None or good.wire[0] in self.older:
             return None
         step = 8 if isinstance(good, ReadCoils | ReadDiscreteInputs) else 1
         assert isinstance(good, _READS)
@@ -240,8 +255,6 @@ class UnitDoubt:
     def not_marked(self, kind: MarkerKind) -> None:
         """A marker was not answered."""
         self.silent.add(kind)
-        if self.works is kind:
-            self.works = None
 
     def revived(self) -> None:
         """It answers after it had been given up: that it was silent to markers says nothing any more."""
@@ -275,9 +288,7 @@ def _same_shape(request: Request, other: Request) -> bool:
 
 
 def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
-    if owed.function != part.wire[0]:
-        return False
-    return owed.request is None or _same_shape(part, owed.request)
+    return owed.function == part.wire[0] and _same_shape(part, owed.request)
 
 
 class Doubts:
@@ -319,6 +330,8 @@ class Doubts:
         for unit, theirs in other.units.items():
             ours = self.of(unit)
             ours.owed = sorted((*ours.owed, *theirs.owed), key=lambda owed: owed.sent)
+            for function, count in theirs.older.items():
+                ours.older[function] = ours.older.get(function, 0) + count
             ours.pending = sorted((*ours.pending, *theirs.pending), key=lambda owed: owed.sent)
             if ours.unasked is None:
                 ours.unasked = theirs.unasked

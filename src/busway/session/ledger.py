@@ -185,17 +185,25 @@ class Ledger:
         request = demand.requests[position]
         attempt = demand.attempts.get(position, 1)
         guarded = request.is_write and not demand.idempotent
-        retries = self.parameters.write_retries if guarded else demand.retries
+        retries = demand.repeated + (self.parameters.write_retries if guarded else demand.retries)
         if again and attempt <= retries and not demand.ended:
-            demand.repeat(position)
-            self.counters.retries += 1
-            self.queue.add_again(demand)
+            self._again(demand, position)
             return
         error.attempt = attempt
         if request.is_write:
             self._unknown(demand, position, error, now)
         else:
             self.conclude(demand, position, self.placed(error, demand, position, now))
+
+    def repeat(self, demand: Demand, position: int) -> None:
+        """Ask a read once more that was answered perhaps; none of its retries is spent."""
+        demand.repeated += 1
+        self._again(demand, position)
+
+    def _again(self, demand: Demand, position: int) -> None:
+        demand.repeat(position)
+        self.counters.retries += 1
+        self.queue.add_again(demand)
 
     def _unknown(self, demand: Demand, position: int, error: ModbusError, now: float) -> None:
         unknown = WriteOutcomeUnknown(

@@ -17,7 +17,7 @@ RTU and ASCII differ only in the framing that is handed in.
 8. A frame that began before the request had left and t3.5 had passed is no reply to it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -361,7 +361,9 @@ class SerialClientSession:
         demand = queue.peek(lambda one: self._may_ask(one, now))
         if demand is None:
             self._fail_suspended(now)
-            self._try_at = min((self._askable_at(one, now) for one in queue), default=0.0)
+            # What could be asked now stands behind something that cannot: that time counts.
+            times = [self._askable_at(one, now) for one in queue]
+            self._try_at = min((time for time in times if time > now), default=0.0)
             return []
         if self._last_unit is not None and demand.unit != self._last_unit:
             clear = max(clear, self._last_byte + self._serial.unit_switch_gap)
@@ -400,7 +402,7 @@ class SerialClientSession:
         if doubt is None or unit == BROADCAST_UNIT:
             return None
         request = demand.requests[demand.next_position]
-        if not doubt.in_doubt(function_of(request), demand, demand.next_position):
+        if not self._is_in_doubt(doubt, demand):
             if not doubt.needs_check:
                 return None
             marker = self.doubts.marker(unit, is_check=True)
@@ -414,6 +416,14 @@ class SerialClientSession:
             doubt.silent.clear()
             marker = self.doubts.marker(unit)
         return marker
+
+    def _is_in_doubt(self, doubt: UnitDoubt, demand: Demand) -> bool:
+        """Whether the reply to the next request of a demand could be taken for another one."""
+        position = demand.next_position
+        request = demand.requests[position]
+        if not hasattr(request, "wire"):
+            request.prepare()
+        return doubt.in_doubt(request, demand, position)
 
     def _fail_suspended(self, now: float) -> None:
         """What waits for a unit whose breaker has opened meanwhile does not wait for its probe."""
@@ -445,7 +455,7 @@ class SerialClientSession:
         frame = self._framing.encode(demand.unit, marker.request.wire)
         self.counters.markers += 1
         doubt = self.doubts.of(demand.unit)
-        why = f"{len(doubt.owed)} owed" if doubt.owed else "a check"
+        why = "a check" if doubt.is_empty else f"it owes {len(doubt.owed) + sum(doubt.older.values())}"
         self._note(f"unit {demand.unit}: that was a request of the link's own, a marker ({why})")
         self._ask(
             _Flight(None, marker.request, 0, demand.unit, frame, now, now, 0.0, demand.timeout, marker),
@@ -525,12 +535,13 @@ class SerialClientSession:
     def _of_awaited_unit(self, flight: _Flight, frame: SerialFrame, now: float) -> None:
         """The unit that was asked speaks: in reply to the request in flight, or to an earlier one (see `doubt`)."""
         doubt = self.doubts.of(flight.unit)
-        owed = doubt.earliest(frame.pdu)
-        if owed is not None and not owed.is_of(flight.demand, flight.position):
+        owed = doubt.candidates(frame.pdu)
+        if doubt.is_older(frame.pdu) or not all(one.is_of(flight.demand, flight.position) for one in owed):
             self._late(doubt, owed, frame)
-        elif owed is not None:
+            self._ask_at_once(flight, frame)
+        elif owed:
             # As far as can be known it answers an earlier attempt of the call: the one in flight is owed its own reply.
-            doubt.came(owed)
+            doubt.came(owed[0])
             self._owe(flight)
             self._reply(flight, frame, now, doubt)
         elif frame.pdu[0] & 0x7F != flight.request.wire[0] or self._is_of_another(flight, doubt, frame.pdu):
@@ -559,25 +570,36 @@ class SerialClientSession:
         if doubt is None or frame.direction is Direction.REQUEST:
             self.counters.foreign_replies += 1
             return
-        owed = doubt.earliest(frame.pdu)
-        if owed is not None:
+        owed = doubt.candidates(frame.pdu)
+        if owed or doubt.is_older(frame.pdu):
             self._late(doubt, owed, frame)
             return
         self.counters.foreign_replies += 1
         doubt.unasked = frame.pdu[0] & 0x7F
 
-    def _late(self, doubt: UnitDoubt, owed: OwedReply, frame: SerialFrame) -> None:
-        """A reply that was owed has come, and nobody waits for it any more."""
-        doubt.came(owed)
+    def _ask_at_once(self, flight: _Flight, frame: SerialFrame) -> None:
+        """What came may have been the reply to the read in flight, and was taken for an older one: ask it again now."""
+        demand = flight.demand
+        if demand is None or flight.request.is_write or frame.pdu[0] & 0x7F != flight.request.wire[0]:
+            return
+        self._owe(flight)
+        self._idle(frame.ended)
+        self._ledger.repeat(demand, flight.position)
+
+    def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
+        """A reply that was owed has come, the earliest of these, or an older one; nobody waits for it any more."""
+        if doubt.is_older(frame.pdu):
+            doubt.older_came(frame.pdu)
+        else:
+            doubt.came(owed[0])
+            doubt.delay = frame.ended - owed[0].sent
+            self._note(f"unit {frame.unit}: a reply that was owed came after {doubt.delay:.3f} s; dropped")
         self._try_at = 0.0
-        if not doubt.owed:
+        if not doubt.owed and not doubt.older:
             self._not_asked_before.pop(frame.unit, None)
         if self._unit_gaps:
             self._keep_gap(frame)
         self.counters.late_replies += 1
-        if owed.request is not None:
-            doubt.delay = frame.ended - owed.sent
-            self._note(f"unit {frame.unit}: a reply that was owed came after {doubt.delay:.3f} s; dropped")
         if self.breakers.answered(frame.unit):
             doubt.revived()
 
@@ -712,13 +734,17 @@ class SerialClientSession:
     def _why_not_sent(self, demand: Demand) -> NoReply | None:
         """Why a call was not sent before its deadline, where its unit is in doubt."""
         doubt = self.doubts.units.get(demand.unit)
-        position = demand.next_position
-        if doubt is None or not doubt.in_doubt(function_of(demand.requests[position]), demand, position):
+        if doubt is None or not self._is_in_doubt(doubt, demand):
             return None
-        return self._in_doubt(doubt, "the deadline of the call passed")
+        return self._in_doubt(doubt, demand, "the deadline of the call passed")
 
-    def _in_doubt(self, doubt: UnitDoubt, why: str) -> NoReply:
-        owed = len(doubt.owed)
+    def _in_doubt(self, doubt: UnitDoubt, demand: Demand, why: str) -> NoReply:
+        owed = len(doubt.owed) + sum(doubt.older.values())
+        if demand.next_position in demand.attempts:
+            return NoReply(
+                f"no reply, and {why} before the unit, which owes {owed} more, answered what tells its replies apart",
+                observed_delay=doubt.delay,
+            )
         what = f"owes {owed} {'reply' if owed == 1 else 'replies'}" if owed else "spoke without being asked"
         return NoReply(
             f"not asked: the unit {what}, and {why} before it answered a request that tells its replies apart; "
@@ -776,13 +802,12 @@ class SerialClientSession:
         for demand in list(self._ledger.queue):
             if demand.unit != flight.unit:
                 continue
-            position = demand.next_position
-            if not doubt.in_doubt(function_of(demand.requests[position]), demand, position):
+            if not self._is_in_doubt(doubt, demand):
                 continue
             demand.markers += 1
             if demand.markers > demand.retries:
                 why = "it did not answer" if demand.markers == 1 else f"{demand.markers} attempts passed"
-                self._ledger.give_up(demand, now, partial(self._in_doubt, doubt, why))
+                self._ledger.give_up(demand, now, partial(self._in_doubt, doubt, demand, why))
 
     def _no_reply(self, flight: _Flight) -> NoReply:
         waited = flight.expires - flight.sent
