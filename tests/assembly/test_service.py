@@ -1,7 +1,9 @@
 """A server with all around it: what is read-only for want of a policy, and what is undone where it can not start."""
 
 import asyncio
+import gc
 import socket
+import threading
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -10,7 +12,7 @@ from waiting import until
 
 import busway
 from busway.assembly.access import Entrance, reaches_network, read_only_for
-from busway.assembly.configuration import Configuration, parse_configuration
+from busway.assembly.configuration import Configuration, load_configuration, parse_configuration
 from busway.assembly.service import Service, Wishes
 from busway.config.access.addresses import AddressList
 from busway.config.access.rules import Action
@@ -215,3 +217,74 @@ async def test_a_reload_ends_tls_connections_and_handshakes_of_hosts_that_are_no
             with pytest.raises((busway.LinkDown, busway.NoReply, busway.WriteOutcomeUnknown)):
                 await link.unit(1).write_single_register(0, 2)
             assert service.server.status().connections == ()
+
+
+async def test_requests_are_answered_while_a_file_is_read_again_and_the_policy_changes_in_one_step() -> None:
+    """Judged by what happens while the file is being read, not by the clock."""
+    is_read, may_go_on = threading.Event(), threading.Event()
+    text = ["allow"]
+
+    def read() -> Configuration:
+        made = configured("tcp://127.0.0.1:0", f'[policy]\ndefault = "{text[0]}"\n')
+        if text[0] == "deny":
+            is_read.set()
+            assert may_go_on.wait(30)
+        return made
+
+    async with (
+        Service(read, Wishes(control="off", can_reload=True)) as service,
+        busway.open(service.server.endpoints[0], shared=False) as link,
+    ):
+        text[0] = "deny"
+        reload = asyncio.create_task(service.reload())
+        await until(is_read.is_set)
+        for value in range(20):
+            await link.unit(1).write_single_register(0, value)
+        assert not reload.done()
+        may_go_on.set()
+        assert await reload == ["the policy was replaced"]
+        with pytest.raises(busway.ExceptionReply, match="exception 01"):
+            await link.unit(1).write_single_register(0, 1)
+
+
+def rules(count: int, more: str = "") -> str:
+    """A policy of many rules, each for a host of its own."""
+    made = "".join(
+        f'[[policy.rule]]\npeers = ["10.0.{n >> 8}.{n & 255}"]\naddresses = "4x1-4x{n % 100 + 2}"\n'
+        for n in range(count)
+    )
+    return f'[policy]\ndefault = "allow"\n{more}{made}'
+
+
+async def test_the_event_loop_turns_while_thousands_of_rules_are_read() -> None:
+    text = [rules(1)]
+    async with Service(
+        lambda: configured("tcp://127.0.0.1:0", text[0]), Wishes(control="off", can_reload=True)
+    ) as service:
+        text[0] = rules(3000)
+        reload = asyncio.create_task(service.reload())
+        turns = 0
+        while not reload.done():
+            await asyncio.sleep(0.001)
+            turns += 1
+        assert await reload == ["the policy was replaced"]
+        assert turns > 20  # it takes half a second and more; read in the loop it is 1
+        assert gc.isenabled()
+
+
+def test_more_rules_than_there_may_be_are_refused_before_they_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("busway.config.files.policy.MOST_RULES", 3)
+    configured("tcp://127.0.0.1:0", rules(3))
+    with pytest.raises(busway.ConfigError, match="there are 4 rules, and 3 are the limit"):
+        configured("tcp://127.0.0.1:0", rules(4))
+
+
+def test_a_file_larger_than_it_may_be_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("busway.assembly.reading.MOST_BYTES", 2048)
+    file = tmp_path / "plant.toml"
+    text = f'listen = ["tcp://127.0.0.1:0"]\n{UNIT}#'.encode()
+    file.write_bytes(text.ljust(2048, b"#"))
+    load_configuration(file)
+    file.write_bytes(text.ljust(2049, b"#"))
+    with pytest.raises(busway.ConfigError, match="is larger than 2 KiB, the limit for such a file"):
+        load_configuration(file)

@@ -3,7 +3,8 @@
 Knows components and the order in which they start and stop; knows no request. What it was told can be read again
 while it runs, without a connection being lost.
 
-1. What is wrong with a file that is read again changes nothing: everything stays as it was.
+1. What is wrong with a file that is read again changes nothing: everything stays as it was. It is read and judged in a
+   thread, and put into force in the event loop, in one step: what runs answers meanwhile.
 2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
    hold from the next connection on; the audit log is opened anew. What else differs is named: it holds from the next
    start.
@@ -15,22 +16,25 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from ..config.access.addresses import AddressList
-from ..config.access.rules import AccessRules, Policy
+from ..config.access.rules import AccessRules, Policy, Rule
 from ..config.files.system import SystemFile
 from ..errors import ConfigError
 from ..server.listener import Listener
 from ..session.handler import Handler
 from .access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
 from .certificates import tls_of, try_certificates
+from .unhurried import collecting_paused, keep_uncollected, let_go
 
 if TYPE_CHECKING:
     from ..server.policy.audit import AuditLog
 
 _log = logging.getLogger("busway.service")
 
+_MANY_RULES: Final = 10_000
+"""Beyond so many, one round of the garbage collector would be felt: 10 ms for the objects of these."""
 _REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
 
 
@@ -137,6 +141,31 @@ class Wishes:
     name: str = "server"
 
 
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """What reading the files again gave.
+
+    Attributes:
+        configuration: what they declare.
+        rules: the rules on access.
+        are_other_rules: whether these are not those in force.
+        later: sections that have changed and hold from the next start.
+        before: the rules in force.
+    """
+
+    configuration: Declared
+    rules: AccessRules | None
+    are_other_rules: bool
+    later: list[str]
+    before: tuple[Rule, ...]
+
+    def rule_lists(self) -> list[list[Any]]:
+        """What is of no use afterwards and may be large, for `let_go`."""
+        policy = self.configuration.file.policy
+        read = () if self.rules is None else self.rules.policy.rules
+        return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
+
+
 class Service:
     """A running server with all around it; an asynchronous context manager that starts and stops.
 
@@ -174,6 +203,7 @@ class Service:
         async with self._reloading, AsyncExitStack() as stack:  # what is asked meanwhile waits
             await self._start(stack)
             self._stack = stack.pop_all()
+        self._spare_collector()
         return self
 
     async def __aexit__(
@@ -228,34 +258,59 @@ class Service:
             ConfigError, LinkDown: something is wrong with what was read, or can not be had; nothing has changed.
         """
         async with self._reloading:
-            new = self._read()
-            rules = self._wishes.rules(new)
-            for listener in new.listeners:
-                try_certificates(listener)
-            cautious = self._policy(rules, NETWORK_SCHEMES) if self._is_guarded else None
-            followed = await new.let_follow(self.server, self._listeners(new), policy=cautious)
-            done = []
-            if self._audit is not None:
-                self._audit.reopen()
-                done.append("the audit log was opened anew")
-            done += followed
-            if rules != self._rules:
-                done.append("the policy was replaced")
-            if self._is_guarded and (followed or rules != self._rules):
-                self._rules = rules
-                self._replace_policy()
-            self._entrance.lists = self._lists(rules)
-            if self._replace_lists(new):
-                done.append("the address lists of listeners were replaced")
-            ended = self.server.end_unauthorised()
-            if ended:
-                done.append(f"connections of hosts that may no longer connect were ended: {ended}")
-            if any(tls_of(listener) is not None for listener in new.listeners):
-                done.append(self._read_certificates_again())
-            later = _differences(self.configuration, new)
-            if later:
-                done.append(f"only the next start will see {', '.join(later)}")
-            return done or ["nothing has changed"]
+            with collecting_paused():
+                found: list[_Reading] = []  # and not the thread's result, which would live a little longer
+                await asyncio.to_thread(lambda: found.append(self._read_again()))
+                reading = found.pop()
+                done = await self._follow(reading)
+                left_over = reading.rule_lists()
+                del reading
+                await asyncio.to_thread(let_go, left_over)
+                self._spare_collector()
+        return done
+
+    def _spare_collector(self) -> None:
+        """Keep the garbage collector from looking at many rules again and again."""
+        if self._rules is not None and len(self._rules.policy.rules) > _MANY_RULES:
+            keep_uncollected()
+
+    def _read_again(self) -> _Reading:
+        """Read the files and judge them, in a thread: what runs goes on meanwhile."""
+        new = self._read()
+        rules = self._wishes.rules(new)
+        for listener in new.listeners:
+            try_certificates(listener)
+        if rules is not None:
+            rules.policy.prepare()
+        before = () if self._rules is None else self._rules.policy.rules
+        return _Reading(new, rules, rules != self._rules, _differences(self.configuration, new), before)
+
+    async def _follow(self, reading: _Reading) -> list[str]:
+        """Let what runs follow what was read; what was done, a sentence each."""
+        new, rules = reading.configuration, reading.rules
+        cautious = self._policy(rules, NETWORK_SCHEMES) if self._is_guarded else None
+        followed = await new.let_follow(self.server, self._listeners(new), policy=cautious)
+        done = []
+        if self._audit is not None:
+            self._audit.reopen()
+            done.append("the audit log was opened anew")
+        done += followed
+        if reading.are_other_rules:
+            done.append("the policy was replaced")
+        if self._is_guarded and (followed or reading.are_other_rules):
+            self._rules = rules
+            self._replace_policy()
+        self._entrance.lists = self._lists(rules)
+        if self._replace_lists(new):
+            done.append("the address lists of listeners were replaced")
+        ended = self.server.end_unauthorised()
+        if ended:
+            done.append(f"connections of hosts that may no longer connect were ended: {ended}")
+        if any(tls_of(listener) is not None for listener in new.listeners):
+            done.append(self._read_certificates_again())
+        if reading.later:
+            done.append(f"only the next start will see {', '.join(reading.later)}")
+        return done or ["nothing has changed"]
 
     def _read_certificates_again(self) -> str:
         try:

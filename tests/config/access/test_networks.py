@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.config.access.networks import Networks, host_of_peer
+from busway.config.access.networks import NetworkIndex, Networks, host_of_peer
 from busway.errors import ConfigError
 
 
@@ -110,3 +110,17 @@ def test_it_says_what_the_networks_say_one_by_one(entries, hosts):
 )
 def test_the_host_of_a_peer(peer, host):
     assert host_of_peer(peer) == host
+
+
+def test_an_index_finds_the_networks_that_a_host_is_in_as_each_of_them_would() -> None:
+    networks = [
+        Networks(["10.0.0.0/8", "192.0.2.1"]),
+        Networks(["10.0.0.7"]),
+        Networks(["fe80::/64"]),
+        Networks(["fe80::1%eth0"]),
+        Networks([]),
+        Networks(["::ffff:10.0.0.0/104"]),
+    ]
+    index = NetworkIndex(enumerate(networks))
+    for host in ("10.0.0.7", "10.1.2.3", "::ffff:10.0.0.7", "192.0.2.1", "fe80::1", "fe80::1%eth0", "::1", "ttyS0", ""):
+        assert index.find(host) == {number for number, each in enumerate(networks) if host in each}

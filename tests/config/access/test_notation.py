@@ -114,3 +114,30 @@ def test_tables_by_name():
 
 def test_ranges_that_touch_are_one():
     assert merged([(5, 7), (0, 3), (3, 4), (6, 9)]) == ((0, 4), (5, 9))
+
+
+BLANKS = " \t" * 500_000
+"""Of a length for which a reading in quadratic time takes hours."""
+
+
+@pytest.mark.parametrize(
+    "text", [f"4x1{BLANKS}-{BLANKS}4x2", f"{BLANKS}4x1-4x2{BLANKS}", f"holding{BLANKS}:0{BLANKS}..{BLANKS}1"]
+)
+def test_blanks_cost_no_more_than_other_characters(text: str) -> None:
+    assert parse_items(text, None) == {Table.HOLDING_REGISTERS: ((0, 2),)}
+
+
+@pytest.mark.parametrize("text", [f"4x1{BLANKS}4x2", "1 " * 500_000, "-" * 500_000, "1-" * 500_000, "." * 500_000])
+def test_what_is_long_and_no_range_is_refused_at_once(text: str) -> None:
+    with pytest.raises(ConfigError):
+        parse_items(text, None)
+    with pytest.raises(ConfigError):
+        parse_units(text)
+    with pytest.raises(ConfigError):
+        parse_files(text)
+    with pytest.raises(ConfigError):
+        parse_functions(text)
+
+
+def test_blanks_in_numbers_of_units_cost_no_more_than_other_characters() -> None:
+    assert parse_units(f"1{BLANKS}-{BLANKS}3,{BLANKS}7") == {1, 2, 3, 7}

@@ -93,6 +93,40 @@ class Networks:
         return f"Networks({list(self.entries)!r})"
 
 
+class NetworkIndex:
+    """Which of many `Networks` a host is in, found without asking each of them.
+
+    Args:
+        networks: the networks, each with its number.
+    """
+
+    __slots__ = ("_lengths",)
+
+    def __init__(self, networks: Iterable[tuple[int, Networks]]) -> None:
+        self._lengths: dict[tuple[int, int], dict[tuple[int, str], list[int]]] = {}
+        for number, each in networks:
+            for length, entries in each._lengths.items():
+                found = self._lengths.setdefault(length, {})
+                for network in entries:
+                    found.setdefault(network, []).append(number)
+
+    def find(self, host: str) -> set[int]:
+        """The numbers of the networks that a numeric address is in; none of what is no address."""
+        try:
+            version, address, zone = _number_of(host)
+        except ValueError:
+            return set()
+        found: set[int] = set()
+        for (family, length), networks in self._lengths.items():
+            if family == version:
+                spare = (32 if family == 4 else 128) - length
+                network = address >> spare << spare
+                found.update(networks.get((network, ""), ()))
+                if zone:
+                    found.update(networks.get((network, zone), ()))
+        return found
+
+
 def host_of_peer(peer: str) -> str:
     """The host of a peer's name, ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the text itself where it has no port.
 

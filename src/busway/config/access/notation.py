@@ -28,7 +28,9 @@ Range = tuple[int, int]
 Function = tuple[int, int | None]
 """A function code, and a sub-function or None for all of them."""
 
-_RANGE_SIGN: Final = re.compile(r"\s*(?:\.\.|…|-)\s*")
+_RANGE_SIGN: Final = re.compile(r" ?(?:\.\.|…|-) ?")
+_LONGEST_PART: Final = 100
+"""Characters of one number or range, blanks in a row counted once: the longest that means something has 50."""
 _NUMBER: Final = re.compile(r"[0-9]{1,6}|0[xX][0-9a-fA-F]{1,5}")
 
 FUNCTION_GROUPS: Final[Mapping[str, frozenset[int]]] = {
@@ -131,13 +133,24 @@ def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> 
 
 
 def _ends(part: str, number: Callable[[str], int]) -> Range:
-    texts = _RANGE_SIGN.split(part.strip())
+    texts = _RANGE_SIGN.split(_with_single_blanks(part))
     if len(texts) > 2:
         raise ConfigError(f"{shown(part)} is no range such as 1-5")
     first, last = number(texts[0]), number(texts[-1])
     if last < first:
         raise ConfigError(f"{shown(part)} ends before it begins")
     return first, last
+
+
+def _with_single_blanks(part: str) -> str:
+    """A part without blanks around it, and with one where there are several. Raises `ConfigError` where it is long.
+
+    What comes after takes time with the square of the length, so the length is bounded here.
+    """
+    text = " ".join(part.split())
+    if len(text) > _LONGEST_PART:
+        raise ConfigError(f"{shown(text)} is longer than {_LONGEST_PART} characters; put a comma between ranges")
+    return text
 
 
 def _functions(text: str | int) -> set[Function]:
@@ -167,9 +180,9 @@ def _functions(text: str | int) -> set[Function]:
 def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
     """Table and range of one part."""
     if isinstance(part, str):
-        text = part.strip()
+        text = _with_single_blanks(part)
         # A minus sign may belong to a table's name (holding-registers:5): the last one may be the sign of a range.
-        match = re.fullmatch(r"(.+?)\s*(?:\.\.|…|-)\s*([^-…]+)", text)
+        match = re.fullmatch(r"(.+?) ?(?:\.\.|…|-) ?([^-…]+)", text)
         if match is not None and (match[2][0].isdigit() or match[2][0] == "%"):
             first = _item(match[1], table)
             last = _item(_with_notation_of(match[1], match[2]), table)

@@ -26,7 +26,7 @@ from ...errors import ConfigError
 from ...values.refusal import shown
 from ..endpoints import SCHEMES, parse_endpoint
 from .addresses import AddressList
-from .networks import Networks
+from .networks import NetworkIndex, Networks
 from .notation import Function, Range, merged, parse_files, parse_functions, parse_items, parse_table, parse_units
 from .question import END, FILES, Asker, Piece, Question, Space
 
@@ -329,6 +329,8 @@ class Policy:
 
     rules: tuple[Rule, ...] = ()
     default: Action = Action.DENY
+    _by_peer: tuple[tuple[int, ...], NetworkIndex] | None = field(init=False, default=None, repr=False, compare=False)
+    """Numbers of the rules without peers, and an index of those with; made by `prepare`."""
 
     def __post_init__(self) -> None:
         named = tuple(
@@ -356,9 +358,24 @@ class Policy:
         """Everybody may do everything: what holds without a policy, said aloud."""
         return cls(default=Action.ALLOW)
 
+    def prepare(self) -> None:
+        """Make now what the first `for_asker` would make: with 100 000 rules it takes some tenths of a second."""
+        if self._by_peer is None:
+            everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
+            index = NetworkIndex(
+                (number, rule.peers) for number, rule in enumerate(self.rules) if rule.peers is not None
+            )
+            object.__setattr__(self, "_by_peer", (everybodys, index))
+
     def for_asker(self, asker: Asker) -> "Policy":
         """The policy with only the rules that are about ``asker``; whoever gets an equal one has the same rights."""
-        return Policy(tuple(rule for rule in self.rules if rule.is_for(asker)), self.default)
+        self.prepare()
+        assert self._by_peer is not None  # that is what was prepared
+        everybodys, index = self._by_peer
+        own = index.find(asker.host)
+        numbers = sorted([*everybodys, *own]) if own else everybodys
+        rules = [self.rules[number] for number in numbers]
+        return Policy(tuple(rule for rule in rules if rule.is_for(asker)), self.default)
 
     def decide(self, question: Question) -> Decision:
         """What is decided about a request. Each item is judged by the first rule that fits it."""

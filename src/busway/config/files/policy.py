@@ -18,7 +18,7 @@ Knows what can be written; what it means, and what goes together, is said by `bu
 or in one word: ``policy = "read-only"``.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -42,6 +42,9 @@ def _as_numbers(value: object) -> object:
 def _as_texts(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
+
+MOST_RULES: Final = 100_000
+"""Rules of a policy. Reading so many takes some ten seconds, in a thread beside what runs."""
 
 Numbers = Annotated[list[int | str], BeforeValidator(_as_numbers, json_schema_input_type=int | str | list[int | str])]
 Texts = Annotated[list[str], BeforeValidator(_as_texts, json_schema_input_type=str | list[str])]
@@ -141,8 +144,13 @@ class PolicySection(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_word(cls, value: Any) -> Any:  # what stands in the file, of any type
-        """``policy = "read-only"`` is the default alone."""
-        return {"default": value} if isinstance(value, str) else value
+        """``policy = "read-only"`` is the default alone. Too many rules are refused before any is looked at."""
+        if isinstance(value, str):
+            return {"default": value}
+        rules = value.get("rule") if isinstance(value, dict) else None
+        if isinstance(rules, list) and len(rules) > MOST_RULES:
+            raise Faults([(("rule", MOST_RULES), f"there are {len(rules)} rules, and {MOST_RULES} are the limit")])
+        return value
 
     @model_validator(mode="after")
     def _check(self) -> "PolicySection":

@@ -115,13 +115,14 @@ class _InForce:
         inside: generation of the handler inside that plans were made with.
     """
 
-    __slots__ = ("askers", "inside", "policy", "rights")
+    __slots__ = ("askers", "inside", "policy", "rights", "rights_of_hosts")
 
     def __init__(self, policy: Policy, inside: int) -> None:
         self.policy = policy
         self.inside = inside
         self.askers: dict[tuple[str, str | None, str], _Known] = {}
         self.rights: dict[tuple[str, ...], _Rights] = {}
+        self.rights_of_hosts: dict[Asker, _Rights] = {}  # a host that connects anew has the rights it had
 
 
 class _Denied(Refusal):
@@ -467,6 +468,15 @@ class PolicyHandler:
 
 
 def _rights_of(asker: Asker, in_force: _InForce) -> _Rights:
+    rights = in_force.rights_of_hosts.get(asker)
+    if rights is None:
+        if len(in_force.rights_of_hosts) >= _MOST_ASKERS:
+            in_force.rights_of_hosts.clear()
+        rights = in_force.rights_of_hosts[asker] = _new_rights_of(asker, in_force)
+    return rights
+
+
+def _new_rights_of(asker: Asker, in_force: _InForce) -> _Rights:
     policy = in_force.policy.for_asker(asker)
     key = tuple(rule.name for rule in policy.rules)
     rights = in_force.rights.get(key)
