@@ -1,5 +1,6 @@
 """Includes and parameters: one profile for many units, and every fault at its line in its file."""
 
+import os
 import random
 from collections.abc import Sequence
 from pathlib import Path
@@ -233,3 +234,53 @@ def _problems(file: Path) -> Sequence[ConfigError]:
     except FileError as error:
         return error.problems
     return ()
+
+
+def test_a_pipe_a_device_and_a_link_of_another_user_are_no_files_to_include(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "unit.toml").write_text("[[unit]]\nunit = 1\ncoils = 1\n")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("unit.toml")
+    plant = tmp_path / "plant.toml"
+    if os.geteuid() == 0:
+        os.lchown(tmp_path / "link", 12_345, 12_345)
+    else:
+        monkeypatch.setattr("os.geteuid", lambda: 12_345)
+    for name, sentence in (
+        ("pipe", "it is a pipe, and a regular file is needed"),
+        ("/dev/zero", "it is a device, and a regular file is needed"),
+        ("link", "of another user"),
+    ):
+        plant.write_text(f'[[include]]\nfile = "{name}"\n')
+        with pytest.raises(FileError, match=sentence) as caught:
+            load_declaration(plant)
+        assert (caught.value.file, caught.value.line) == (str(plant), 2)
+
+
+def test_a_replay_takes_regular_files_only(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    plant = tmp_path / "plant.toml"
+    plant.write_text(
+        '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\n'
+        'behaviour = { kind = "replay", file = "pipe" }\n'
+    )
+    with pytest.raises(FileError, match="it is a pipe, and a regular file is needed"):
+        Simulation(load_declaration(plant))
+
+
+def test_files_that_each_include_the_next_twice_are_refused_at_a_thousand() -> None:
+    twice = '[[include]]\nfile = "f{0}.toml"\n[[include]]\nfile = "f{0}.toml"\n'
+    files = {f"f{number}": twice.format(number + 1) for number in range(1, 30)}
+    (sentence,) = refused(twice.format(1), **files, f30="[[unit]]\nunit = 1\ncoils = 1\n")
+    assert "more than 1000 files would be included" in sentence
+
+
+def test_a_parameter_that_doubles_with_each_file_is_refused() -> None:
+    def file(number: int) -> str:
+        given = 'with = { a = "${a}${a}" }\n'
+        return f'required = ["a"]\n[[include]]\nfile = "f{number + 1}.toml"\n{given}'
+
+    files = {f"f{number}": file(number) for number in range(1, 60)}
+    (sentence, *_) = refused('[[include]]\nfile = "f1.toml"\nwith = { a = "xx" }\n', **files)
+    assert "more than 10000 characters of parameters would be put into it" in sentence

@@ -106,3 +106,14 @@ def test_a_link_that_waits_where_the_new_file_is_made_is_not_followed(tmp_path: 
     save_state(str(tmp_path / "state.json"), STATE)
     assert precious.read_text() == "precious"
     assert load_state(str(tmp_path / "state.json")) == STATE
+
+
+def test_what_means_nothing_stays_where_a_file_of_another_kind_has_the_name_beside(tmp_path: Path) -> None:
+    path, beside = tmp_path / "state.json", tmp_path / "state.json.broken"
+    save_state(str(path), STATE)
+    path.write_bytes(path.read_bytes()[:100])
+    beside.write_text("precious")
+    with pytest.raises(ConfigError, match=r"stand where they stood, because .*is no state of a simulation"):
+        load_state(str(path))
+    assert beside.read_text() == "precious"
+    assert len(path.read_bytes()) == 100

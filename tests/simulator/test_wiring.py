@@ -69,7 +69,7 @@ def test_a_formula_reads_points_of_another_pace_as_they_are_at_the_moment() -> N
         ([point("a", 0, "kind = 'counter', rate = 'x'")], 7, "behaviour.rate: there is no point 'x'"),
         ([point("a", 0, "kind = 'lag', target = '1 +', time_constant = 1")], 7, "behaviour.target: '1 +' is no"),
         ([point("a", 0, formula("b")) + point("b", 2, type="string:4")], 7, "'b' holds no number, but string:4"),
-        ([point("a", 0, "kind = 'replay', file = 'none.csv'")], 7, "behaviour.file: none.csv: can not be read"),
+        ([point("a", 0, "kind = 'replay', file = 'none.csv'")], 7, "behaviour.file: none.csv: cannot be opened"),
     ],
 )
 def test_what_can_not_be_computed_is_refused_at_its_line(units: list[str], line: int, sentence: str) -> None:

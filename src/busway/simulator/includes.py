@@ -10,7 +10,9 @@ Knows files by their names, includes and parameters; what stands in a file is kn
 3. With ``units`` an include makes units of the one ``[[unit]]`` of its file, each with a memory of its own; without,
    it takes the file's units as they are.
 4. A file can not include itself, nor another that does.
-5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package.
+5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
+   ones, and not reached by a link of another user (`busway.config.safe_files`).
+6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and `LONGEST_TEXT` of what is put into a text.
 """
 
 import os
@@ -38,7 +40,7 @@ from ..config.files.simulation import (
 from ..errors import ConfigError
 from ..values.refusal import shown
 from .behaviours.expression import parse_expression
-from .devices import PREFIX, read_profile
+from .devices import PREFIX, read_included, read_profile
 from .faults.reading import fault_problems
 
 Reader = Callable[[str], str]
@@ -47,7 +49,10 @@ Reader = Callable[[str], str]
 _INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
 _ESCAPED: Final = "$${"
 _OF_UNITS: Final = ("unit", "index")
-_MOST_UNITS: Final = 256
+MOST_INCLUDES: Final = 1000
+"""Files that are taken in, each as often as it is: twenty files that each include the next twice are a million."""
+LONGEST_TEXT: Final = 10_000
+"""Characters that are put into one text: a parameter that is put twice into the next one's doubles with each file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +109,7 @@ def load_declaration(
 
 
 def parse_declaration(
-    text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_profile
+    text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_included
 ) -> SimulationDeclaration:
     """What a text declares.
 
@@ -123,7 +128,7 @@ def parse_declaration(
     if problems := fault_problems(file.fault, source):
         raise FileError(in_order(problems))
     own = [DeclaredUnit(section, source, ("unit", index)) for index, section in enumerate(file.unit)]
-    units = [*own, *_Including(read, (_identity(name),)).all_of(file, source)]
+    units = [*own, *_Including(read, (_identity(name),), _Count(MOST_INCLUDES)).all_of(file, source)]
     _refuse_repeated(file, units, source)
     whole = file.model_copy(update={"unit": [each.section for each in units]})
     judge = Judge(source)
@@ -133,17 +138,33 @@ def parse_declaration(
     return SimulationDeclaration(made, whole, tuple(units), state)
 
 
+class _Count:
+    """How many more files may be taken in."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._left = most
+
+    def take(self) -> None:
+        """Take one. Raises `ConfigError` where there are none left."""
+        if not self._left:
+            raise ConfigError(f"more than {self._most} files would be included, with all that they include")
+        self._left -= 1
+
+
 class _Including:
     """Takes in what files include.
 
     Args:
         read: gives the text of a file.
         chain: the files that are being taken in, the outermost first.
+        count: of all files that are taken in.
     """
 
-    def __init__(self, read: Reader, chain: tuple[str, ...]) -> None:
+    def __init__(self, read: Reader, chain: tuple[str, ...], count: _Count) -> None:
         self._read = read
         self._chain = chain
+        self._count = count
 
     def all_of(self, file: ParameterKeys, source: Source) -> Iterator[DeclaredUnit]:
         """The units of all includes of a file."""
@@ -155,6 +176,10 @@ class _Including:
         identity = _identity(name)
         if identity in self._chain:
             raise FileError([parent.problem((*at, "file"), f"{name} would include itself")])
+        try:
+            self._count.take()
+        except ConfigError as error:
+            raise FileError([parent.problem((*at, "file"), error.message)]) from None
         try:
             text = self._read(name)
         except ConfigError as error:
@@ -181,7 +206,7 @@ class _Including:
             raise FileError([source.problem(("unit",), "is missing")])
         for index in range(len(profile.unit)):
             yield _checked_unit(filled, index)
-        yield from _Including(self._read, (*self._chain, identity)).all_of(profile, filled)
+        yield from _Including(self._read, (*self._chain, identity), self._count).all_of(profile, filled)
 
     def _several(
         self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
@@ -303,7 +328,18 @@ class _Filled:
         if whole is not None:
             return self._value(whole[1], path)
         parts = text.split(_ESCAPED)
-        return "${".join(_INSERT.sub(lambda match: _written(self._value(match[1], path)), part) for part in parts)
+        put_in = 0
+
+        def written(match: re.Match[str]) -> str:
+            nonlocal put_in
+            found = _written(self._value(match[1], path))
+            put_in += len(found)
+            if put_in > LONGEST_TEXT:
+                sentence = f"more than {LONGEST_TEXT} characters of parameters would be put into it"
+                raise FileError([self.source.problem(path, sentence)])
+            return found
+
+        return "${".join(_INSERT.sub(written, part) for part in parts)
 
     def _value(self, text: str, path: Path) -> Parameter:
         name = text.strip()

@@ -108,11 +108,20 @@ def load_state(path: str) -> KeptState | None:
     try:
         return _state(json.loads(data))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        with contextlib.suppress(OSError):
-            Path(place).replace(f"{path}{ASIDE}")
-        raise ConfigError(
-            f"the values that were kept can not be understood, and stand in {path}{ASIDE} now", file=path
-        ) from error
+        where = _put_aside(place)
+        raise ConfigError(f"the values that were kept can not be understood, and {where}", file=path) from error
+
+
+def _put_aside(place: str) -> str:
+    """Rename a state that means nothing; where it stands then, for a sentence."""
+    aside = f"{place}{ASIDE}"
+    try:
+        os.replace(place, check_state(aside))
+    except ConfigError as error:
+        return f"stand where they stood, because {error}"
+    except OSError as error:
+        return f"stand where they stood: {error.strerror or error}"
+    return f"stand in {aside} now"
 
 
 def _state(document: Any) -> KeptState:  # what JSON has

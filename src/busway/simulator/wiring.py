@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ..assembly.paths import within
-from ..assembly.reading import read_text
+from ..assembly.reading import read_named_text
 from ..config.files.behaviours import BehaviourSection, FormulaSection, ReplaySection
 from ..config.files.lines import Path
 from ..config.files.problems import FileError
@@ -47,7 +47,7 @@ class Wired:
     driven: Sequence[Driven]
 
 
-def wire(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_text) -> Wired:
+def wire(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_named_text) -> Wired:
     """The units of a declaration, their points holding their first values.
 
     Args:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final
 
-from ...assembly.reading import read_text
+from ...assembly.reading import read_named_text, read_text
 from ...errors import ConfigError
 
 PREFIX: Final = "device:"
@@ -53,8 +53,15 @@ def read_profile(name: str) -> str:
     Raises:
         ConfigError: there is no such device, or the file can not be read; names the file.
     """
-    if not name.startswith(PREFIX):
-        return read_text(name)
+    return _ready_made_text(name) if name.startswith(PREFIX) else read_text(name)
+
+
+def read_included(name: str) -> str:
+    """As `read_profile`, of what a simulation file names: a regular file, by no link of another user."""
+    return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
+
+
+def _ready_made_text(name: str) -> str:
     try:
         return ready_made(name.removeprefix(PREFIX)).text
     except ConfigError as error:
