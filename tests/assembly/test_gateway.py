@@ -262,7 +262,8 @@ async def test_lists_of_a_listener_are_replaced_and_connections_of_hosts_that_ar
                     await read_from(refused, 1)
             files.text = FRONT + 'allow = ["127.0.0.0/8"]\n' + ROUTES
             assert await service.reload() == ["the address lists of listeners were replaced"]
-            assert await read_from(link, 1) == [100]
+            async with busway.open(service.server.endpoints[0], shared=False) as welcome:
+                assert await read_from(welcome, 1) == [100]
 
 
 async def test_a_rate_counts_for_all_fronts_together() -> None:
