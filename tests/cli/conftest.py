@@ -22,8 +22,9 @@ class Result:
 
 
 @pytest.fixture
-def run() -> Callable[..., Result]:
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
     """Runs ``busway`` with arguments; what it prints is kept apart. An exception that is no exit fails the test."""
+    monkeypatch.setenv("BUSWAY_TRACEBACK", "1")
 
     def run(*arguments: str, stdin: str | None = None) -> Result:
         result = CliRunner().invoke(app, list(arguments), input=stdin)

@@ -103,6 +103,31 @@ def test_a_clone_without_a_map_finds_what_there_is(tank: str, tmp_path: Path, ru
         assert link.unit(1).read_holding_registers(0, count=2) == [0x40E8, 0]
 
 
+def test_a_file_that_is_there_is_not_overwritten_without_force(
+    tank: str, nobody: str, points: Path, tmp_path: Path, run: Callable[..., Any]
+) -> None:
+    file = tmp_path / "tank.toml"
+    file.write_text("# mine", encoding="utf-8")
+    # Nobody is asked: that would end with 5.
+    result = run("simulate", "--clone", nobody, "--map", str(points), "--out", str(file))
+    assert (result.code, result.err) == (2, f"{file}: is there already; --force writes over it\n")
+    assert file.read_text(encoding="utf-8") == "# mine"
+    assert run("simulate", "--clone", tank, "--map", str(points), "--out", str(file), "--force").code == 0
+    assert "[[unit]]" in file.read_text(encoding="utf-8")
+
+
+def test_a_file_that_comes_while_the_device_is_asked_is_not_overwritten(
+    tank: str, points: Path, tmp_path: Path, run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "tank.toml"
+    file.write_text("# mine", encoding="utf-8")
+    monkeypatch.setattr("os.path.lexists", lambda path: False)
+    result = run("simulate", "--clone", tank, "--map", str(points), "--out", str(file))
+    assert result.code == 2
+    assert "is there already; --force writes over it" in result.err
+    assert file.read_text(encoding="utf-8") == "# mine"
+
+
 def test_a_point_that_the_device_has_not_is_said_and_left_out(tank: str, points: Path, run: Callable[..., Any]) -> None:
     points.write_text(MAP + "gone;4x100;;;\n", encoding="utf-8")
     result = run("simulate", "--clone", tank, "--map", str(points))
@@ -132,6 +157,8 @@ def test_a_file_that_can_not_be_written_is_said(tank: str, points: Path, run: Ca
         ([], "FILE: one of FILE, --device and --map is needed"),
         (["plant.toml", "--device", "meter"], "--device: one of FILE, --device and --map is needed"),
         (["--device", "toaster"], "--device toaster: there is no such device, but meter"),
+        (["--device", "meter", "--force"], "--force: goes with --clone only"),
+        (["--clone", "tcp://127.0.0.1:1", "--force"], "--force: goes with --out only"),
         (["--device", "meter", "--unit", "3"], "--unit: goes with --clone and --map only"),
         (["--map", "gone.csv"], "gone.csv: can not be read: no such file"),
         (["--device", "meter", "--out", "x"], "--out: goes with --clone only"),

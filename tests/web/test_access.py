@@ -146,7 +146,7 @@ def test_an_address_of_the_network_gets_a_token_that_nobody_guesses():
         port = one.host.rpartition(":")[2]
         assert len(one.page.token) >= 32
         assert one.page.token != other.page.token
-        assert one.page.page_url == f"{one.page.url}#token={one.page.token}"
+        assert one.page.page_url == one.page.announced_url == f"{one.page.url}#token={one.page.token}"
         one.page.url = f"http://127.0.0.1:{port}/"
         assert one.ask("GET", "/api/units")[0] == 401
         assert one.ask("GET", "/api/units", Authorization=f"Bearer {one.page.token}", Host="plc.example")[0] == 200

@@ -9,6 +9,7 @@ One file per command. Only here are files and the environment read, and only her
 `arguments`     what several commands take, and text → checked value
 `output`        values as a table, aligned lines, JSON lines or CSV
 `files`         files that people write, read once
+`streams`       stdout, stderr and stdin where they are full, closed or plain ASCII
 `signals`       Ctrl-C and SIGTERM for commands that run until they are stopped
 ==============  =======================================================================
 """

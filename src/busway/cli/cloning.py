@@ -2,13 +2,14 @@
 
 1. The device is only read. With ``--map`` each point of the map is read once, without it the tables are searched.
 2. The file goes to stdout, or with ``--out`` into a file; progress and what could not be recorded go to stderr.
+3. A file that is there is not overwritten without ``--force``, and that is known before the device is asked.
 """
 
+import os
 import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
@@ -38,6 +39,7 @@ class CloneWishes:
         watch: how long to learn how values change.
         ranges: offsets to search without a map: ``0-999,40000-40199``.
         thorough: whether to search blocks that seem empty too.
+        force: whether ``out`` may be written over.
         timeout, retries: of the link.
         verbose: level of the trace.
     """
@@ -49,6 +51,7 @@ class CloneWishes:
     watch: str | None = None
     ranges: str | None = None
     thorough: bool = False
+    force: bool = False
     timeout: str | None = None
     retries: str | None = None
     verbose: int = 0
@@ -57,7 +60,7 @@ class CloneWishes:
 def refuse_without_clone(wishes: CloneWishes) -> None:
     """Refuse options that would have no effect without ``--clone``. Raises `ConfigError` that names the first."""
     given = {"--out": wishes.out, "--watch": wishes.watch, "--range": wishes.ranges, "--thorough": wishes.thorough}
-    for option, value in given.items():
+    for option, value in {**given, "--force": wishes.force}.items():
         if value:
             raise ConfigError("goes with --clone only", key=option)
 
@@ -71,6 +74,10 @@ def clone_device(wishes: CloneWishes) -> int:
         raise ConfigError("needs --map: without names there is nothing to watch", key="--watch")
     if wishes.map is not None and (wishes.ranges is not None or wishes.thorough):
         raise ConfigError("does not go with --map", key="--thorough" if wishes.ranges is None else "--range")
+    if wishes.force and wishes.out is None:
+        raise ConfigError("goes with --out only", key="--force")
+    if wishes.out is not None and not wishes.force and os.path.lexists(wishes.out):
+        raise _there_already(wishes.out)
     with opened_unit(
         wishes.url, unit=wishes.unit, timeout=wishes.timeout, retries=wishes.retries, verbose=wishes.verbose
     ) as unit:
@@ -78,7 +85,7 @@ def clone_device(wishes: CloneWishes) -> int:
     for remark in clone.remarks:
         say(remark)
     remarks = [f"Recorded from {wishes.url}, unit {unit.number}.", *clone.remarks]
-    _put_out(device_text([clone.section], remarks=remarks, compact=wishes.map is None), wishes.out)
+    _put_out(device_text([clone.section], remarks=remarks, compact=wishes.map is None), wishes)
     return ExitCode.DONE
 
 
@@ -119,12 +126,26 @@ def _ranges(text: str) -> list[range]:
     return found
 
 
-def _put_out(text: str, out: str | None) -> None:
+def _there_already(out: str) -> ConfigError:
+    return ConfigError("is there already; --force writes over it", file=out)
+
+
+def _put_out(text: str, wishes: CloneWishes) -> None:
+    from ..config.safe_files import open_to_replace, past_links
+
+    out = wishes.out
     if out is None:
         print(text, end="")
         return
     try:
-        Path(out).write_text(text, encoding="utf-8")
+        if wishes.force:
+            handle = open_to_replace(out, is_ours=lambda head: True, kind="recording")
+        else:
+            handle = os.open(past_links(out), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:  # it came while the device was asked
+        raise _there_already(out) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=out) from error

@@ -4,7 +4,6 @@
 2. What was understood goes to stdout; what is odd, or wrong, to stderr, each with file, line and key.
 """
 
-import json
 import sys
 from collections.abc import Callable
 
@@ -12,7 +11,7 @@ import typer
 
 from ..errors import ConfigError
 from .exits import ExitCode
-from .output import print_aligned
+from .output import json_text, print_aligned
 
 EXAMPLES = """\b
 Examples:
@@ -81,7 +80,7 @@ def _print_schema(kinds: list[str]) -> None:
     schema = schemas[kinds[0]] if kinds else system.SystemFile
     if kinds == ["--simulation"]:
         document = simulation.simulation_schema("busway simulation file")
-        print(json.dumps(document, indent=2, ensure_ascii=False))
+        print(json_text(document, indent=2))
         return
     title = f"busway {kinds[0].removeprefix('--')} file" if kinds else "busway configuration"
-    print(json.dumps(json_schema(schema, title), indent=2, ensure_ascii=False))
+    print(json_text(json_schema(schema, title), indent=2))

@@ -10,6 +10,8 @@ code  meaning
 5     no connection, or it ended; a server that can not listen
 6     the reply, or a frame given to ``decode``, is broken
 7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back
+8     the output cannot be written: a full disk, a stream that is closed
+70    a defect of busway
 130   interrupted (Ctrl-C) before it was done
 ====  ==========================================================================================
 """
@@ -29,6 +31,8 @@ class ExitCode(IntEnum):
     NO_CONNECTION = 5
     BROKEN = 6
     NOT_VERIFIED = 7
+    OUTPUT_LOST = 8
+    DEFECT = 70
     INTERRUPTED = 130
 
 

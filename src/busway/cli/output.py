@@ -7,6 +7,7 @@ Knows rows and how they look; knows no device.
 2. JSON is one object per line, so that a program reads a stream of any length. What JSON has no number for (``nan``,
    ``inf``) is a text.
 3. CSV has a header line, written once.
+4. What devices and certificates say of themselves is never printed as it came (`printable`); JSON escapes it likewise.
 """
 
 import math
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ..errors import ConfigError
-from ..values import Address, ValueType, format_address
+from ..values import Address, ValueType, format_address, printable
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ def shown_value(value: Any) -> str:
     if isinstance(value, tuple):  # sixteen bits, the least significant first
         return "0b" + "".join("1" if bit else "0" for bit in reversed(value))
     if isinstance(value, str):
-        return "".join(each if each.isprintable() else repr(each)[1:-1] for each in value)
+        return printable(value)
     return str(value)
 
 
@@ -177,8 +178,9 @@ class CsvWriter:
         self._has_header = True
         lines = []
         for row in rows:
-            value = row.value if isinstance(row.value, str) else shown_value(row.value)
-            lines.append([*([time] if time else []), format_address(row.address), value, row.raw.hex()])
+            lines.append(
+                [*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw.hex()]
+            )
             lines[-1] += [row.outcome] if outcome else []
         print_csv(header, lines)
 
@@ -235,6 +237,7 @@ def print_aligned(lines: Sequence[Sequence[str]]) -> None:
     """Lines of cells, each column as wide as its widest cell."""
     if not lines:
         return
+    lines = [[printable(cell) for cell in cells] for cells in lines]
     widths = [max(len(cells[index]) for cells in lines) for index in range(len(lines[0]))]
     for cells in lines:
         print("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
@@ -246,17 +249,27 @@ def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
     import csv
 
     writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerows([header, *lines] if header else lines)
+    writer.writerows([header] if header else [])
+    writer.writerows([printable(cell) for cell in cells] for cells in lines)
     sys.stdout.flush()
 
 
 def print_json(fields: dict[str, Any]) -> None:
     """One JSON object on a line."""
+    print(json_text(fields))
+
+
+def json_text(document: Any, *, indent: int | None = None) -> str:
+    """A document as JSON that stdout and a terminal take: what cannot be shown, or not encoded, is ``\\u2026``."""
     import json
 
-    print(json.dumps(fields, ensure_ascii=False))
+    encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")
+    text = json.dumps(document, indent=indent, ensure_ascii=not encoding.startswith("utf"))
+    if text.replace("\n", "").isprintable():
+        return text
+    return "".join(each if each.isprintable() or each == "\n" else json.dumps(each)[1:-1] for each in text)
 
 
 def say(sentence: str) -> None:
     """One sentence on stderr."""
-    print(f"busway: {sentence}", file=sys.stderr, flush=True)
+    print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)

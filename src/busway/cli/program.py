@@ -4,12 +4,13 @@ Knows how commands are found and how they end; knows nothing of what they do.
 
 1. Only the module of the command that runs is imported: start-up time is what a user of a shell feels.
 2. An error is one sentence on stderr that names what is wrong; there is never a traceback for anything that a user, a
-   device or a network did.
+   device or a network did. A defect of ours is one sentence too; BUSWAY_TRACEBACK=1 shows where it is.
 3. Every argument reaches its command as text. Commands turn text into values themselves, so that one sentence says
    what is wrong in the words of the protocol.
 """
 
-import contextlib
+import errno
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -22,7 +23,9 @@ from typer.main import get_command
 
 from ..config.extras import missing_extra
 from ..errors import ModbusError
+from ..values.printable import printable
 from .exits import ExitCode, exit_code_of
+from .streams import OutputLostError, ReaderGoneError, discard, guarded_streams
 
 COMMANDS = {
     "read": "Read values from a device.",
@@ -43,11 +46,8 @@ COMMANDS = {
 }
 """The commands, in the order in which help lists them. ``busway.cli.<name>`` holds the function ``<name>``."""
 
+_OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-
-
-class ReaderGoneError(Exception):
-    """Whoever read stdout has closed it (``busway read … | head -1``)."""
 
 
 class Verbatim:
@@ -125,10 +125,16 @@ class Program(TyperGroup):
         **extra: Any,
     ) -> NoReturn:
         given = sys.argv[1:] if args is None else list(args)
+        logging.raiseExceptions = False  # a log that nobody can take is lost without a traceback
+        with guarded_streams():
+            code = self._run(given or ["--help"], prog_name or "busway", complete_var, extra)
+        sys.exit(int(code))
+
+    def _run(self, given: list[str], name: str, complete_var: str | None, extra: dict[str, Any]) -> int:
+        """Run the command, and say in one sentence what went wrong; the exit code."""
+        code: int
         try:
-            result = super().main(
-                given or ["--help"], prog_name or "busway", complete_var, standalone_mode=False, **extra
-            )
+            result = super().main(given, name, complete_var, standalone_mode=False, **extra)
             code = result if isinstance(result, int) else ExitCode.DONE
             sys.stdout.flush()
         except ModbusError as error:
@@ -137,17 +143,13 @@ class Program(TyperGroup):
         except KeyboardInterrupt:
             code = ExitCode.INTERRUPTED
         except (BrokenPipeError, ReaderGoneError):
-            code = _leave_pipe()
-        except ImportError as error:
-            missing = missing_extra(error)
-            if missing is None:
-                raise
-            code = _fail(str(missing), ExitCode.WRONG_USE)
+            discard(sys.stdout)  # who read the output has what he wanted
+            code = ExitCode.DONE
+        except OutputLostError as error:
+            code = _fail(_lost_sentence(str(error)), ExitCode.OUTPUT_LOST)
         except Exception as error:
-            if not hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
-                raise
-            code = _fail(_usage_sentence(error), ExitCode.WRONG_USE)
-        sys.exit(int(code))
+            code = _fail_unexpectedly(error)
+        return code
 
 
 def _verbatim(params: list[Any]) -> list[Any]:
@@ -176,9 +178,31 @@ def load(name: str) -> Any:
 
 
 def _fail(sentence: str, code: ExitCode, *, prefix: str = "busway: ") -> ExitCode:
-    with contextlib.suppress(BrokenPipeError):
-        print(f"{prefix}{sentence}", file=sys.stderr, flush=True)
+    # A sentence for each problem of a file, each on a line; nothing in them is a control character of others.
+    lines = [printable(line) for line in sentence.split("\n")]
+    print(prefix + "\n".join(lines), file=sys.stderr, flush=True)
     return code
+
+
+def _fail_unexpectedly(error: Exception) -> ExitCode:
+    """What is no error of ours: wrong use that the parser found, a library or a stream that is not there, a defect."""
+    if hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
+        return _fail(_usage_sentence(error), ExitCode.WRONG_USE)
+    if isinstance(error, ImportError) and (missing := missing_extra(error)) is not None:
+        return _fail(str(missing), ExitCode.WRONG_USE)
+    if isinstance(error, OSError) and error.errno in _OUTPUT_ERRORS:  # help is printed past the guard
+        discard(sys.stdout)
+        return _fail(_lost_sentence(error.strerror or str(error)), ExitCode.OUTPUT_LOST)
+    if os.environ.get("BUSWAY_TRACEBACK"):
+        raise error
+    what = f"{type(error).__name__}: {error}".rstrip(": ")
+    return _fail(
+        f"this is a defect of busway: {what}; please report it with what BUSWAY_TRACEBACK=1 shows", ExitCode.DEFECT
+    )
+
+
+def _lost_sentence(reason: str) -> str:
+    return f"the output cannot be written: {reason[:1].lower()}{reason[1:]}"
 
 
 def _usage_sentence(error: Any) -> str:
@@ -188,13 +212,6 @@ def _usage_sentence(error: Any) -> str:
     words = " ".join(error.format_message().split())
     sentence = words[:1].lower() + words[1:].removesuffix(".")
     return f"{command}: {sentence}" if command else sentence
-
-
-def _leave_pipe() -> ExitCode:
-    """Whoever read the output has what he wanted; what is still buffered must not be written at exit."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return ExitCode.DONE
 
 
 app = typer.Typer(

@@ -4,7 +4,8 @@
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
 2. Units and behaviours are those of the start: what is read again is policy, lists and certificates.
 3. ``--fault`` switches on a fault that the file has, or puts a personality on; what it does goes to stderr.
-4. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if it has one.
+4. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if one was
+   made here; one that was given in a file is not shown.
 """
 
 import asyncio
@@ -45,6 +46,7 @@ from .sources import (
     CLONE,
     DEVICE,
     FILE_HELP,
+    FORCE,
     LIST_DEVICES,
     MAP,
     OUT,
@@ -97,6 +99,7 @@ def simulate(
     clone: str | None = CLONE,
     unit: str | None = UNIT,
     out: str | None = OUT,
+    force: bool = FORCE,
     watch: str | None = WATCH,
     ranges: str | None = RANGE,
     thorough: bool = THOROUGH,
@@ -139,7 +142,7 @@ def simulate(
     verbose: int = VERBOSE,
 ) -> int:
     """Be devices that behave."""
-    wanted = CloneWishes(clone or "", unit, map_file, out, watch, ranges, thorough, verbose=verbose)
+    wanted = CloneWishes(clone or "", unit, map_file, out, watch, ranges, thorough, force=force, verbose=verbose)
     if clone is not None:
         if file is not None or device is not None:
             raise ConfigError("names what is recorded; there is nothing else to simulate", key="--clone")
@@ -246,7 +249,7 @@ async def _simulate(
             await stack.enter_async_context(simulation.driven(service.server))
             if page is not None:
                 await stack.enter_async_context(page)
-                say(f"control API and page on {page.page_url}")
+                say(f"control API and page on {page.announced_url}")
             for sentence in simulation.warnings:
                 say(sentence)
             for each in simulation.board:

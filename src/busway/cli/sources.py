@@ -41,6 +41,7 @@ CLONE = typer.Option(
     None, "--clone", metavar="URL", help="Simulate nothing, but record a live device into a simulation file."
 )
 OUT = typer.Option(None, "--out", metavar="FILE", help="With --clone: where the file goes, instead of stdout.")
+FORCE = typer.Option(False, "--force", help="With --out: write over a file that is there.")
 WATCH = typer.Option(
     None, "--watch", metavar="TIME", help="With --clone and --map: watch so long how values change, and do likewise."
 )

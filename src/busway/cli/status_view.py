@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from ..values.printable import printable
+
 JsonObject = dict[str, Any]
 
 _SECONDS: Final = frozenset({"age", "idle", "uptime"})
@@ -71,6 +73,11 @@ class Section:
     title: str
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = field(default_factory=tuple)
+
+    def __post_init__(self) -> None:
+        # Names and subjects come from clients' certificates.
+        object.__setattr__(self, "title", printable(self.title))
+        object.__setattr__(self, "rows", [[printable(cell) for cell in row] for row in self.rows])
 
     def style_of(self, column: int, cell: str) -> str:
         """The colour of a cell on a terminal; empty for none."""
@@ -251,7 +258,7 @@ def shown(name: str, value: Any) -> str:
         return duration(value)
     if name in _BYTES and isinstance(value, int | float):
         return size(value)
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return f"{value:.3g}" if isinstance(value, float) else printable(str(value))
 
 
 def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Section:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Final
 
 from ..codes import PDU_LIMIT, DiagnosticCode, FunctionCode, MeiType, Table, exception_meaning, function_name
-from ..values import Address, format_address
+from ..values import Address, format_address, printable
 from .bits import unpack_bits
 from .encapsulated import OBJECT_NAMES, IdentificationObject
 from .fields import FixedField, RepeatedField, RestLength
@@ -200,7 +200,7 @@ def _item_parts(pdu: bytes, at: int, tail: RepeatedField, name: str) -> Iterator
 def _item_text(item: Any) -> str:  # Any: items of user functions share no base
     if isinstance(item, IdentificationObject):
         name = OBJECT_NAMES.get(item.number, f"object 0x{item.number:02X}")
-        return f"{name}: {item.value.decode('utf-8', errors='backslashreplace')}"
+        return f"{name}: {printable(item.value.decode('utf-8', errors='backslashreplace'))}"
     values = {field.name: getattr(item, field.name) for field in fields(item)} if hasattr(item, "__slots__") else {}
     return ", ".join(
         f"{name} {_registers_text(value) if isinstance(value, bytes) else value}" for name, value in values.items()

@@ -113,13 +113,20 @@ def written(value: Any) -> str:
         return str(value)
     if isinstance(value, str):
         # What a file means as a parameter is written twice as dollars, if it only looks like one.
-        return json.dumps(value.replace("${", "$${"), ensure_ascii=False).replace("\x7f", "\\u007f")
+        return _visible(json.dumps(value.replace("${", "$${"), ensure_ascii=False))
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_key(key)} = {written(each)}" for key, each in value.items() if each is not None)
         return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(written(each) for each in value)}]"
     raise TypeError(f"TOML has nothing for {type(value).__name__}")
+
+
+def _visible(text: str) -> str:
+    """A TOML string whose every character can be seen: devices put into their names what they like."""
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else f"\\U{ord(each):08X}" for each in text)
 
 
 def _key(name: object) -> str:

@@ -7,6 +7,7 @@
 `bits`          registers as bits
 `orders`        byte and register orders
 `addresses`     ``4x1``, ``40001``, ``holding:0x10``, ``%MW10``
+`printable`     text of devices and certificates, fit for a terminal and a log
 `refusal`       the sentence with which a value is refused
 ==============  =======================================================================
 """
@@ -14,6 +15,7 @@
 from .addresses import Address, format_address, parse_address
 from .bits import parse_bit
 from .orders import ORDERS
+from .printable import printable
 from .types import TYPE_NAMES, ValueType, decode, encode, parse_value, value_type
 
 __all__ = [
@@ -27,5 +29,6 @@ __all__ = [
     "parse_address",
     "parse_bit",
     "parse_value",
+    "printable",
     "value_type",
 ]

@@ -134,8 +134,14 @@ class ControlPage:
 
     @property
     def page_url(self) -> str:
-        """Where the page is, with the token if there is one: what a person opens."""
+        """Where the page is, with the token if there is one: what a person opens. Whoever sees it has the token."""
         return f"{self.url}#token={self.token}" if self.token else self.url
+
+    @property
+    def announced_url(self) -> str:
+        """Where the page is, for logs and terminals: with the token only if it was made here, and so is told nowhere
+        else. One that was given stays with who gave it."""
+        return self.url if self._given is not None else self.page_url
 
     async def start(self) -> None:
         """Answer from now on. Raises `LinkDown` if the address can not be had, `ConfigError` for a page elsewhere."""

@@ -46,6 +46,7 @@ from ...session.handler import (
     UnitHolder,
     WriteObserver,
 )
+from ...values.printable import printable
 from ..rates import Rates
 from ..repeats import Repeats, so_often
 from .audit import AuditLog
@@ -332,7 +333,7 @@ class PolicyHandler:
                 context.unit,
                 decision.code,
                 rule,
-                decision.reason,
+                printable(decision.reason),
                 so_often(repeated),
             )
         if self.audit is not None:

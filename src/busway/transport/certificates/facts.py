@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ...errors import ConfigError
+from ...values.printable import printable
 from ..roles import require_cryptography, role_of_certificate
 from ..tls_failures import TlsFailure, date_of
 
@@ -108,12 +109,12 @@ def _facts(certificate: "x509.Certificate") -> CertificateFacts:
     else:
         for one in certificate.extensions:
             if isinstance(one.value, x509.SubjectAlternativeName):
-                names = tuple(str(name.value) for name in one.value)
+                names = tuple(printable(str(name.value)) for name in one.value)
             elif isinstance(one.value, x509.BasicConstraints):
                 is_authority = one.value.ca
     return CertificateFacts(
-        subject=certificate.subject.rfc4514_string(),
-        issuer=certificate.issuer.rfc4514_string(),
+        subject=printable(certificate.subject.rfc4514_string()),
+        issuer=printable(certificate.issuer.rfc4514_string()),
         serial=f"{certificate.serial_number:x}",
         not_before=certificate.not_valid_before_utc.timestamp(),
         not_after=certificate.not_valid_after_utc.timestamp(),

@@ -1,0 +1,112 @@
+"""Standard input, output and error as a command finds them: closed, full, a pipe whose reader has gone, or plain ASCII.
+
+Knows streams; knows no command.
+
+1. What stdout does not take ends the command: `OutputLostError`, or `ReaderGoneError` where the reader has gone.
+2. What stderr does not take is lost: there is nobody left to tell.
+3. No character is too much for an encoding: one that it does not have is written as ``\\xe4`` or ``\\u2026``.
+4. A stream that is closed (``>&-``) is as the null device, so that no socket gets its number.
+"""
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TextIO, cast
+
+
+class OutputLostError(Exception):
+    """Standard output does not take what is written: the disk is full, or it was closed."""
+
+
+class ReaderGoneError(Exception):
+    """Whoever read stdout has closed it (``busway read … | head -1``). No `OSError`: typer would end with code 1."""
+
+
+class Guarded:
+    """A text stream for ``print`` and others, whose failures have one name (rules 1 and 2); else it is the stream."""
+
+    def __init__(self, stream: TextIO, *, is_needed: bool) -> None:
+        self._stream = stream
+        self._is_needed = is_needed
+        self._failure: OSError | ValueError | None = None
+
+    def write(self, text: str) -> int:
+        """As of the stream."""
+        self._do(self._stream.write, text)
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """As of the stream."""
+        for line in lines:
+            self.write(line)
+
+    def flush(self) -> None:
+        """As of the stream."""
+        self._do(self._stream.flush)
+
+    def __getattr__(self, name: str) -> Any:  # whatever the stream has
+        return getattr(self._stream, name)
+
+    def _do(self, act: Callable[..., object], *arguments: str) -> None:
+        if self._failure is None:
+            try:
+                act(*arguments)
+            except (OSError, ValueError) as error:
+                self._failure = error
+                discard(self._stream)
+        # Again at each use: libraries try a stream before they use it, and swallow what that raises.
+        if self._failure is None or not self._is_needed:
+            return
+        if isinstance(self._failure, BrokenPipeError):
+            raise ReaderGoneError from self._failure
+        raise OutputLostError(getattr(self._failure, "strerror", None) or str(self._failure)) from self._failure
+
+
+@contextlib.contextmanager
+def guarded_streams() -> Iterator[None]:
+    """Guard the streams of this process meanwhile."""
+    before = sys.stdin, sys.stdout, sys.stderr
+    opened: list[TextIO] = []
+    sys.stdin = _there(sys.stdin, "r", opened)
+    out = _there(sys.stdout, "w", opened)
+    error = _there(sys.stderr, "w", opened)
+    _never_fail(sys.stdin, "replace")
+    for stream in (out, error):
+        _never_fail(stream, "backslashreplace")
+    sys.stdout = cast(TextIO, Guarded(out, is_needed=True))
+    sys.stderr = cast(TextIO, Guarded(error, is_needed=False))
+    try:
+        yield
+    finally:
+        for guarded in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OutputLostError, ReaderGoneError):
+                guarded.flush()
+        sys.stdin, sys.stdout, sys.stderr = before
+        for stream in opened:
+            stream.close()
+
+
+def discard(stream: TextIO) -> None:
+    """Let what is still buffered go to the null device: written at the end of the process, it would fail again."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(null, stream.fileno())
+        finally:
+            os.close(null)
+
+
+def _there(stream: TextIO | None, mode: str, opened: list[TextIO]) -> TextIO:
+    """The stream, or the null device where there is none, which is added to ``opened``."""
+    if stream is None:
+        stream = cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - it lasts
+        opened.append(stream)
+    return stream
+
+
+def _never_fail(stream: TextIO, errors: str) -> None:
+    reconfigure = getattr(stream, "reconfigure", None)
+    if reconfigure is not None:
+        with contextlib.suppress(OSError, ValueError):
+            reconfigure(errors=errors)

@@ -1,0 +1,18 @@
+"""Text of others, made fit for a line of a terminal, a log or a table.
+
+Knows characters; knows nobody who prints. Devices name themselves, and certificates name their owners: what they say
+goes to people's terminals and logs. There a line break forges a line, an escape sequence changes what was printed
+before it, and a bidirectional control turns the rest of the line around.
+"""
+
+
+def printable(text: str) -> str:
+    """The text on one line, with ``\\n``, ``\\x1b``, ``\\u202e`` and so on where no visible character stands.
+
+    Escaped are all control and format characters, bidirectional ones among them, line and paragraph separators, every
+    space but the plain one, private and unassigned characters, and lone surrogates. All else stays as it is, a
+    backslash too.
+    """
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
