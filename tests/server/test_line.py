@@ -107,6 +107,23 @@ async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line
         assert await link.unit(5).read_holding_registers(0, count=1) == [0]
 
 
+@pytest.mark.clause("S1")
+@pytest.mark.clause("S16")
+@pytest.mark.real_time
+async def test_two_requests_back_to_back_on_a_real_line_are_executed_and_the_last_is_answered(line: PacedLine) -> None:
+    device = busway.Device(holding_registers=4)
+    async with busway.serve(url(line), units={5: device}) as server:
+        last = encode_rtu(5, b"\x06\x00\x01\x00\x08")
+        line.inject(encode_rtu(5, b"\x06\x00\x00\x00\x09") + last)
+        await until(lambda: bool(spoken(line)))
+        await asyncio.to_thread(line.wait_quiet, 0.02)
+        assert device.holding_registers[:2] == [9, 8]
+        assert spoken(line) == [last]
+        (status,) = server.status().listeners
+        assert (status.requests, status.abandoned, status.event_count) == (2, 1, 1)
+        assert status.counters.server_no_response_count == 1
+
+
 @pytest.mark.clause("S16")
 @pytest.mark.clause("S17")
 @pytest.mark.real_time

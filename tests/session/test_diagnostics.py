@@ -271,7 +271,7 @@ def test_the_log_holds_the_64_newest_events_newest_first() -> None:
 
 # Each bit of the event bytes, as §6.10 has them: what happens → the bytes, the newest first.
 
-READ_EXCEPTION, ABORT, BUSY, NAK, LISTEN_ONLY_SENT = 0x01, 0x02, 0x04, 0x08, 0x20
+READ_EXCEPTION, ABORT, BUSY, NAK, WRITE_TIMEOUT, LISTEN_ONLY_SENT = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 COMMUNICATION_ERROR, OVERRUN, LISTEN_ONLY_RECEIVED, BROADCAST = 0x02, 0x10, 0x20, 0x40
 RECEIVE, SEND = 0x80, 0x40
 
@@ -286,6 +286,10 @@ def _answer(exception: int | None) -> Callable[[CommunicationState], None]:
 
 def _silence(one: CommunicationState) -> None:
     one.kept_silent()
+
+
+def _unwritten(one: CommunicationState) -> None:
+    one.kept_silent(write_failed=True)
 
 
 def _broadcast(one: CommunicationState) -> None:
@@ -332,6 +336,7 @@ EVENT_BYTES = {
     **{f"send, bit 2: server busy exception, {code}": ([_answer(code)], [SEND | BUSY]) for code in (5, 6)},
     "send, bit 3: server program NAK exception, 7": ([_answer(7)], [SEND | NAK]),
     **{f"send, no bit: exception {code}": ([_answer(code)], [SEND]) for code in (8, 10, 11)},
+    "send, bit 4: write timeout error": ([_request, _unwritten], [SEND | WRITE_TIMEOUT, RECEIVE]),
     "send, bit 5: currently in listen only mode": (
         [_mute, _request, _silence],
         [SEND | LISTEN_ONLY_SENT, RECEIVE | LISTEN_ONLY_RECEIVED, *MUTED],

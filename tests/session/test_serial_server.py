@@ -486,6 +486,40 @@ def test_late_answer_is_given_up_when_somebody_else_has_spoken() -> None:
     assert server.diagnostics.counters.server_no_response_count == 1
 
 
+@pytest.mark.clause("S1")
+@pytest.mark.clause("S16")
+@pytest.mark.parametrize("apart", [0.0, T3_5 / 2])
+def test_of_two_requests_back_to_back_both_are_executed_and_the_last_is_answered(apart: float) -> None:
+    device = Device(holding_registers=10)
+    bus, _, server = pair({5: device})
+    write, refused = (
+        encode_rtu(5, WriteSingleRegister(0, 9).encode()),
+        encode_rtu(5, WriteSingleRegister(99, 1).encode()),
+    )
+    last = encode_rtu(5, WriteSingleRegister(1, 8).encode())
+    begins = bus.now + 0.01
+    for frame in (write, refused, last):
+        bus.line.inject(frame, begins)
+        begins += len(frame) * bus.line.character_time + apart
+    bus.run(0.5)
+    assert device.holding_registers[:2] == [9, 8]
+    assert [frame for _, frame in server.sent] == [last], "a write is answered by its echo"
+    assert server.session.abandoned == 2
+    own = server.diagnostics.of(5)
+    assert own.counters == Counters(3, 0, 1, 3, 2, 0, 0, 0)
+    assert (own.event_count, own.event_log()[3].hex(" ")) == (1, "40 80 40 80 40 80")
+
+
+@pytest.mark.clause("A23")
+def test_answer_that_the_port_does_not_take_is_a_write_timeout_and_none_that_was_sent() -> None:
+    bus, _, server = pair({5: Device(holding_registers=10)})
+    server.port_has_gone = True
+    send(bus, encode_rtu(5, READ.encode()))
+    own = server.diagnostics.of(5)
+    assert (own.counters.server_no_response_count, own.event_count) == (1, 0)
+    assert own.event_log()[3].hex(" ") == "50 80"
+
+
 def test_answer_given_before_the_handler_returns_is_sent_once() -> None:
     class AtOnce(Handling):
         def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:

@@ -262,6 +262,7 @@ class ServerEnd:
         self.port = port
         self.diagnostics = LineDiagnostics(changes_allowed=True)
         self.sent: list[tuple[float, bytes]] = []
+        self.port_has_gone = False
         self._pending: Emission | None = None
         self.session = SerialServerSession(
             handler, units, framing=framing, diagnostics=self.diagnostics, deliver=self._late, line="bus"
@@ -293,6 +294,10 @@ class ServerEnd:
         pending = self._pending
         if pending is not None and now >= pending.not_before:
             self._pending = None
+            if self.port_has_gone:
+                self.session.answer_lost()
+                return
+            self.session.answer_left()
             self.session.sent(pending.frame, self.port.write(pending.frame, now))
             self.sent.append((now, pending.frame))
 

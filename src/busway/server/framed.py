@@ -52,6 +52,7 @@ class FramedSession:
             deliver=self._late,
             line=peer,
             listener=listener,
+            sends_at_once=True,
         )
         self._timer: asyncio.TimerHandle | None = None
         self.broken = ""

@@ -251,8 +251,7 @@ class SerialListener:
         """Do what the session asks for: answer, wait for handlers, report, look at the clock again."""
         session = self._session
         if emissions:
-            # Who sends a second request has given up the first.
-            session.abandoned += len(emissions) - 1
+            # Who sends a second request has given up the first; the session has counted that.
             self._schedule(emissions[-1])
         if session.deferred:
             deferred, session.deferred = session.deferred, []
@@ -300,9 +299,8 @@ class SerialListener:
             self._emit()
 
     def _drop_pending(self) -> None:
-        """Somebody has spoken before our answer left."""
+        """Somebody has spoken before our answer left; the session has counted that."""
         self._pending = None
-        self._session.abandoned += 1
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()
 
@@ -316,7 +314,9 @@ class SerialListener:
         try:
             until = connection.write(emission.frame)
         except LinkDown:
+            self._session.answer_lost()
             return  # the port tells it by itself
+        self._session.answer_left()
         self._follow(self._session.tick(now))  # the silence before it; not sooner, the frame is due
         self._session.sent(emission.frame, until)
         self.diagnosis.traffic = now

@@ -388,13 +388,16 @@ class CommunicationState:
         else:
             self.own.bus_exception_error_count += 1
 
-    def kept_silent(self, *, executed: bool = False) -> None:
-        """A message for this unit gets no answer; ``executed``: it was a broadcast, and is done."""
+    def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
+        """A message for this unit gets no answer.
+
+        ``executed``: it was a broadcast, and is done. ``write_failed``: the port did not take the answer.
+        """
         self.line.fold()
         self.own.server_no_response_count += 1
         if executed:
             self._event_count += 1
-        self._finish(_SENT)
+        self._finish(_SENT | SendEvent.WRITE_TIMEOUT if write_failed else _SENT)
 
     def take_many(self, exchanged: int, arrived: int, departed: int) -> None:
         """Count and log what was added to `LineDiagnostics.exchanged`, `arrived` and `departed`."""

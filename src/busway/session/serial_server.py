@@ -8,8 +8,9 @@ RTU and ASCII differ only in the framing that is handed in.
 2. A damaged frame is never answered and never executed; an error of content is answered.
 3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. One that
    asks for a read, or fails, is only counted: it is one message of the line, and one for each unit.
-4. The answer leaves t3.5 after the last byte on the line at the earliest. If somebody else has spoken before a slow
-   handler is ready, its answer is not sent: the master has given up and the line is not ours.
+4. The answer leaves t3.5 after the last byte on the line at the earliest. If somebody else has spoken before, or before
+   a slow handler is ready, it is not sent: the master has given up and the line is not ours. So of two requests back to
+   back both are executed, and the last one is answered. An answer counts when it has left.
 5. A unit in listen-only mode answers and executes nothing, until a restart that is not answered either. The other
    units of the line are not concerned.
 6. Function 08/03 changes the delimiter of what comes after its own answer.
@@ -44,6 +45,29 @@ class Emission:
     not_before: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """An answer that was given and has not left yet."""
+
+    context: RequestContext
+    reply: Message
+
+    def left(self) -> None:
+        """Count it."""
+        diagnostics = self.context.diagnostics
+        if isinstance(self.reply, ExceptionResponse):
+            diagnostics.answered(exception=self.reply.exception)
+        else:
+            diagnostics.answered(counts=self.context.function not in _POLLS)
+
+    def lost(self, *, write_failed: bool = False) -> None:
+        """Count its request as one without an answer; an exception is counted all the same, as that of a broadcast."""
+        diagnostics = self.context.diagnostics
+        if isinstance(self.reply, ExceptionResponse):
+            diagnostics.failed(self.reply.exception)
+        diagnostics.kept_silent(write_failed=write_failed)
+
+
 class SerialServerSession:
     """One line's conversation, seen by the servers on it.
 
@@ -52,7 +76,7 @@ class SerialServerSession:
         requests: requests for own units so far, broadcasts included.
         foreign: frames of others that passed by.
         damaged_frames: disturbances so far.
-        abandoned: answers that came after somebody else had spoken.
+        abandoned: answers that did not leave because somebody else had spoken.
     """
 
     __slots__ = (
@@ -61,9 +85,11 @@ class SerialServerSession:
         "_framing",
         "_handler",
         "_last_byte",
+        "_leaving",
         "_line",
         "_listener",
         "_receiver",
+        "_sends_at_once",
         "_takes_more",
         "_units",
         "_waiting",
@@ -85,6 +111,7 @@ class SerialServerSession:
         deliver: Callable[[Emission], None],
         line: str = "",
         listener: str = "",
+        sends_at_once: bool = False,
     ) -> None:
         """A session that has heard nothing yet.
 
@@ -96,6 +123,8 @@ class SerialServerSession:
             deliver: takes late answers.
             line: name of the line or of the peer, for contexts.
             listener: URL of the listener, for contexts.
+            sends_at_once: whether every answer leaves when it is given, as over a network: then it counts at once, and
+                `answer_left` is not called.
         """
         self._handler = handler
         self._units = units
@@ -106,6 +135,8 @@ class SerialServerSession:
         self._diagnostics = diagnostics
         self._deliver = deliver
         self._waiting: RequestContext | None = None
+        self._leaving: _Answer | None = None
+        self._sends_at_once = sends_at_once
         self._last_byte = 0.0
         self._takes_more = True
         self.deferred: list[Deferred] = []
@@ -153,12 +184,27 @@ class SerialServerSession:
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
+    def answer_left(self) -> None:
+        """The answer that was given last has left."""
+        answer, self._leaving = self._leaving, None
+        if answer is not None:
+            answer.left()
+
+    def answer_lost(self) -> None:
+        """The port did not take the answer that was given last."""
+        answer, self._leaving = self._leaving, None
+        if answer is not None:
+            answer.lost(write_failed=True)
+
     def take_no_more(self) -> None:
         """Take no further request for one's own; the answer that is still to come may leave."""
         self._takes_more = False
 
     def close(self) -> None:
         """The port has gone: what is still waiting gets no answer."""
+        leaving, self._leaving = self._leaving, None
+        if leaving is not None:
+            leaving.lost()
         context, self._waiting = self._waiting, None
         if context is not None:
             context.diagnostics.kept_silent()
@@ -199,7 +245,7 @@ class SerialServerSession:
             return None  # by ``reply``, before the handler returned; a request has one answer
         if isinstance(outcome, Message):
             self._settle(context)
-            return Emission(self._answer(context, outcome), self.clear_at())
+            return self._answer(context, outcome)
         if outcome is Deferral.SILENCE:
             self._settle(context)
             context.diagnostics.kept_silent()
@@ -283,25 +329,29 @@ class SerialServerSession:
             return  # a broadcast, or given up
         self._waiting = None
         if isinstance(reply, Message):
-            self._deliver(Emission(self._answer(context, reply), self.clear_at()))
+            self._deliver(self._answer(context, reply))
         else:
             context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
-        """Somebody speaks while a request is still in work: its master has given up."""
+        """Somebody speaks while a request is in work, or its answer has not left: its master has given up."""
+        leaving, self._leaving = self._leaving, None
+        if leaving is not None:
+            self.abandoned += 1
+            leaving.lost()
         context, self._waiting = self._waiting, None
         if context is not None:
             self.abandoned += 1
             context.diagnostics.kept_silent()
             context.abandon()
 
-    def _answer(self, context: RequestContext, reply: Message) -> bytes:
-        diagnostics = context.diagnostics
-        if isinstance(reply, ExceptionResponse):
-            diagnostics.answered(exception=reply.exception)
+    def _answer(self, context: RequestContext, reply: Message) -> Emission:
+        answer = _Answer(context, reply)
+        if self._sends_at_once:
+            answer.left()
         else:
-            diagnostics.answered(counts=context.function not in _POLLS)
+            self._leaving = answer
         frame = self._framing.encode(context.unit, reply.encode())
         if context.function == FunctionCode.DIAGNOSTICS:
             self._framing.delimit_by(self._diagnostics.ascii_delimiter)
-        return frame
+        return Emission(frame, self.clear_at())
