@@ -20,7 +20,6 @@ import random
 import socket
 import threading
 import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from ..errors import LinkDown
@@ -31,8 +30,9 @@ from ..session.demand import Demand
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import RECEIVE_SIZE
-from ..transport.tcp import network_reason
-from .connector import Channel, Connector
+from ..transport.tcp import link_down, network_reason
+from .blocking_connection import BlockingConnection
+from .connector import Connector
 from .conversation import Conversation
 from .doubts import KEPT
 from .polling import ExactPoll, Poll
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.client")
 _IDLE_SECONDS = 0.05
 """A connection unused for longer is looked at before it is written to."""
+_BLOCKED: Final = 0.01
+"""Seconds until a waiting thread looks again whether the connection takes more of what has to leave."""
 _STARVED: Final = 0.02
 """Seconds at a socket without a look around while another link of the client holds the places."""
 _SPIN: Final = 0.0003
@@ -94,11 +96,8 @@ class BlockingLink:
         self._turn = threading.Condition(threading.Lock() if scope is None else scope.lock)
         self._leading = False
         self._waiting = 0
-        self._socket: Channel | None = None
-        self._poll: Poll | ExactPoll | None = None
-        self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
+        self._connection: BlockingConnection | None = None
         self._buffer = bytearray(RECEIVE_SIZE)
-        self._unsent = b""
         self._closed = False
         self._last_failure: LinkDown | None = None
         self._trace: Trace | None = None
@@ -114,7 +113,7 @@ class BlockingLink:
     @property
     def is_connected(self) -> bool:
         """Whether a connection stands."""
-        return self._socket is not None
+        return self._connection is not None
 
     def run(self, demand: Demand) -> None:
         """Bring a demand to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
@@ -123,18 +122,19 @@ class BlockingLink:
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
                 self._let_go(now)
             may_have_ended = now - self.last_used > _IDLE_SECONDS and self._line is None
-            if may_have_ended and self._socket is not None and not self.session.in_flight:
-                self._look_at_idle_socket(now)  # before the session has the demand: what ends here has failed nobody
+            if may_have_ended and self._connection is not None and not self.session.in_flight:
+                # Before the session has the demand: what ends here has failed nobody.
+                self._look_at_idle_connection(self._connection, now)
             self._refuse_while_down(demand, now)
             self.session.submit(demand, now)
-            if self._socket is not None:
-                if self._line is not None:
-                    self._look_at_line()
-                self._transmit(now)
             try:
+                if self._connection is not None:
+                    if self._line is not None:
+                        self._look_at_line()
+                    self._transmit(now)
                 leads = self._wait_for_turn(demand)
             except BaseException:
-                self.session.cancel(demand)
+                self._cancel(demand)
                 raise
             if not leads:
                 self._used()
@@ -145,7 +145,7 @@ class BlockingLink:
                 with self._turn:
                     self._leading = False
                     if not demand.ended:
-                        self.session.cancel(demand)
+                        self._cancel(demand)
                     if self._waiting:
                         self._turn.notify_all()
                     self._used()
@@ -153,9 +153,11 @@ class BlockingLink:
     def connect(self) -> None:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
         with self._turn:
-            while self._leading:
+            while self._leading and self._connection is None and not self._closed:
+                self._waiting += 1
                 self._turn.wait()
-            if self._socket is not None or self._closed:
+                self._waiting -= 1
+            if self._connection is not None or self._closed:
                 return
             self._leading = True
         try:
@@ -173,7 +175,7 @@ class BlockingLink:
             closed_before, self._closed = self._closed, True
             LOCAL.discard(self)
             now = time.monotonic()
-            if self._socket is not None:
+            if self._connection is not None:
                 self._release(now, "the link was closed")
             self._connector.release()
             self.session.unreachable(now, LinkDown("the link was closed"))
@@ -187,11 +189,11 @@ class BlockingLink:
 
     def status(self) -> LocalConnectionStatus:
         """How the link and its connection do."""
-        connection = self._socket
+        connection = self._connection
         local = None
-        if isinstance(connection, socket.socket):
+        if connection is not None and isinstance(connection.channel, socket.socket):
             with contextlib.suppress(OSError):  # another thread may be closing it
-                local = connection.getsockname()
+                local = connection.channel.getsockname()
         return status_of(
             self,
             endpoint=self.name,
@@ -211,7 +213,7 @@ class BlockingLink:
         if not self._turn.acquire(blocking=False):
             return False  # somebody is using it
         try:
-            if self._socket is None or self._is_used():
+            if self._connection is None or self._is_used():
                 return False
             self._release(time.monotonic(), "another connection needed the place")
             return True
@@ -220,7 +222,7 @@ class BlockingLink:
 
     def serve(self, now: float) -> None:
         """A place that is shared with other links is free: send what waits for one. The lock is held."""
-        if self.session.has_demands and self._socket is not None:
+        if self.session.has_demands and self._connection is not None:
             self._transmit(now)
 
     # Turns.
@@ -233,8 +235,11 @@ class BlockingLink:
                 return True
             deadline = self.session.deadline()
             now = time.monotonic()
+            pause = None if deadline is None else max(deadline - now, 0.0)
+            if self._connection is not None and self._connection.unsent:  # perhaps the leader does not wait for room
+                pause = _BLOCKED if pause is None else min(pause, _BLOCKED)
             self._waiting += 1
-            self._turn.wait(None if deadline is None else max(deadline - now, 0.0))
+            self._turn.wait(pause)
             self._waiting -= 1
             self._tick(time.monotonic())
         return False
@@ -247,7 +252,7 @@ class BlockingLink:
                 self._tick(now)
                 if demand.ended:
                     return
-                connected = self._socket
+                connected = self._connection
                 pause = self._pause(now)
                 if connected is not None and 0 < pause <= self._spin:
                     self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
@@ -259,16 +264,15 @@ class BlockingLink:
                     continue
                 self._make_connection()
                 continue
-            poll = self._poll
-            if poll is not None and poll.wait(connected, pause, bool(self._unsent)):
+            if connected.wait(pause):
                 with self._turn:
-                    if self._socket is connected:
+                    if self._connection is connected:
                         self._receive(connected)
 
     def _pause(self, now: float) -> float:
         """Seconds until something is due; the lock is held."""
         deadline = self.session.deadline()
-        if self._socket is None:
+        if self._connection is None:
             if self.reconnect.may_dial(now):
                 return 0.0
             due = self.reconnect.not_before
@@ -293,14 +297,15 @@ class BlockingLink:
 
     def _let_go(self, now: float) -> None:
         """Close a connection that was held long enough."""
-        if self._socket is not None and now - self.last_used >= self._hold and not self._is_used():
+        if self._connection is not None and now - self.last_used >= self._hold and not self._is_used():
             self._release(now, f"unused for {self._hold:g} s" if self._hold else "nothing more is asked")
 
     def _transmit(self, now: float) -> None:
         """Send what may be sent now; or, with ``precise_timing``, some moments ahead, at that time."""
         if self.session.recycle:
             self._recycle(now)
-        if self._socket is None or self._unsent:
+        connection = self._connection
+        if connection is None or connection.unsent:
             return
         out = self.session.transmit(now)
         if self.session.recycle:
@@ -308,33 +313,45 @@ class BlockingLink:
             return
         while out and time.monotonic() < now:
             pass
-        for chunk in out:
-            self._unsent += chunk
-            self.sent_bytes += len(chunk)
+        for frame in out:
+            self.sent_bytes += len(frame)
             if TRACE.level:
-                self._traced().sent(chunk)
-            self._send(now)
+                self._traced().sent(frame)
+            try:
+                connection.send(frame)
+            except OSError as error:
+                self._drop(now, network_reason(error))
+                return  # what is left of ``out`` has ended with its connection
+        if out:
+            self.last_used = now
 
-    def _send(self, now: float) -> None:
-        assert self._socket is not None
-        try:
-            sent = self._socket.send(self._unsent)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._drop(now, network_reason(error))
-            return
-        self._unsent = self._unsent[sent:]
-        self.last_used = now
+    def _flush(self, now: float) -> None:
+        """Hand over what the connection has not taken yet."""
+        connection = self._connection
+        if connection is not None and connection.unsent:
+            try:
+                connection.flush()
+            except OSError as error:
+                self._drop(now, network_reason(error))
 
-    def _receive(self, connection: Channel) -> None:
+    def _cancel(self, demand: Demand) -> None:
+        """The caller of a demand goes without its end."""
+        if self.session.cancel(demand):
+            self._end_if_stuck(time.monotonic())
+
+    def _end_if_stuck(self, now: float) -> None:
+        """A call has ended: if frames have not left yet, the connection ends too, or they would leave later."""
+        if self._connection is not None and self._connection.unsent:
+            self._drop(now, "a call ended before the connection had taken its request")
+
+    def _receive(self, connection: BlockingConnection) -> None:
         now = time.monotonic()
-        if self._unsent:
-            self._send(now)
-            if self._socket is None:
+        if connection.unsent:
+            self._flush(now)
+            if self._connection is not connection:
                 return
         try:
-            size = connection.recv_into(self._buffer)
+            size = connection.channel.recv_into(self._buffer)
         except BlockingIOError:
             return
         except OSError as error:
@@ -358,13 +375,19 @@ class BlockingLink:
             self._transmit(now)
 
     def _tick(self, now: float) -> None:
-        timeouts = self.session.counters.timeouts
-        if self._frame_leaves is not None and self.session.in_flight:
-            self._frame_leaves()
-        self.session.tick(now)
-        if self.session.counters.timeouts != timeouts:
+        connection, session = self._connection, self.session
+        timeouts = session.counters.timeouts
+        if connection is not None:
+            if connection.frame_leaves is not None and session.in_flight:
+                connection.frame_leaves()
+            if connection.unsent:
+                self._flush(now)
+        session.tick(now)
+        if session.counters.timeouts != timeouts:
             self.last_used = now
             self._move(ConnectionEvent.TIMEOUT, now)
+        if session.finished or session.counters.timeouts != timeouts:
+            self._end_if_stuck(now)
         if self.session.recycle or self.session.has_demands:
             self._transmit(now)
         self._done()
@@ -380,17 +403,17 @@ class BlockingLink:
 
     def _look_at_line(self) -> None:
         """Read what has come while nobody waited, and let the silence since then take effect."""
-        if not self._leading and self._socket is not None:
-            self._receive(self._socket)
+        if not self._leading and self._connection is not None:
+            self._receive(self._connection)
             self._tick(time.monotonic())
 
-    def _look_at_idle_socket(self, now: float) -> None:
-        assert self._socket is not None
-        if not isinstance(self._socket, socket.socket):
-            self._receive(self._socket)
+    def _look_at_idle_connection(self, connection: BlockingConnection, now: float) -> None:
+        channel = connection.channel
+        if not isinstance(channel, socket.socket):
+            self._receive(connection)
             return
         try:
-            if not self._socket.recv(1, socket.MSG_PEEK):
+            if not channel.recv(1, socket.MSG_PEEK):
                 self._drop(now, "the peer closed it while idle")
         except BlockingIOError:
             return
@@ -398,12 +421,12 @@ class BlockingLink:
             self._drop(now, network_reason(error))
 
     def _recycle(self, now: float) -> None:
-        if self._socket is not None:
+        if self._connection is not None:
             self._drop(now, f"made anew after {self.session.recycle}")
 
     def _drop(self, now: float, reason: str) -> None:
         """The connection has ended, or has to end."""
-        self._close_socket()
+        self._close_connection()
         session = self.session
         if session.has_demands or session.counters.requests != self._asked_before:
             self._move(ConnectionEvent.LOST, now, reason, had_reply=session.valid_reply)
@@ -418,7 +441,7 @@ class BlockingLink:
 
     def _release(self, now: float, reason: str) -> None:
         """Close a connection that is not needed; the next need makes another one."""
-        self._close_socket()
+        self._close_connection()
         self._move(ConnectionEvent.RELEASED, now, reason)
         self.session.disconnected(now, reason, lost=False)
         self._done()
@@ -430,15 +453,9 @@ class BlockingLink:
             # Where each request has a connection of its own, its beginning and its end are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
 
-    def _close_socket(self) -> None:
-        connection, self._socket = self._socket, None
-        self._poll = self._frame_leaves = None
-        self._unsent = b""
+    def _close_connection(self) -> None:
+        connection, self._connection = self._connection, None
         if connection is not None:
-            if isinstance(connection, socket.socket):
-                with contextlib.suppress(OSError):
-                    # Closing alone does not wake a thread that waits at the socket.
-                    connection.shutdown(socket.SHUT_RDWR)
             connection.close()
 
     def _refuse_while_down(self, demand: Demand, now: float) -> None:
@@ -446,7 +463,7 @@ class BlockingLink:
         if self._closed:
             raise LinkDown("the link is closed", endpoint=self.name, unit=demand.unit)
         failure = self._last_failure
-        if self._socket is None and failure is not None and not self._leading and not self.reconnect.may_dial(now):
+        if self._connection is None and failure is not None and not self._leading and not self.reconnect.may_dial(now):
             pause = self.reconnect.not_before - now
             raise LinkDown(
                 f"{failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
@@ -462,7 +479,8 @@ class BlockingLink:
 
     def _traced(self) -> Trace:
         if self._trace is None:
-            self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._socket)
+            carrier = None if self._connection is None else self._connection.channel
+            self._trace = trace_for(self._framing, self.name, is_server=False, carrier=carrier)
         return self._trace
 
     # By the leader, without the lock where it waits.
@@ -474,15 +492,16 @@ class BlockingLink:
             self._move(ConnectionEvent.DIALLED, time.monotonic())
         try:
             LOCAL.make_room(self, self.name)
-            connection = self._connector.dial()
-        except LinkDown as error:
+            connection = self._new_connection()
+        except (OSError, ValueError) as error:  # a `LinkDown`, as a rule
+            failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
             with self._turn:
                 now = time.monotonic()
-                self._last_failure = error
-                self._move(ConnectionEvent.FAILED, now, error.message)
-                self.session.unreachable(now, error)
+                self._last_failure = failure
+                self._move(ConnectionEvent.FAILED, now, failure.message)
+                self.session.unreachable(now, failure)
                 self._done()
-            return error
+            return failure
         except BaseException:  # an interrupt of the program: the next caller dials again
             with self._turn:
                 self._move(ConnectionEvent.FAILED, time.monotonic(), "interrupted")
@@ -493,9 +512,7 @@ class BlockingLink:
             if self._closed:
                 connection.close()
                 return LinkDown("the link was closed", endpoint=self.name)
-            self._socket = connection
-            self._poll = ExactPoll(self._spin) if self._line is not None else Poll(connection)
-            self._frame_leaves = getattr(connection, "still_sending", None)
+            self._connection = connection
             self.opened = self.last_used = now
             self._asked_before = self.session.counters.requests
             self._trace = None
@@ -504,4 +521,14 @@ class BlockingLink:
                 KEPT.hand_over(self.name, self._line.doubts)
             self.session.connected(now)
             self._transmit(now)
+            if self._waiting:
+                self._turn.notify_all()  # for those that wait for the connection, and for what could not leave at once
         return None
+
+    def _new_connection(self) -> BlockingConnection:
+        channel = self._connector.dial()
+        try:
+            return BlockingConnection(channel, ExactPoll(self._spin) if self._line is not None else Poll(channel))
+        except BaseException:
+            channel.close()
+            raise

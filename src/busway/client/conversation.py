@@ -65,8 +65,8 @@ class Conversation(Protocol):
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn."""
 
-    def cancel(self, demand: Demand) -> None:
-        """Nobody waits for it any more."""
+    def cancel(self, demand: Demand) -> bool:
+        """Nobody waits for it any more. Returns whether something of it is in flight."""
 
     def connected(self, now: float) -> None:
         """A connection stands."""

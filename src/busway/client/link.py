@@ -28,7 +28,7 @@ from ..session.demand import Demand
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import receive_buffer
-from ..transport.tcp import network_reason
+from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
 from .conversation import Conversation
 from .doubts import KEPT
@@ -65,6 +65,7 @@ class _LinkProtocol(asyncio.BufferedProtocol):
         self._link.received(self, self._buffer, nbytes)
 
     def eof_received(self) -> bool:
+        self._link.peer_ended(self)
         return False
 
     def arrived(self, data: bytes) -> None:
@@ -108,6 +109,7 @@ class Link:
         "_flush_planned",
         "_frame_leaves",
         "_framing",
+        "_held",
         "_hold",
         "_last_failure",
         "_line",
@@ -123,6 +125,7 @@ class Link:
         "_timer_at",
         "_trace",
         "_transport",
+        "_writes_late",
         "home",
         "last_used",
         "name",
@@ -179,6 +182,8 @@ class Link:
         self._transport: Any = None  # asyncio.Transport, or what a connector gives in its place
         self._connecting: asyncio.Task[None] | None = None
         self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
+        self._held: Callable[[], int] | None = None  # how many bytes the transport has that have not left
+        self._writes_late = not isinstance(self._loop, asyncio.SelectorEventLoop)  # in the same turn, but not at once
         self._paused = False
         self._timer: asyncio.TimerHandle | Alarm | None = None
         self._timer_at = 0.0
@@ -233,8 +238,10 @@ class Link:
 
     def give_up(self, demand: Demand) -> None:
         """Nobody waits for a demand any more."""
-        self.session.cancel(demand)
+        self._write_outgoing()
         now = self._clock()
+        if self.session.cancel(demand):
+            self._end_if_stuck()
         self._pump(now)
         if self._minds:
             self._after_use(now)
@@ -265,11 +272,10 @@ class Link:
         if self._connecting is not None:
             self._connecting.cancel()
             await asyncio.gather(self._connecting, return_exceptions=True)
-        transport, protocol = self._transport, self._protocol
-        self._transport = self._protocol = None
+        transport = self._transport
         now = self._clock()
-        if transport is not None and protocol is not None:
-            transport.close()
+        if transport is not None:
+            self._close_transport()
             self._move(ConnectionEvent.RELEASED, now, "the link was closed")
             self.session.disconnected(now, "the link was closed", lost=False)
         self.session.unreachable(now, LinkDown("the link was closed"))
@@ -381,6 +387,11 @@ class Link:
         self._line.receive_damaged(data, self._clock(), overrun=overrun)
         self._rearm()
 
+    def peer_ended(self, protocol: _LinkProtocol) -> None:
+        """The peer sends no more. No reply can come, so nothing more is to leave: the transport would send it first."""
+        if protocol is self._protocol and self._held is not None and self._held():
+            self._abort()
+
     def lost(self, protocol: _LinkProtocol, reason: str) -> None:
         """The connection has ended."""
         if protocol is not self._protocol:
@@ -409,18 +420,22 @@ class Link:
             self._paused = paused
             if not paused:
                 self._pump(self._clock())
+                self._rearm()
 
     # Inside.
 
     def _flush(self) -> None:
         self._flush_planned = False
-        outgoing = self._outgoing
-        if outgoing:
-            if self._transport is not None:
-                self._transport.write(b"".join(outgoing))
-            outgoing.clear()
+        self._write_outgoing()
         if self.session.has_demands:
             self._pump(self._clock())
+
+    def _write_outgoing(self) -> None:
+        """Hand over what was to leave together at the end of this turn."""
+        outgoing = self._outgoing
+        if outgoing:
+            self._transport.write(b"".join(outgoing))
+            outgoing.clear()
 
     def _pump(self, now: float) -> None:
         """Send what may be sent; connect where there is no connection; recycle one that is out of step.
@@ -437,6 +452,7 @@ class Link:
             self._recycle(now)
         elif out:
             transport = self._transport
+            self._write_outgoing()  # it was asked for before
             while self._spin and self._clock() < now:
                 pass
             if self._parameters.join:
@@ -456,13 +472,37 @@ class Link:
 
     def _recycle(self, now: float) -> None:
         """Close a connection that is out of step; what is still asked gets a new one."""
-        transport, protocol = self._transport, self._protocol
-        if transport is not None and protocol is not None:
-            transport.abort()
-            self.lost(protocol, f"made anew after {self.session.recycle}")
+        if self._protocol is not None:
+            self._abort()
+            self.lost(self._protocol, f"made anew after {self.session.recycle}")
+
+    def _end_if_stuck(self) -> None:
+        """A call has ended: if bytes have not left yet, the connection ends too, or they would leave later."""
+        if self._held is None or not self._held() or self._protocol is None:
+            return
+        if self._writes_late and takes_bytes(self._transport.get_extra_info("socket")):
+            return  # they leave at the end of this turn of the loop
+        self._abort()
+        self.lost(self._protocol, "a call ended before the connection had taken its request")
+
+    def _close_transport(self) -> None:
+        """Close the connection; what has not left by now never leaves."""
+        transport = self._transport
+        if self._held is not None and self._held():
+            self._abort()
+        else:
+            transport.close()
+        self._forget_connection()
+
+    def _abort(self) -> None:
+        """Close the connection at once, with what the transport and the system have not sent."""
+        if self._held is not None and self._held():
+            discard_on_close(self._transport.get_extra_info("socket"))
+        self._transport.abort()
 
     def _forget_connection(self) -> None:
-        self._transport = self._protocol = self._frame_leaves = None
+        """Nothing of a connection outlives it, least of all what was to be sent on it."""
+        self._transport = self._protocol = self._frame_leaves = self._held = None
         self._outgoing.clear()
         self._paused = False
 
@@ -483,9 +523,7 @@ class Link:
 
     def _release(self, now: float, reason: str) -> None:
         """Close a connection that nobody uses; the next need makes another one."""
-        transport = self._transport
-        self._forget_connection()
-        transport.close()
+        self._close_transport()
         self._move(ConnectionEvent.RELEASED, now, reason)
         self.session.disconnected(now, reason, lost=False)
 
@@ -530,19 +568,19 @@ class Link:
         try:
             LOCAL.make_room(self, self.name)
             transport = await self._connector.connect(lambda: protocol)
-        except LinkDown as error:
-            self._connecting = None
-            self._last_failure = error
-            now = self._clock()
-            self._move(ConnectionEvent.FAILED, now, error.message)
-            self.session.unreachable(now, error)
-            self._wake()
+        except Exception as error:  # a `LinkDown`, as a rule; whatever it is, those that wait must hear of it
+            self._not_connected(error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name))
             return
+        except asyncio.CancelledError:
+            reason = "the link was closed" if self._closed else "no connection: the attempt was cancelled"
+            self._not_connected(LinkDown(reason, endpoint=self.name))
+            raise
         self._connecting = None
         now = self._clock()
         self._last_failure = None
         self._protocol, self._transport = protocol, transport
         self._frame_leaves = getattr(transport, "still_sending", None)
+        self._held = getattr(transport, "get_write_buffer_size", None)
         self._trace = None
         self.opened = self.last_used = now
         self._asked_before = self.session.counters.requests
@@ -556,6 +594,15 @@ class Link:
         self._rearm()
         if self._minds and (self._hold or not by_name):  # one that was asked for by name waits for its first request
             self._after_use(now)
+
+    def _not_connected(self, failure: LinkDown) -> None:
+        """The attempt to connect came to nothing, and with it everything that waited for it."""
+        self._connecting = None
+        self._last_failure = failure
+        now = self._clock()
+        self._move(ConnectionEvent.FAILED, now, failure.message)
+        self.session.unreachable(now, failure)
+        self._wake()
 
     def _note_life(self, now: float) -> None:
         if self.session.valid_reply:
@@ -610,10 +657,13 @@ class Link:
         now = self._clock()
         if self._line is not None:
             now = self._on_line_timer(now)
-        self.session.tick(now)
-        if self.session.counters.timeouts != timeouts:
+        session = self.session
+        session.tick(now)
+        if session.counters.timeouts != timeouts:
             self.last_used = now
             self._move(ConnectionEvent.TIMEOUT, now)
+        if session.finished or session.counters.timeouts != timeouts:
+            self._end_if_stuck()
         self._wake()
         self._pump(now)
         self._rearm()

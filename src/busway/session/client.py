@@ -136,13 +136,18 @@ class TcpClientSession:
                 raise self._ledger.suspended(demand, pause, self.breakers.parameters.open_after)
         self._ledger.submit(demand, now)
 
-    def cancel(self, demand: Demand) -> None:
-        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen."""
+    def cancel(self, demand: Demand) -> bool:
+        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen.
+
+        Returns:
+            Whether something of it is in flight.
+        """
         self._scatter()
-        for flight in self._pending.values():
-            if flight.demand is demand:
-                flight.demand = None
+        flights = [flight for flight in self._pending.values() if flight.demand is demand]
+        for flight in flights:
+            flight.demand = None
         self._ledger.withdraw(demand)
+        return bool(flights)
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""

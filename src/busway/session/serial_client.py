@@ -254,11 +254,18 @@ class SerialClientSession:
     def _suspended(self, demand: Demand, pause: float) -> UnitSuspended:
         return self._ledger.suspended(demand, pause, self.breakers.parameters.open_after)
 
-    def cancel(self, demand: Demand) -> None:
-        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen."""
-        if self._flight is not None and self._flight.demand is demand:
-            self._flight.demand = None
+    def cancel(self, demand: Demand) -> bool:
+        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen.
+
+        Returns:
+            Whether something of it is in flight.
+        """
+        flight = self._flight
+        is_flying = flight is not None and flight.demand is demand
+        if flight is not None and is_flying:
+            flight.demand = None
         self._ledger.withdraw(demand)
+        return is_flying
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""

@@ -373,7 +373,8 @@ class CrowdStream(asyncio.Transport):
         try:
             protocol.connection_lost(error)
         finally:
-            connection.close()
+            with contextlib.suppress(OSError):  # the system says once more that it has ended; it is closed all the same
+                connection.close()
             self._socket = None
             self._protocol = None
 

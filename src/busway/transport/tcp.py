@@ -3,11 +3,15 @@
 Knows sockets; knows no Modbus. The only place where an `OSError` of a network connection becomes ours.
 """
 
+import contextlib
 import errno
 import socket
+import struct
 from dataclasses import dataclass
+from typing import Any
 
 from ..errors import ConfigError, LinkDown
+from .serial.waiting import wait_ready
 
 MIN_SOCKET_BUFFER = 900
 """Below this a request and its reply may not fit (Messaging on TCP/IP V1.0b §4.3.2)."""
@@ -97,6 +101,27 @@ class SocketParameters:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.receive_buffer)
         if self.send_buffer is not None:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self.send_buffer)
+
+
+def discard_on_close(connection: Any) -> None:
+    """Let closing reset the connection: what the system still holds for a peer that takes nothing never leaves.
+
+    Args:
+        connection: a socket, what a transport gives for one, or None.
+    """
+    if connection is not None:
+        with contextlib.suppress(OSError):  # it has ended already
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+def takes_bytes(connection: Any) -> bool:
+    """Whether the system takes bytes for a peer now; ``connection`` as in `discard_on_close`."""
+    if connection is None:
+        return False
+    try:
+        return bool(wait_ready([], [connection.fileno()], 0.0))
+    except (OSError, ValueError):  # it has ended already
+        return False
 
 
 def _set_if_known(connection: socket.socket, name: str, value: int) -> None:

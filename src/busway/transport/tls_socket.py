@@ -15,6 +15,7 @@ import time
 from typing import Final
 
 from .buffers import RECEIVE_SIZE
+from .tcp import discard_on_close
 from .tls_failures import FailureKind, TlsFailure
 from .tls_stream import TlsStream
 
@@ -131,7 +132,9 @@ class TlsSocket:
     def close(self) -> None:
         """Say the end, if it can be said at once, and close; a thread that waits at it wakes up."""
         with contextlib.suppress(OSError):
-            if not self._unsent:
+            if self._unsent:
+                discard_on_close(self._socket)
+            else:
                 self._stream.finish()
                 self._socket.send(self._stream.outgoing())
             self._socket.shutdown(socket.SHUT_RDWR)

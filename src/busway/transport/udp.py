@@ -66,6 +66,11 @@ class DatagramConnection(asyncio.DatagramProtocol):
         if self._transport is not None:
             self._transport.abort()
 
+    def get_write_buffer_size(self) -> int:
+        """Bytes of datagrams that the system has not taken yet."""
+        transport: Any = self._transport  # each loop's has it, although the abstract class does not
+        return 0 if transport is None else int(transport.get_write_buffer_size())
+
     def get_extra_info(self, name: str) -> Any:  # Any: as the transport has it
         """What the transport knows of itself, as its socket."""
         return None if self._transport is None else self._transport.get_extra_info(name)

@@ -1,0 +1,77 @@
+"""One connection of a blocking link: its channel, and the frames that the channel has not taken yet.
+
+Knows a channel; knows no conversation and no thread. The lock of its link guards it, except while a thread waits.
+
+1. What was to be sent on a connection ends with it. A link makes another object for its next connection, so no byte can
+   leave on a connection that it was not meant for.
+2. Frames are handed over one by one, in order: a datagram holds one, and a frame that was begun is completed first.
+"""
+
+import contextlib
+import socket
+from collections import deque
+
+from ..transport.tcp import discard_on_close
+from .connector import Channel
+from .polling import ExactPoll, Poll
+
+
+class BlockingConnection:
+    """A connection that stands, until `close`.
+
+    Attributes:
+        channel: what carries the bytes.
+        unsent: what the channel has not taken yet, frame by frame; the first one may be half sent.
+        frame_leaves: looks whether the last character has left, and tells the session; None where nobody can.
+    """
+
+    __slots__ = ("_poll", "channel", "frame_leaves", "unsent")
+
+    def __init__(self, channel: Channel, poll: Poll | ExactPoll) -> None:
+        self.channel = channel
+        self.unsent: deque[bytes] = deque()
+        self.frame_leaves = getattr(channel, "still_sending", None)
+        self._poll = poll
+
+    def send(self, frame: bytes) -> None:
+        """Hand a frame over; what the channel does not take waits. Raises `OSError` where the connection has ended."""
+        if not self.unsent:
+            try:
+                sent = self.channel.send(frame)
+            except BlockingIOError:
+                sent = 0
+            if sent == len(frame):
+                return
+            frame = frame[sent:]
+        self.unsent.append(frame)
+
+    def flush(self) -> None:
+        """Hand over what waits, as far as the channel takes it. Raises `OSError` where the connection has ended."""
+        unsent = self.unsent
+        while unsent:
+            frame = unsent[0]
+            try:
+                sent = self.channel.send(frame)
+            except BlockingIOError:
+                return
+            if sent < len(frame):
+                unsent[0] = frame[sent:]
+                return
+            unsent.popleft()
+
+    def wait(self, seconds: float) -> bool:
+        """Whether there is something to receive, or room for what waits, within ``seconds``; without the lock."""
+        return self._poll.wait(self.channel, seconds, bool(self.unsent))
+
+    def close(self) -> None:
+        """Close it, with all that has not left."""
+        channel = self.channel
+        # A channel that has ended already may say so once more: then it is closed all the same.
+        if isinstance(channel, socket.socket):
+            if self.unsent:
+                discard_on_close(channel)
+            with contextlib.suppress(OSError):
+                channel.shutdown(socket.SHUT_RDWR)  # closing alone does not wake a thread that waits at the socket
+        with contextlib.suppress(OSError):
+            channel.close()
+        self.unsent.clear()
