@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, Unpack
 
 from ..config.endpoints import Endpoint
-from ..errors import ModbusError
+from ..errors import LinkDown, ModbusError, NoReply, Overloaded
 from ..pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ..pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
 from ..pdu.message import Message, Request
@@ -35,7 +35,7 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit
-from .calls import check_selected, closed_error, default_unit, demand_for, with_assumed_unit
+from .calls import check_selected, closed_error, default_unit, demand_for, refused, with_assumed_unit
 from .link import Link
 from .management import Selection, selection
 from .operations import (
@@ -119,7 +119,13 @@ class AsyncUnit:
     ) -> list[Any]:
         if not requests:
             return []
-        outcomes = await self._link.run(self._number, requests, call)
+        outcomes: list[Any]
+        try:
+            outcomes = await self._link.run(self._number, requests, call)
+        except (LinkDown, Overloaded, NoReply) as refusal:
+            if not return_errors:
+                raise
+            outcomes = refused(refusal, requests)
         if self._is_assumed:
             for outcome in outcomes:
                 with_assumed_unit(outcome, self._number)

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, Unpack
 
 from ..config.endpoints import Endpoint
-from ..errors import ModbusError
+from ..errors import LinkDown, ModbusError, NoReply, Overloaded
 from ..pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ..pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
 from ..pdu.message import Message, Request
@@ -35,7 +35,7 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
-from .calls import check_selected, closed_error, default_unit, demand_for, with_assumed_unit
+from .calls import check_selected, closed_error, default_unit, demand_for, refused, with_assumed_unit
 from .management import Selection, selection
 from .operations import (
     CallOptions,
@@ -104,11 +104,19 @@ class Unit:
         Args:
             requests: any number of requests.
             return_errors: give errors in the place of replies, instead of raising the first one after all have ended.
+                Where nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`) each request has that error;
+                a call that is wrong still raises `InvalidRequest`.
             call: `CallOptions`; the deadline is for all of them together.
         """
         if not requests:
             return []
-        outcomes = self._link.run(self._number, requests, call)
+        outcomes: list[Any]
+        try:
+            outcomes = self._link.run(self._number, requests, call)
+        except (LinkDown, Overloaded, NoReply) as refusal:
+            if not return_errors:
+                raise
+            outcomes = refused(refusal, requests)
         if self._is_assumed:
             for outcome in outcomes:
                 with_assumed_unit(outcome, self._number)

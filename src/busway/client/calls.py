@@ -13,6 +13,7 @@ from ..errors import ConfigError, ExceptionReply, InvalidRequest, ModbusError, N
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
 from ..session.demand import Demand
+from ..session.ledger import function_of
 from ..session.parameters import ClientParameters
 from .operations import CallOptions
 from .settings import CALL_DEFAULTS, LinkSettings
@@ -99,6 +100,20 @@ def _checked(
     if deadline is not None and deadline <= 0:
         raise InvalidRequest(f"deadline must be above 0 seconds, not {deadline}")
     return timeout, retries, deadline, idempotent
+
+
+def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
+    """The error of a call of which nothing was sent, for each of its requests: an error of its own that names it."""
+    errors = []
+    for request in requests:
+        error = type(refusal).__new__(type(refusal), *refusal.args)
+        error.__dict__.update(vars(refusal))
+        error.__cause__ = refusal.__cause__
+        spans = request.spans()
+        error.function = function_of(request)
+        error.address = spans[0].address if spans else None
+        errors.append(error)
+    return errors
 
 
 def closed_error(settings: LinkSettings) -> InvalidRequest:
