@@ -1,4 +1,4 @@
-"""No reply ever completes another call: late replies, lost ones and exceptions, against an oracle that knows the frames.
+"""No reply ever completes another call: late ones, lost ones and exceptions, against an oracle that knows the frames.
 
 The promise: for one client that is the only master, over a path that neither reorders, forges nor answers unprompted,
 and a unit that answers each request that it received at most once and in their order, with any delay and any loss, no
@@ -166,9 +166,7 @@ class Chaos:
             world.ask(0, WriteSingleRegister(5, self.asked & 0xFFFF))
             return
         wanted = 1 if chance.random() < 0.9 else 3
-        requests = {
-            one.encode(): one for one in (drawn_request(chance, self.asked, world.units[number].knows),) * 1
-        }
+        requests = {one.encode(): one for one in (drawn_request(chance, self.asked, world.units[number].knows),) * 1}
         while len(requests) < wanted:
             address = chance.randrange(20)
             requests.setdefault(ReadHoldingRegisters(address, 2).encode(), ReadHoldingRegisters(address, 2))
@@ -247,9 +245,7 @@ def test_one_hiccup_shifts_nothing(framing: str, path: str, retries: int, knows:
 @pytest.mark.parametrize("known", [True, False])
 def test_the_same_read_asked_again_is_not_answered_by_what_was_read_before_a_write(known: bool, knows: str) -> None:
     """The value is of before the write in between."""
-    world = World(
-        1, UnitModel(1, hiccup_at(2 if known else 1), knows=knows), parameters=ClientParameters(retries=0)
-    )
+    world = World(1, UnitModel(1, hiccup_at(2 if known else 1), knows=knows), parameters=ClientParameters(retries=0))
     if known:
         world.get(1, ReadHoldingRegisters(0, 2))
     first = world.get(1, ReadHoldingRegisters(0, 2))

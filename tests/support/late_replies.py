@@ -292,8 +292,10 @@ class World:
         call = Call(self._calls, demand, self.now, allowed)
         self._calls += 1
         demand.told = lambda position: self._told(call, position)
-        self._say(f"{call} asks unit {unit} {' + '.join(one.encode().hex(' ') for one in requests)}, "
-                  f"timeout {demand.timeout:g}, retries {demand.retries}")
+        self._say(
+            f"{call} asks unit {unit} {' + '.join(one.encode().hex(' ') for one in requests)}, "
+            f"timeout {demand.timeout:g}, retries {demand.retries}"
+        )
         self.live.append(call)
         try:
             self.session.submit(demand, self.now)
