@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable
 
 import pytest
-from late_replies import PROMPT, Breach, Call, UnitModel, World
+from late_replies import BASIC, PROMPT, Breach, Call, UnitModel, World
 
 from busway.errors import ModbusError, NoReply
 from busway.pdu.message import Message, Request
@@ -275,7 +275,8 @@ def test_a_write_is_not_confirmed_by_the_reply_to_another_write(kind: str, knows
     """The second write may be lost on its way: then its confirmation would be a lie."""
     count = itertools.count(1)
     delays = {2: HICCUP, 3: None if lost else PROMPT}
-    world = World(1, UnitModel(1, lambda: delays.get(next(count), PROMPT), knows=knows))
+    knows = "all" if knows == "silent" and int(kind) not in BASIC else knows
+    world = World(1, UnitModel(1, lambda: delays.get(next(count), PROMPT), knows=knows), breaker=NO_BREAKER)
     world.get(1, ReadHoldingRegisters(0, 2))
     for value in (100, 200, 300, 400, 500):
         call = world.get(1, writes(value)[kind])
@@ -320,6 +321,31 @@ def test_a_cancelled_call_leaves_nothing_to_the_next(knows: str) -> None:
             world.run(0.1)
             world.cancel(call)
         world.run(until=lambda call=call: not call.live)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("knows", KINDS)
+@pytest.mark.parametrize("seed", range(60))
+def test_two_callers_of_a_slow_unit_with_little_room(seed: int, knows: str) -> None:
+    """A repetition of one call, behind a request of another that is owed still, is no place for the first reply."""
+    chance = random.Random(seed)
+    unit = UnitModel(
+        1,
+        lambda: chance.uniform(0.9, 1.15) if chance.random() < 0.7 else PROMPT,
+        knows=knows,
+        serves=chance.random() < 0.5,
+        room=chance.choice((1, 2, 3, 1000)),
+    )
+    world = World(seed, unit, path="udp", breaker=NO_BREAKER)
+    for number in range(30):
+        world.ask(
+            1,
+            ReadHoldingRegisters(10 * number, 2),
+            timeout=chance.choice((0.3, 1.0)),
+            retries=chance.choice((0, 1, 3)),
+            caller=chance.randrange(2),
+        )
+        world.run(chance.choice((0.001, 0.3, 1.0)))
+    world.run(until=lambda: not world.live)
 
 
 # --- units that do not keep the order ---------------------------------------------------------------
@@ -440,9 +466,8 @@ def test_unit_in_doubt_stalls_no_other(habit: str, knows: str, breaker: BreakerP
     slowest = 0.0
     done = 0
     while world.now < 200:
-        while sum(call.demand.unit == 1 for call in world.live) < 2:
-            if world.ask(1, drawn_request(chance, done, knows), caller="patient") is None:
-                break
+        for _ in range(2 - sum(call.demand.unit == 1 for call in world.live)):
+            world.ask(1, drawn_request(chance, done, knows), caller="patient")
         begun = world.now
         call = world.get(2, ReadHoldingRegisters(0, 2), caller="other")
         assert call is not None

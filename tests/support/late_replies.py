@@ -34,7 +34,7 @@ LATENCY = 0.001
 """Seconds of a network from end to end."""
 LONGEST_CALL = 300.0
 """Seconds after which a call that has not ended hangs."""
-TURNS_AT_ONE_MOMENT = 2000
+TURNS_AT_ONE_MOMENT = 200
 """So many steps without time passing are a master that spins."""
 
 BASIC = frozenset({3, 6, 16})
@@ -98,6 +98,7 @@ class Call:
         self.frames_allowed = frames_allowed
         self.wanted = {(demand.unit, one.encode()): position for position, one in enumerate(demand.requests)}
         self.frames: list[list[Frame]] = [[] for _ in demand.requests]
+        self.sent = [0] * len(demand.requests)
         self.judged = [False] * len(demand.requests)
         self.cancelled = False
         self.ended: float | None = None
@@ -316,6 +317,8 @@ class World:
 
     def cancel(self, call: Call) -> None:
         """The caller goes away."""
+        if not call.live:
+            return
         self._say(f"{call} is cancelled")
         call.cancelled = True
         self.live.remove(call)
@@ -365,7 +368,7 @@ class World:
                 return
             self._spun = self._spun + 1 if moment <= self.now else 0
             if self._spun > TURNS_AT_ONE_MOMENT:
-                raise Breach(self._told_all("the master spins: it wants to act and does nothing"))
+                raise Breach(self._told_all("the master spins: it wants to act at this moment, and does nothing"))
             self._move(max(moment, self.now))
             self._step()
 
@@ -444,7 +447,7 @@ class World:
                 raise Breach(self._told_all(f"a write of nobody was sent: {frame}"))
         else:
             call.frames[position].append(frame)
-            if len(call.frames[position]) > call.frames_allowed[position]:
+            if call.sent[position] > call.frames_allowed[position]:
                 raise Breach(self._told_all(f"{frame} is one more than {call.frames_allowed[position]}"))
         return frame
 
@@ -452,12 +455,16 @@ class World:
         self._taken[call.demand.unit, call.demand.requests[position].encode()] = call, position
 
     def _owner(self, unit: int, pdu: bytes) -> tuple[Call | None, int]:
-        taken = self._taken.get((unit, pdu))
+        taken = self._taken.pop((unit, pdu), None)
         if taken is not None and taken[0].live:
+            call, position = taken
+            call.sent[position] += 1
             return taken
         for call in self.live:
             if (unit, pdu) in call.wanted:
-                return call, call.wanted[unit, pdu]
+                position = call.wanted[unit, pdu]
+                call.sent[position] += pdu[0] in WRITES
+                return call, position  # it, or something of the master's own that reads the same
         return None, 0
 
     # The units.
@@ -569,14 +576,17 @@ class World:
             self.without_reply += 1
             if isinstance(cause, NoReply) and cause.kind == "in doubt":
                 self.in_doubt += 1
-                if call.frames[position]:
-                    raise Breach(self._told_all(f"{call} ends as in doubt, but was sent"))
+                self._judge_doubt(call, position)
         if (
             not isinstance(outcome, Message | ExceptionReply | WriteOutcomeUnknown)
             and request.is_write
             and call.frames[position]
         ):
             raise Breach(self._told_all(f"{call}, a write that was sent, ends as {outcome!r}"))
+
+    def _judge_doubt(self, call: Call, position: int) -> None:
+        if call.sent[position]:
+            raise Breach(self._told_all(f"{call} ends as in doubt, but was sent"))
 
     def _judge_reply(self, call: Call, position: int, pdu: bytes) -> None:
         since = self.now - (0.25 if self.path == "port" else 0.03)
