@@ -447,9 +447,19 @@ class World:
                 raise Breach(self._told_all(f"a write of nobody was sent: {frame}"))
         else:
             call.frames[position].append(frame)
-            if call.sent[position] > call.frames_allowed[position]:
+            if call.sent[position] > call.frames_allowed[position] + self._absorbed(call, pdu):
                 raise Breach(self._told_all(f"{frame} is one more than {call.frames_allowed[position]}"))
         return frame
+
+    def _absorbed(self, call: Call, pdu: bytes) -> int:
+        """How often a read may be sent beyond its retries: once for each reply that may have been its own and was not
+        taken."""
+        if pdu[0] in WRITES:
+            return 0
+        return sum(
+            one.frame.unit == call.demand.unit and one.pdu[0] & 0x7F == pdu[0] and one.arrived >= call.asked
+            for one in self.replies
+        )
 
     def _told(self, call: Call, position: int) -> None:
         self._taken[call.demand.unit, call.demand.requests[position].encode()] = call, position
