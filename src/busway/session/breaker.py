@@ -89,9 +89,9 @@ class Breakers:
         return {unit: breaker.state for unit, breaker in self._units.items()}
 
     @property
-    def has_doubts(self) -> bool:
-        """Whether a unit timed out and has not answered since."""
-        return bool(self._units)
+    def doubtful(self) -> Mapping[int, object]:
+        """The units that timed out and have not answered since. The same one for ever: a look at it costs no call."""
+        return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
         """Seconds until a request may probe the unit; None if it may be asked now."""

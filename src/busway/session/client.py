@@ -22,7 +22,9 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
 """
 
 from collections import deque
+from collections.abc import Mapping
 from functools import partial
+from types import MappingProxyType
 
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
@@ -49,6 +51,7 @@ _LATE_KNOWN = 60.0
 """Seconds for which a unit that answered too late is called slow."""
 """A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
 helps: so many times more timeouts are borne while late replies come."""
+_NO_DOUBTS: Mapping[int, object] = MappingProxyType({})
 _STEP = 1021
 """From one identifier to the next; odd, so that all are used. Devices that answer with the identifier of the request
 plus 1 (sunsynk#680) would with a step of 1 hit another request in flight, and give it the wrong data."""
@@ -69,6 +72,7 @@ class TcpClientSession:
     __slots__ = (
         "_buffer",
         "_connected",
+        "_doubtful",
         "_expired",
         "_foreign_in_row",
         "_free",
@@ -120,11 +124,13 @@ class TcpClientSession:
         self._foreign_in_row = 0
         self._launches_apart = 0  # how many more times requests fly one by one
         self.breakers: Breakers | None = None
+        self._doubtful: Mapping[int, object] = _NO_DOUBTS  # units that timed out and have not answered since
         self._pace: dict[int, float] = {}  # seconds that units usually take, where they are watched
 
     def watch_units(self, breakers: Breakers) -> None:
         """Ask no unit for a while that does not answer."""
         self.breakers = breakers
+        self._doubtful = breakers.doubtful
 
     # What the application asks.
 
@@ -234,10 +240,7 @@ class TcpClientSession:
         free = self._free
         gap = self.parameters.request_gap
         room = len(free)
-        eligible = None
-        breakers = self.breakers
-        if breakers is not None and breakers.has_doubts:
-            eligible = partial(self._may_ask, now)
+        eligible = partial(self._may_ask, now) if self._doubtful else None
         while free and (demand := queue.pick(eligible)) is not None:
             turn = 1 if gap else min(len(free), queue.share(room))
             while demand is not None:
@@ -261,7 +264,7 @@ class TcpClientSession:
             or now < self._not_before
             or self.recycle
             or self._buffer.kept
-            or (self.breakers is not None and self.breakers.has_doubts and self._is_doubted(demand))
+            or (self._doubtful and self._is_doubted(demand))
         ):
             return None
         if count == 1:
@@ -285,7 +288,7 @@ class TcpClientSession:
 
     def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
-        if self._is_doubted(demand):
+        if self._doubtful and self._is_doubted(demand):
             at_most = 1  # it is a probe
         requests = len(demand.requests)
         if requests > 1 and not demand.again and not demand.is_write and not self.parameters.single_adu_segments:
@@ -306,7 +309,7 @@ class TcpClientSession:
         Where others fly by themselves the device answers one by one, or in another order: a volley would only be taken
         apart again.
         """
-        if count < 2 or self._pending or self._is_doubted(demand):
+        if count < 2 or self._pending:
             return None
         if self._launches_apart:
             self._launches_apart -= 1
@@ -344,7 +347,7 @@ class TcpClientSession:
         flight.position = position
         flight.route = route
         flight.sent = now
-        flight.expires = now + (demand.timeout if self.breakers is None else self._patience(demand, now))
+        flight.expires = now + (self._patience(demand, now) if self._doubtful else demand.timeout)
         return transaction.to_bytes(2, "big") + route.tail
 
     def _patience(self, demand: Demand, now: float) -> float:
@@ -373,8 +376,7 @@ class TcpClientSession:
         pending = self._pending
         free = self._free
         ledger = self._ledger
-        breakers = self.breakers
-        doubts = breakers is not None and breakers.has_doubts
+        doubtful = self._doubtful
         last: Flight | None = None
         at = good = 0
         if self._volleys:
@@ -394,7 +396,7 @@ class TcpClientSession:
                     free.append(flight)
                     good += 1
                     last = flight
-                    if doubts:
+                    if doubtful:
                         self._unit_lives(demand.unit)
                     demand.outcomes[flight.position] = route.take(data[at + HEAD_SIZE : end])
                     demand.open -= 1
@@ -410,7 +412,7 @@ class TcpClientSession:
             at = end
         if last is not None:
             self._answered(good, now)
-            if breakers is not None:
+            if self.breakers is not None:
                 self._learn_pace(last.route.unit, now - last.sent)
         if size - at >= 6:
             length = data[at + 4] << 8 | data[at + 5]
@@ -454,8 +456,10 @@ class TcpClientSession:
                 volleys.popleft()
             demand.open -= len(replies)
             if self.breakers is not None:
-                self._unit_lives(demand.unit)
-                self._learn_pace(demand.unit, now - volley.sent)
+                took, known = now - volley.sent, self._pace.get(demand.unit, 0.0) * _PACE_FORGETS
+                self._pace[demand.unit] = took if took > known else known
+                if self._doubtful:
+                    self._unit_lives(demand.unit)
             if not demand.open:
                 self._ledger.finish(demand)
         if good:
