@@ -68,10 +68,11 @@ def test_units_that_an_earlier_route_takes_are_a_warning_and_what_is_left_for_th
     assert warned(FRONT, LINE, SERVER, first, route("server")) == []
 
 
-def test_a_refusal_behind_the_routes_that_it_was_meant_for_is_a_warning() -> None:
+def test_a_refusal_behind_the_routes_that_it_was_meant_for_is_refused() -> None:
     late = '[[route]]\nfunctions = "write"\nrefuse = 1\n'
-    assert warned(FRONT, LINE, route("hall", units="1-5"), late) == [
-        "10: route[1]: warning: route[0] before it takes units 1-5"
+    assert refused(FRONT, LINE, route("hall", units="1-5"), late) == [
+        "10: route[1]: route[0] before it takes units 1-5, which it is to refuse; a refusal stands before what it is "
+        "an exception of"
     ]
 
 
@@ -133,6 +134,90 @@ def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_wit
     # The timeout of a route goes before that of its line, and a split read is several requests.
     assert len(refused(impatient, LINE, "timeout = 0.4\n", route("hall", timeout=0.7))) == 1
     assert "× 5 pieces" in refused(impatient, LINE, "timeout = 0.3\n", route("hall", max_registers=25))[0]
+
+
+@pytest.mark.parametrize(
+    ("earlier", "refusal", "part"),
+    [
+        ('units = "5-20"', 'units = "1-10"', "units 5-10"),
+        ("units = 5", 'units = "1-10"\nfunctions = [6]', "units 5"),
+        ('units = "5-20"', "functions = [6]", "units 5-20"),
+        ("functions = [3, 16]", "functions = [6, 16]", "functions 16"),
+        ('addresses = "4x51-4x150"', 'addresses = "4x1-4x100"', "holding registers 50…99"),
+        ('units = 3\naddresses = "4x51-4x150"', 'units = "3-4"\naddresses = "4x1-4x100"', "holding registers 50…99"),
+        ('listeners = ["net"]\nunits = 5', 'units = "1-10"', "units 5"),
+    ],
+)
+def test_a_refusal_of_which_an_earlier_route_takes_a_part_is_refused(earlier: str, refusal: str, part: str) -> None:
+    (sentence,) = refused(FRONT, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n")
+    assert "route[1]: route[0] before it takes " + part.replace("holding registers", "holding register") in sentence
+
+
+@pytest.mark.parametrize(
+    ("earlier", "refusal"),
+    [
+        ("units = 5", ""),  # a refusal of the rest
+        ('functions = ["read"]', 'units = "1-10"'),
+        ('addresses = "4x1-4x100"', 'units = "1-10"'),
+        ('units = "5-20"', 'units = "1-4"'),
+        ('addresses = "4x51-4x150"', 'addresses = "4x1-4x50"'),
+        ('addresses = "3x51-3x150"', 'addresses = "4x1-4x100"'),
+    ],
+)
+def test_a_refusal_of_what_others_have_left_is_none_that_is_hidden(earlier: str, refusal: str) -> None:
+    assert warned(FRONT, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n") == []
+
+
+def rules(*each: str, default: str = "allow") -> str:
+    return f'[policy]\ndefault = "{default}"\n' + "".join(f"[[policy.rule]]\n{one}\n" for one in each)
+
+
+MERGED = FRONT, LINE, route("hall", units="1-10"), route("hall", units="101-110", unit_offset=-100)
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        'name = "r"\naction = "deny"\nunits = 3',
+        'action = "allow"\nunits = 3\nrate = 1',
+        'action = "read-only"\nunits = 3',
+    ],
+)
+def test_a_second_route_to_the_device_of_a_rule_is_odd_where_the_rule_does_not_name_its_unit(rule: str) -> None:
+    (sentence,) = warned(*MERGED, rules(rule))
+    assert sentence.endswith(
+        "warning: does not hold for unit 103, by which route[1] leads to the same device as unit 3: "
+        "unit 3 of line 'hall'"
+    )
+    assert "policy.rule[0]" in sentence
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        rules('action = "deny"\nunits = "3, 103"'),
+        rules('action = "deny"\nunits = 3', 'action = "deny"\nunits = 103'),
+        rules('action = "deny"\nfunctions = [6]'),
+        rules('action = "allow"\nunits = 3', default="deny"),
+        rules('action = "deny"\nunits = 3\nfunctions = [6]', 'action = "allow"\nunits = 3', default="deny"),
+        rules('action = "deny"\nunits = 20'),
+    ],
+)
+def test_rules_that_hold_for_all_ways_to_their_devices_are_not_odd(policy: str) -> None:
+    assert warned(*MERGED, policy) == []
+
+
+def test_a_route_that_calls_the_registers_of_a_rule_by_other_addresses_is_odd() -> None:
+    near = route("hall", units=3, addresses="4x1-4x100")
+    far = route("hall", units=3, addresses="4x1001-4x1100", shift=-1000)
+    rule = 'action = "deny"\nunits = 3\naddresses = "4x11-4x20"'
+    (sentence,) = warned(FRONT, LINE, near, far, rules(rule))
+    assert sentence.endswith(
+        "warning: does not hold for holding registers 1010…1019 of unit 3: by route[1] these are the same as its "
+        "10…19, which it names"
+    )
+    both = 'action = "deny"\nunits = 3\naddresses = ["4x11-4x20", "4x1011-4x1020"]'
+    assert warned(FRONT, LINE, near, far, rules(both)) == []
 
 
 def test_a_line_that_is_slower_than_the_default_deadline_of_a_listener_is_odd_and_told_with_the_figures() -> None:

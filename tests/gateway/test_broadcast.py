@@ -11,8 +11,8 @@ from waiting import until
 
 import busway
 from busway.codes import Table
+from busway.config.access.rules import Access, Policy, Rule
 from busway.config.access.rules import Action as Judged
-from busway.config.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
 from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
 from busway.gateway.routes import Action, AddressRange, Route, RoutingTable
@@ -292,6 +292,37 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
             if scheme == "tcp":
                 await link.unit(0).write_single_coil(5, True)
                 assert [device.coils[5] for device in line.devices.values()] == [True, True]
+
+
+@pytest.mark.clause("M6")
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+@pytest.mark.parametrize("units", [frozenset({2}), frozenset({1, 2}), None])
+async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once(
+    scheme: str, units: frozenset[int] | None
+) -> None:
+    rules = (Rule(name="slowly", action=Judged.ALLOW, units=units, rate=2.0, access=Access.WRITE),)
+    policy = Policy(rules, default=Judged.ALLOW)
+    async with bus() as line:
+        plan = GatewayPlan(
+            fronts=(Front("front", Listener(f"{scheme}://127.0.0.1:0")),),
+            lines=(LineSettings.of("line", line.url, turnaround_delay=0.01),),
+            table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
+        )
+        async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
+            for guard in made._running.values():
+                assert guard.guard is not None
+                guard.guard._clock = lambda: 0.0  # no time passes: two are allowed, and no third one
+            everybody = link.unit(0)
+            await everybody.write_single_register(5, 55)
+            await everybody.write_single_register(6, 66)
+            if scheme == "tcp":
+                assert await refusal(everybody.write_single_register(7, 77)) == 6
+            else:
+                await everybody.write_single_register(7, 77)
+                await until(lambda: made.status().lines[0].counters.broadcasts == 2)
+                with pytest.raises(busway.ExceptionReply, match="exception 06"):
+                    await link.unit(2).write_single_register(8, 88)
+            assert line.registers(5, 3) == [[55, 66, 107], [55, 66, 207]]
 
 
 # --- serial masters ------------------------------------------------------------------------------

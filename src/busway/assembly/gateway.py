@@ -231,7 +231,7 @@ def _put_together(
         if examine:
             _examine_line(section, name, ("line", index), judge)
     routes = placed_routes(file, lines, judge)
-    judge_routes(file, routes, fronts, lines, judge)
+    judge_routes(file, routes, fronts, lines, None if common.access is None else common.access.policy, judge)
     listeners, server = _as_served(common)
     warnings = judge.end()
     plan = GatewayPlan(

@@ -15,6 +15,7 @@ from functools import partial
 
 from ..client.conversation import timing_of
 from ..codes import LAST_SERIAL_UNIT
+from ..config.access.rules import Policy
 from ..config.endpoints import Endpoint
 from ..config.files.gateway import GatewayFile, RouteSection
 from ..config.files.lines import Path as Place
@@ -24,6 +25,8 @@ from ..gateway.routes import ALL_UNITS, Action, AddressRange, Route, taken_befor
 from ..pdu.functions import STANDARD
 from ..server.naming import is_loopback
 from .judging import Judge
+from .placed import PlacedRoute
+from .ways_past import ways_past
 
 SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
@@ -48,25 +51,6 @@ class PlacedFront:
     def is_serial(self) -> bool:
         """Whether its clients are masters, who know units 1…247 only."""
         return self.endpoint.framing != "mbap"
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedRoute:
-    """A route, and where it stands; ``section`` is None for the one of a file without routes."""
-
-    route: Route
-    place: Place
-    section: RouteSection | None
-
-    @property
-    def gap(self) -> float:
-        """Seconds that its unit is left alone after it has replied."""
-        return (self.section.request_gap or 0.0) if self.section is not None else 0.0
-
-    def key(self, *names: str) -> Place:
-        """Where the first of these keys stands that is set, or else the route itself."""
-        written = set() if self.section is None else self.section.model_fields_set
-        return next(((*self.place, name) for name in names if name in written), self.place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,11 +140,13 @@ def judge_routes(
     routes: Sequence[PlacedRoute],
     fronts: Sequence[PlacedFront],
     lines: Mapping[str, LineSettings],
+    policy: Policy | None,
     judge: Judge,
 ) -> None:
-    """Tell the judge what of routes, fronts and lines does not go together."""
+    """Tell the judge what of routes, fronts, lines and the policy does not go together."""
     for at, sentence in (
         *_unreached(routes),
+        *_hidden_refusals(routes),
         *_impossible_units(routes, fronts, lines),
         *_impossible_addresses(routes),
         *_gaps_on_networks(routes, lines),
@@ -175,6 +161,7 @@ def judge_routes(
         *_hidden_own_unit(file, routes),
         *_idle_fronts(routes, fronts),
         *_lines_slower_than_the_default(routes, fronts, lines),
+        *(() if policy is None else ways_past(policy, routes)),
         *_same_servers(file, lines),
     ):
         judge.warn(at, sentence)
@@ -203,16 +190,63 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
         if is_rest and (route.action is Action.FORWARD or not (route.functions or route.addresses)):
             continue  # it is for what the others have left
         takers, left = taken_before(plain, position)
-        if left and takers:
+        if left and takers and route.action is not Action.REFUSE:
             taken = units_text(placed.route.units - left)
             named = " and ".join(_titled(routes, one) for one in takers)
             yield placed.key("units"), f"{named} before it {'takes' if len(takers) == 1 else 'take'} units {taken}"
 
 
+def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
+    """Refusals of which an earlier route takes a part: what is to be refused would be forwarded.
+
+    A refusal that says neither units, functions nor addresses is for what others have left.
+    """
+    for position, placed in enumerate(routes):
+        refusal = placed.route
+        if refusal.action is not Action.REFUSE:
+            continue
+        for earlier in routes[:position]:
+            if earlier.route.covers(refusal):
+                break  # it is never reached, which is said already
+            part = "" if earlier.route.action is Action.REFUSE else _hidden_part(placed, earlier.route)
+            if part:
+                yield (
+                    placed.place,
+                    f"{earlier.title} before it takes {part}, which it is to refuse; a refusal stands before "
+                    "what it is an exception of",
+                )
+                break
+
+
+def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
+    """What an earlier route takes of a refusal: all in two respects, and a part of what the third one says."""
+    refusal = placed.route
+    wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
+    is_for_all = not refusal.fronts and bool(earlier.fronts)
+    if is_for_all or (earlier.fronts and not refusal.fronts <= earlier.fronts):
+        wider = replace(wider, fronts=(refusal.fronts & earlier.fronts) or earlier.fronts)
+        if refusal.fronts and not refusal.fronts & earlier.fronts:
+            return ""
+    if not wider.units <= earlier.units:
+        return ""
+    says_units = placed.section is not None and placed.section.units is not None
+    if earlier.covers(wider):
+        is_rest = not (says_units or refusal.functions or refusal.addresses)
+        return "" if is_rest else f"units {units_text(wider.units)}"
+    codes = refusal.functions & earlier.functions
+    if codes and earlier.covers(replace(wider, functions=codes)):
+        return f"functions {', '.join(map(str, sorted(codes)))}"
+    if refusal.addresses is None or earlier.addresses is None or refusal.addresses.table is not earlier.addresses.table:
+        return ""
+    first = max(refusal.addresses.first, earlier.addresses.first)
+    end = min(refusal.addresses.end, earlier.addresses.end)
+    if first < end and earlier.covers(replace(wider, addresses=AddressRange(refusal.addresses.table, first, end))):
+        return str(AddressRange(refusal.addresses.table, first, end))
+    return ""
+
+
 def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
-    position = next(index for index, one in enumerate(routes) if one.route is route)
-    place = routes[position].place
-    return f"{place[0]}[{place[1]}]" + (f" ({route.name})" if route.name else "")
+    return next(one.title for one in routes if one.route is route)
 
 
 def _impossible_units(

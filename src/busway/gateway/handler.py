@@ -11,7 +11,7 @@ Knows routes, lines and the gateway's own unit; knows no bytes (Messaging on TCP
    not frame it. A function that is not known is forwarded unread.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -53,11 +53,12 @@ class FrontCounters:
     broadcasts: int = 0
 
 
-RefusalOf = Callable[[RequestContext, AnyRequest, int], int]
-"""Client, request and unit → the exception code by which a policy refuses it, 0 for none."""
+RefusalOf = Callable[[RequestContext, AnyRequest, Collection[int], set[int]], int]
+"""Client, request, units that it reaches and marks of what has counted it already → the exception code by which a
+policy refuses it, 0 for none."""
 
 
-def _no_refusal(context: RequestContext, request: AnyRequest, unit: int) -> int:
+def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[int], charged: set[int]) -> int:
     return 0
 
 
@@ -194,7 +195,10 @@ class FrontHandler:
         own = self._routes.find(BROADCAST_UNIT, request)
         if isinstance(own, Route) and own.action is not Action.FORWARD:
             return self._not_forwarded(context, own)
-        ways = [way for line in self._takers() if (way := self._way_to_all(context, line, request)) is not None]
+        charged: set[int] = set()
+        ways = [
+            way for line in self._takers() if (way := self._way_to_all(context, line, request, charged)) is not None
+        ]
         if not ways:
             if isinstance(own, Route) and own.line in self._lines:
                 return self._lines[own.line].forward(context, request, own, deadline=self.deadline)
@@ -224,7 +228,7 @@ class FrontHandler:
         if id(line) not in executed:
             executed.add(id(line))
             self.counters.broadcasts += 1
-            way = self._way_to_all(context, line, request)
+            way = self._way_to_all(context, line, request, executed)
             if isinstance(way, Route):
                 self._to_all(context, request, way)
             elif way is not None:
@@ -236,15 +240,18 @@ class FrontHandler:
         lines = [self._lines[name] for name in self._routes.lines if name in self._lines]
         return [line for line in lines if line.takes_broadcasts]
 
-    def _way_to_all(self, context: RequestContext, line: Line, request: Request) -> Route | int | None:
+    def _way_to_all(
+        self, context: RequestContext, line: Line, request: Request, charged: set[int]
+    ) -> Route | int | None:
         """How a write reaches all units of a line; the exception code, if one of them must not be written so.
 
         Everybody on the line hears it: what is refused for one of its units is refused for all, and all must want it
-        under the same address. None where it is not for that line at all.
+        under the same address. None where it is not for that line at all. ``charged`` as of `RefusalOf`.
         """
         ways: set[Route] = set()
         refused = 0  # by the words of a route
         unreached = False
+        units: list[int] = []
         for unit in self._routes.units_to(line.name):
             found = self._routes.find(unit, request)
             if isinstance(found, Straddles):
@@ -253,13 +260,14 @@ class FrontHandler:
                 refused = refused or found.code
             elif found is None or found.line != line.name:
                 unreached = True
-            elif code := self.refusal_of(context, request, unit):
-                refused = refused or code
             else:
+                units.append(unit)
                 ways.add(_for_all_units(found))
         if refused or not ways:
             return refused or None
-        return _NO_PATH if unreached or len(ways) > 1 else ways.pop()
+        if unreached or len(ways) > 1:
+            return _NO_PATH
+        return self.refusal_of(context, request, units, charged) or ways.pop()
 
     def _to_all(self, context: RequestContext, request: Request, way: Route) -> Message | Deferral:
         return self._lines[way.line].broadcast(context, request, way, deadline=self.deadline)

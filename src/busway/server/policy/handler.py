@@ -19,7 +19,7 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Container, Mapping
+from collections.abc import Awaitable, Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -286,7 +286,7 @@ class PolicyHandler:
             return self._write(context, request, known, decision)
         if not decision.allowed:
             return self._refuse(context, request, known, decision)
-        too_fast = self._too_fast(decision, known.asker)
+        too_fast = self._too_fast(decision, known.asker, context.executed)
         if too_fast is not None:
             return self._refuse(context, request, known, too_fast)
         if self.audit is None or not writes:
@@ -310,16 +310,34 @@ class PolicyHandler:
     def _question(self, context: RequestContext, request: AnyRequest, known: _Known) -> Question:
         return Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
 
-    def refusal_of(self, context: RequestContext, request: AnyRequest, unit: int) -> int:
-        """The exception code with which the same request to another unit would be refused; 0 where it is permitted.
+    def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
+        """The exception code with which a request would be refused to one of several units; 0 where all may have it.
 
-        For what reaches several units at once. Nothing is counted, and nothing written down.
+        For what reaches several units at once. Rules with a rate take it for one request, however many of the units
+        they are about; nothing else is counted, and nothing written down.
+
+        Args:
+            context: of the request as it was asked.
+            request: what is asked.
+            units: those that it reaches.
+            charged: marks of the rules that have taken it already; those that take it now are put in.
         """
         known = self._known(context)
         if known.rights.permits_all:
             return 0
-        decision = known.rights.policy.decide(Question.of(request, unit=unit, asker=known.asker))
-        return 0 if decision.allowed else decision.code
+        if context.executed is None:  # it was taken as a request to its own unit before it came here
+            charged.update(map(id, self._decided_for(context.unit, request, known).rates))
+        rates: dict[int, Rule] = {}
+        for unit in units:
+            decision = self._decided_for(unit, request, known)
+            if not decision.allowed:
+                return decision.code
+            rates |= {id(rule): rule for rule in decision.rates}
+        too_fast = self._too_fast(Decision(True, rates=tuple(rates.values())), known.asker, charged)
+        return 0 if too_fast is None else too_fast.code
+
+    def _decided_for(self, unit: int, request: AnyRequest, known: _Known) -> Decision:
+        return known.rights.policy.decide(Question.of(request, unit=unit, asker=known.asker))
 
     def _refuse(self, context: RequestContext, request: AnyRequest, known: _Known, decision: Decision) -> Message:
         rule = decision.rule_name
@@ -346,15 +364,22 @@ class PolicyHandler:
     def _denied_line(self, entry: Entry, code: int, repeated: int) -> str:
         return entry.line(self._time(), DENIED, code, repeated)
 
-    def _too_fast(self, decision: Decision, asker: Asker) -> Decision | None:
-        """The refusal of a request that comes faster than a rule allows."""
+    def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
+        """The refusal of a request that comes faster than a rule allows.
+
+        ``charged`` holds marks of the rules that have taken it already: a broadcast is one request to all of them.
+        """
         for rule in decision.rates:
+            if charged is not None and id(rule) in charged:
+                continue
             assert rule.rate is not None  # that is why it is among them
             rates = self._rates.get(rule.name)
             if rates is None or rates.rate != rule.rate:
                 rates = self._rates[rule.name] = Rates(rule.rate)
             if not rates.allows(asker.host, self._clock()):
                 return _busy(rule)
+            if charged is not None:
+                charged.add(id(rule))
         return None
 
     def _write(self, context: RequestContext, request: AnyRequest, known: _Known, decision: Decision) -> Outcome:
@@ -372,7 +397,7 @@ class PolicyHandler:
                     question = self._question(context, request, known).with_current(int.from_bytes(current, "big"))
                     judged = known.rights.policy.decide(question)
                 if judged.allowed:
-                    judged = self._too_fast(judged, known.asker) or judged
+                    judged = self._too_fast(judged, known.asker, context.executed) or judged
                 if not judged.allowed:
                     raise _Denied(judged)
                 entry.rule = judged.rule_name
