@@ -38,8 +38,11 @@ def to_unit(request: bytes, unit: int) -> bytes:
     return request[:6] + bytes([unit]) + request[7:]
 
 
-def turns(wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
-    """Each call feeds all batches, to one connection after the other, and goes on there the next time."""
+async def turns(wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
+    """Each call feeds all batches, to one connection after the other, and goes on there the next time.
+
+    While reads are new, each batch has a turn of the loop, or the server would let some of them wait for the next.
+    """
     at = 0
 
     def step() -> None:
@@ -49,7 +52,10 @@ def turns(wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
             at = (at + 1) % len(wires)
 
     for _ in range(WARMING * max(1, len(wires) // len(batches))):
-        step()
+        for batch in batches:
+            wires[at].feed(batch)
+            at = (at + 1) % len(wires)
+            await asyncio.sleep(0)
     return step
 
 
@@ -59,7 +65,7 @@ async def connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     device = busway.Device(holding_registers=1000)
     async with busway.serve(TCP, units={1: device}, max_connections=size + 10) as server:
         wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
-        yield turns(wires, in_batches([read(number, number * REGISTERS % 900) for number in range(READS)]))
+        yield await turns(wires, in_batches([read(number, number * REGISTERS % 900) for number in range(READS)]))
 
 
 @asynccontextmanager
@@ -68,7 +74,7 @@ async def units(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     devices = {unit: busway.Device(holding_registers=1000) for unit in range(1, size + 1)}
     async with busway.serve(TCP, units=devices) as server:
         asked = [to_unit(read(number, 0), 1 + number % size) for number in range(READS)]
-        yield turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+        yield await turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
 
 
 @asynccontextmanager
@@ -77,7 +83,7 @@ async def table_size(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     chance = random.Random(1)
     async with busway.serve(TCP, units={1: busway.Device(holding_registers=size)}) as server:
         asked = [read(number, chance.randrange(size - REGISTERS)) for number in range(READS)]
-        yield turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+        yield await turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
 
 
 async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes], running: AsyncExitStack) -> Step:

@@ -74,10 +74,12 @@ async def _asked(
         wire = loop.newcomer(port_of(server.endpoints[0]))
         for one in first:
             wire.feed(one)
+            await asyncio.sleep(0)
 
         async def turn() -> None:
             for batch in batches:
                 wire.feed(batch)
+                await asyncio.sleep(0)  # as batches come; of more in one turn, some would wait for the next
 
         yield turn
 

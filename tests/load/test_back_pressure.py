@@ -11,7 +11,7 @@ CLIENTS = 20
 LONGEST = 125
 """Registers per question: the answer is twenty times as long as the question."""
 REPLY_SIZE = 9 + 2 * LONGEST
-RECEIVE_SIZE = 65_536
+RECEIVE_SIZE = 4416
 """Bytes that a server takes in at once."""
 WRITE_BUFFER = 16_384
 BOUND = RECEIVE_SIZE // 12 * REPLY_SIZE + WRITE_BUFFER

@@ -12,7 +12,11 @@ from handles import open_handles
 from waiting import until
 
 import busway
+from busway.framing.ascii import encode_ascii
+from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import AnyRequest
+from busway.server.connection import ServerConnection
+from busway.server.turns import Turns
 from busway.session.handler import Outcome
 from busway.testing import SLOW_LORIS, golden_adu, misbehaving_client
 
@@ -322,6 +326,72 @@ async def test_client_that_closes_its_half_still_gets_the_reply_that_was_given_i
             async with asyncio.timeout(5):
                 assert await loop.sock_recv(client, 100) == _answer(1)
                 assert await loop.sock_recv(client, 100) == b""
+
+
+@pytest.mark.clause("T29", "T30")
+async def test_thousands_of_requests_at_once_are_answered_in_order_and_their_end_is_heard_behind_them() -> None:
+    count = 3000
+    async with busway.serve(ANY_PORT, handler=ScriptedHandler(lambda _, asked: registers(address_of(asked)))) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+        writer.write(b"".join(_question(one, one) for one in range(count)))
+        writer.write_eof()
+        async with asyncio.timeout(30):
+            assert await reader.read(-1) == b"".join(_answer(one, one) for one in range(count))
+        await _close(writer)
+
+
+@pytest.mark.clause("T29")
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
+async def test_frames_of_a_line_that_come_by_the_hundred_are_answered_in_order(scheme: str) -> None:
+    encode = {"rtu+tcp": encode_rtu, "ascii+tcp": encode_ascii}[scheme]
+    device = busway.Device(holding_registers=list(range(300)))
+    async with busway.serve(f"{scheme}://127.0.0.1:0", units={1: device}) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+        writer.write(b"".join(encode(1, busway.ReadHoldingRegisters(one, 1).encode()) for one in range(300)))
+        expected = b"".join(encode(1, registers(one).encode()) for one in range(300))
+        async with asyncio.timeout(30):
+            assert await reader.readexactly(len(expected)) == expected
+        await _close(writer)
+
+
+async def test_sixteen_requests_at_once_are_answered_with_one_write_and_no_turn_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    written: list[int] = []
+    write = ServerConnection._write
+
+    def count(connection: ServerConnection, replies: list[bytes]) -> None:
+        written.append(len(replies))
+        write(connection, replies)
+
+    monkeypatch.setattr(ServerConnection, "_write", count)
+    monkeypatch.setattr(Turns, "wait", lambda turns, one: pytest.fail("somebody waits"))
+    longest = busway.WriteMultipleRegisters(0, 123, bytes(246)).encode()
+    async with busway.serve(ANY_PORT, units={1: busway.Device(holding_registers=123)}) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+        writer.write(b"".join(golden_adu(longest, transaction=one) for one in range(16)))
+        await reader.readexactly(16 * 12)
+        assert written == [16]
+        await _close(writer)
+
+
+async def test_who_asks_once_is_answered_before_what_another_has_asked_without_end() -> None:
+    served: list[int] = []
+
+    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+        served.append(address_of(request))
+        return registers(0)
+
+    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+        _, flood = await asyncio.open_connection("127.0.0.1", _port(server))
+        reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+        flood.write(b"".join(_question(1) for _ in range(5000)))
+        await until(lambda: served)
+        writer.write(_question(2))
+        await reader.readexactly(11)
+        assert len(served) < 1000
+        await _close(flood)
+        await _close(writer)
 
 
 @pytest.mark.clause("T30")

@@ -5,6 +5,7 @@ import contextlib
 import logging
 import socket
 import ssl
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -442,8 +443,33 @@ def test_over_tls_too_nothing_is_read_from_a_client_that_takes_no_replies(
                 client.sendall(questions)
         wait_for(lambda: server.status().counters.write_timeouts == 1)
         counters = server.status().counters
-        assert counters.reading_paused == 1
+        assert counters.reading_paused >= 1  # it may take a little now and then, while its own buffer grows
         assert counters.other.sent < 16 << 20
+
+
+@pytest.mark.clause("M1")
+def test_thousands_of_requests_in_a_few_records_are_answered_in_order_and_their_end_is_heard_behind_them(
+    served: ServerThread, operator: CertificateFiles
+) -> None:
+    count = 3000
+    questions = b"".join(one.to_bytes(2, "big") + READ[2:-2] + b"\0\0" for one in range(count))  # refused, with 03
+    with foreign_client(port_of(served), foreign_context(operator, operator)) as client:
+        sending = threading.Thread(target=client.sendall, args=(questions,))
+        sending.start()
+        answers = b""
+        while len(answers) < 9 * count:
+            answers += client.recv(65_536)
+        sending.join()
+        assert [int.from_bytes(answers[at : at + 2], "big") for at in range(0, 9 * count, 9)] == list(range(count))
+        client.sendall(questions[:1200])
+        with contextlib.suppress(ssl.SSLError):  # it tells the end, and is told by answers that there is more
+            client.unwrap()
+        with socket.socket(fileno=client.detach()) as below:
+            below.settimeout(PATIENCE)
+            while below.recv(65_536):
+                pass
+    wait_for(lambda: not served.status().connections)
+    assert served.status().counters.requests == count + 100
 
 
 @pytest.mark.clause("T13")

@@ -541,3 +541,83 @@ def test_the_function_comes_before_its_lengths_and_these_before_its_address() ->
 
 def test_deferral_has_the_two_outcomes_without_a_reply() -> None:
     assert set(Deferral) == {LATER, SILENCE}
+
+
+# A share of what came.
+
+
+def _shared(handler: Any, share: int | None) -> TcpServerSession:
+    return TcpServerSession(
+        handler,
+        diagnostics=LineDiagnostics(changes_allowed=True),
+        slots=TransactionSlots(16),
+        deliver=lambda adu: None,
+        share=share,
+    )
+
+
+def _many(count: int) -> bytes:
+    return b"".join(encode_mbap(one, 1, READ) for one in range(count))
+
+
+def test_a_call_works_through_a_share_and_the_rest_waits_in_its_order() -> None:
+    session = _shared(Scripted(), 16)
+    stream = _many(40)
+    answers = session.receive(stream, len(stream))
+    assert (len(answers), len(session.rest), session.spent) == (16, 24 * 12, 16)
+    answers += session.go_on()
+    answers += session.go_on()
+    assert [int.from_bytes(one[:2], "big") for one in answers] == list(range(40))
+    assert (session.rest, session.unfinished, session.requests) == (b"", 0, 40)
+
+
+def test_as_many_requests_as_the_share_leave_nothing_over() -> None:
+    session = _shared(Scripted(), 16)
+    assert len(session.receive(_many(16) + b"\0\1\0", 16 * 12 + 3)) == 16
+    assert (session.rest, session.unfinished) == (b"", 3)
+
+
+def test_what_is_put_off_is_worked_through_when_it_goes_on_behind_the_beginning_that_was_there() -> None:
+    session = _shared(Scripted(), 16)
+    stream = _many(3)
+    assert len(session.receive(stream, 20)) == 1
+    session.put_off(bytearray(stream[20:] + b"\xff"), 16)
+    assert (session.unfinished, session.rest) == (0, stream[12:])
+    assert len(session.go_on()) == 2
+    assert (session.unfinished, session.rest) == (0, b"")
+
+
+def test_length_that_can_not_be_ends_the_connection_only_behind_the_requests_that_came_before_it() -> None:
+    session = _shared(Scripted(), 2)
+    stream = _many(5) + bytes.fromhex("0009 0000 FFFF 01 03")
+    answers = session.receive(stream, len(stream))
+    while session.rest:
+        assert not session.broken
+        answers += session.go_on()
+    assert len(answers) == 5
+    assert session.broken
+
+
+@given(
+    st.lists(
+        st.sampled_from([READ, b"\x03\0\0\0\0", b"\x41", b"\x06\0\0\0\1", b"\x81\1", b"\x08\0\4\0\0", b"\x08\0\1\0\0"]),
+        max_size=40,
+    ),
+    st.lists(st.integers(1, 300), min_size=1, max_size=10),
+    st.integers(1, 20),
+)
+def test_a_share_changes_no_byte_of_the_answers(pdus: list[bytes], cuts: list[int], share: int) -> None:
+    stream = b"".join(encode_mbap(number, 1, pdu) for number, pdu in enumerate(pdus))
+
+    def answers(share: int | None) -> bytes:
+        session = _shared(LocalHandler({1: Device(holding_registers=10)}), share)
+        out, at, number = b"", 0, 0
+        while at < len(stream):
+            part = stream[at : at + cuts[number % len(cuts)]]
+            out += b"".join(session.receive(part, len(part)))
+            while session.rest:
+                out += b"".join(session.go_on())
+            at, number = at + len(part), number + 1
+        return out
+
+    assert answers(share) == answers(None)

@@ -2,11 +2,13 @@
 
 Knows when bytes come and go; knows nothing of what they say.
 
-1. What arrived is worked through in one call and answered with one write.
+1. What arrived is worked through in one call and answered with one write, up to the share of a turn.
 2. While a client does not take its replies, nothing more is read from it (Messaging on TCP/IP V1.0b §4.1), nor while
    its host is over its rate.
 3. No task, future or timer per request; a task only for a handler's awaitable.
 4. What has a time is watched by connection management, which has one timer for all of them.
+5. In one turn of the loop a connection is given so much and works through so much at most. What it asked beyond that
+   waits for the next turns, behind those of others (`busway.server.turns`), and nothing more is read meanwhile.
 """
 
 import asyncio
@@ -28,6 +30,14 @@ if TYPE_CHECKING:
 _USUAL_REQUEST: Final = 12
 """Bytes of a read."""
 _LONGEST_REQUEST: Final = 260
+REQUESTS_OF_A_TURN: Final = 16
+"""What is worked through of one connection in a turn, planned reads aside: who has 16 on their way is answered
+at once, and 16 of the dearest kind take a millisecond or two."""
+_BYTES_OF_A_TURN: Final = 17 * _LONGEST_REQUEST // _USUAL_REQUEST * _USUAL_REQUEST
+"""What is received at most, whole reads: 16 of the longest requests never fill it. Full of planned reads, which have no
+other limit, it takes a sixth of a millisecond."""
+_MANY_BYTES: Final = 512
+"""From here on it is seen whether there is time for the others."""
 
 
 class ServerConnection(asyncio.BufferedProtocol):
@@ -44,6 +54,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         role, subject: of its certificate; None and empty without one.
         marked: whether it is a device that the priority pool is for: no limit of ours closes or slows it.
         pool: where it has its place.
+        is_greedy: whether it asks for more than the share of a turn.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
         charged: requests that its host's rate was charged with.
@@ -52,7 +63,9 @@ class ServerConnection(asyncio.BufferedProtocol):
     __slots__ = (
         "_accepted",
         "_buffer",
+        "_end_waits",
         "_half_closed",
+        "_is_queued",
         "_is_rated",
         "_is_single",
         "_is_stuck",
@@ -61,9 +74,11 @@ class ServerConnection(asyncio.BufferedProtocol):
         "_tasks",
         "_trace",
         "_transport",
+        "_turns",
         "_window",
         "charged",
         "host",
+        "is_greedy",
         "last_used",
         "marked",
         "opened",
@@ -82,11 +97,14 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._management = management
         self._accepted = accepted
         self._buffer = receive_buffer(management.loop)
-        self._window: bytearray | memoryview = self._buffer
+        self._window = memoryview(self._buffer)[:_BYTES_OF_A_TURN]
+        self._turns = management.turns
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
         self._tasks: set[asyncio.Task[None]] | None = None
         self._trace: Trace | None = None
+        self._end_waits = False  # the client sends no more, behind what still waits
         self._half_closed = False
+        self._is_queued = False  # it waits for its turn
         self._is_rated = False
         self._is_single = management.parameters.single_adu_segments
         self._is_stuck = False
@@ -97,6 +115,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.subject = subject
         self.marked = False
         self.pool = Pool.OTHER
+        self.is_greedy = False
         self.opened = self.last_used = 0.0
         self.received = self.sent = 0
         self.charged = 0
@@ -116,19 +135,27 @@ class ServerConnection(asyncio.BufferedProtocol):
         if self.session is None:
             self._transport.abort()
 
-    def get_buffer(self, sizehint: int) -> bytearray | memoryview:
+    def get_buffer(self, sizehint: int) -> memoryview:
         """Where the event loop, or TLS, receives into."""
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Bytes have come: answer all of them."""
+        """Bytes have come: answer them, up to the share of a turn."""
         session = self.session
         if session is None:
             return
         self.received += nbytes
         if TRACE.level:
             self._traced().received(bytes(self._buffer[:nbytes]))
+        if self._turns.is_crowded and self._must_wait(session, nbytes):
+            return
         replies = session.receive(self._buffer, nbytes)
+        self._finish(session, replies, nbytes)
+        if session.spent > 1 or nbytes > _MANY_BYTES:
+            self._look_at_share(session, nbytes)
+
+    def _finish(self, session: Session, replies: list[bytes], size: int) -> None:
+        """Send what ``size`` bytes were answered with, and see to what else they have led to."""
         if replies:
             self._write(replies)
         if session.deferred:
@@ -137,7 +164,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._report(session)
         if session.unfinished:
             # More than came now: it began with an earlier segment, and its time goes on.
-            self._management.watch_frame(self, begun_now=session.unfinished <= nbytes)
+            self._management.watch_frame(self, begun_now=session.unfinished <= size)
         if session.broken:
             self._management.broken(self, session.broken)
             self.close()
@@ -147,6 +174,9 @@ class ServerConnection(asyncio.BufferedProtocol):
     def eof_received(self) -> bool:
         """The client sends no more; replies that are still to come go out first."""
         session = self.session
+        if session is not None and session.rest:
+            self._end_waits = True
+            return True
         # A reply that was given in this very turn has not left yet, and is no longer waited for.
         is_owed = session is not None and (session.waiting > 0 or bool(self._late))
         self._half_closed = is_owed and self._management.parameters.answer_half_closed
@@ -172,6 +202,60 @@ class ServerConnection(asyncio.BufferedProtocol):
         if session is not None:
             session.close()
             self._management.leave(self, session, exc)
+
+    # Turns.
+
+    def _must_wait(self, session: Session, nbytes: int) -> bool:
+        """Where others wait: whether what came now has to wait as well. It does then."""
+        if self.marked or not (self.is_greedy or not self._turns.has_time):
+            return False
+        session.put_off(self._buffer, nbytes)
+        self._wait_for_turn()
+        self.is_greedy = nbytes == len(self._window)
+        return True
+
+    def _look_at_share(self, session: Session, nbytes: int) -> None:
+        """It was given, or has asked, more than the least: whether it has to wait for its next turn."""
+        session.spent = 0
+        self._turns.worked()
+        self.is_greedy = bool(session.rest) or nbytes == len(self._window)
+        if self.is_greedy and not self._transport.is_closing():
+            self._wait_for_turn()
+
+    def _wait_for_turn(self) -> None:
+        self._transport.pause_reading()
+        if not self._is_queued:
+            self._is_queued = True
+            self._turns.wait(self)
+
+    def take_turn(self) -> bool:
+        """Work through a share of what waits; whether more of it waits for the next turn."""
+        try:
+            more = self._work_on()
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            # As a transport does with one whose `buffer_updated` fails.
+            context = {"message": "what a client asked could not be worked through", "exception": error}
+            self._management.loop.call_exception_handler(context)
+            self._is_queued = False
+            self.abort()
+            return False
+        if not more:
+            self._is_queued = False
+            self.go_on()
+        return more
+
+    def _work_on(self) -> bool:
+        session = self.session
+        if session is None or self._is_stuck or self._transport.is_closing():
+            return False
+        if session.rest:
+            size = len(session.rest)
+            self._finish(session, session.go_on(), size)
+            session.spent = 0
+        self.is_greedy = self.is_greedy or bool(session.rest)
+        return bool(session.rest) and not (self._is_stuck or self._transport.is_closing())
 
     # What connection management and the session ask.
 
@@ -212,8 +296,16 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._transport.pause_reading()
 
     def go_on(self) -> None:
-        """Read again, unless there is another reason not to."""
-        if not (self._is_stuck or self._management.is_held(self) or self._transport.is_closing()):
+        """Work on and read again, unless there is another reason not to."""
+        if self._is_stuck or self._is_queued or self._transport.is_closing():
+            return
+        if self.session is not None and self.session.rest:
+            self._wait_for_turn()
+        elif self._end_waits:
+            self._end_waits = False
+            if not self.eof_received():
+                self._transport.close()
+        elif not self._management.is_held(self):
             self._transport.resume_reading()
 
     def close(self) -> None:
@@ -237,7 +329,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         """Whether a request is in work or a reply still on its way."""
         if self.session is None:
             return False
-        return bool(self.session.waiting or self.unsent or self._late)
+        return bool(self.session.waiting or self.session.rest or self.unsent or self._late)
 
     @property
     def is_idle(self) -> bool:
@@ -272,7 +364,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         rates = self._management.rates
         if rates is not None and not self.marked:
             self._is_rated = True
-            self._window = memoryview(self._buffer)[: max(int(rates.rate) * _USUAL_REQUEST, _LONGEST_REQUEST)]
+            self._window = self._window[: max(int(rates.rate) * _USUAL_REQUEST, _LONGEST_REQUEST)]
 
     def _write(self, replies: list[bytes]) -> None:
         self.last_used = time.monotonic()

@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ..transport.tcp import SocketParameters, network_reason
-from .connection import ServerConnection
+from .connection import REQUESTS_OF_A_TURN, ServerConnection
 from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue
 from .diagnosis import Diagnosis
@@ -28,6 +28,7 @@ from .pools import Pools
 from .rates import Rates
 from .reception import Reception, add_living
 from .status import ConnectionStatus, ListenerStatus
+from .turns import Turns
 
 if TYPE_CHECKING:
     from .secure import Gate
@@ -50,14 +51,22 @@ class ConnectionManagement:
         reception: what the listener knows beside its connections.
         pools: places, its own or shared with other listeners.
         sockets: parameters of the sockets of newcomers.
+        turns: where connections wait that have more to do than one turn allows; None for its own, unshared.
 
     Attributes:
         gate: where newcomers agree on TLS before they get here; None without TLS.
     """
 
-    def __init__(self, reception: Reception, pools: Pools[ServerConnection], sockets: SocketParameters) -> None:
+    def __init__(
+        self,
+        reception: Reception,
+        pools: Pools[ServerConnection],
+        sockets: SocketParameters,
+        turns: Turns | None = None,
+    ) -> None:
         self.reception = reception
         self.pools = pools
+        self.turns = turns or Turns(reception.loop)
         self._sockets = sockets
         self._sockets_of_marked = replace(sockets, user_timeout=None)
         self._connections: dict[ServerConnection, None] = {}  # in the order they came
@@ -144,7 +153,7 @@ class ConnectionManagement:
         reception.came(connection)
         if self.parameters.idle_timeout is not None and self._timer is None:
             self._set_timer(time.monotonic())
-        return reception.session_for(connection)
+        return reception.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ServerConnection) -> None:
         """A connection has lost its place to a newcomer."""

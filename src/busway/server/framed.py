@@ -4,17 +4,23 @@ Knows a session and a clock; knows no connection: `ServerConnection` drives it l
 
 1. Answers leave at once: the silences on a wire are the business of whoever stands at it.
 2. Where silence decides about a frame (Serial Line V1.02 §2.5.1.1), a timer of its own does it.
+3. One call works through so many bytes; what came behind them waits (``rest``), and counts as come when it came: the
+   time that it waits is no silence.
 """
 
 import asyncio
 import time
 from collections.abc import Callable, Container
+from typing import Final
 
 from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler
 from ..session.line_framing import LineFraming
 from ..session.serial_server import Emission, SerialServerSession
 from ..session.server import Deferred, HandlerFailure, TcpServerSession
+
+SHARE_OF_BYTES: Final = 513
+"""What one call works through: the longest frame in ASCII, or 64 reads in RTU."""
 
 
 class FramedSession:
@@ -23,9 +29,21 @@ class FramedSession:
     Attributes:
         broken: always empty: a line has no end, the next frame may be good.
         refused_busy: always 0: a line has one transaction at a time.
+        rest, spent: as of `TcpServerSession`; bytes are counted as if a request had sixteen.
     """
 
-    __slots__ = ("_attend", "_deliver", "_loop", "_session", "_timer", "broken", "refused_busy")
+    __slots__ = (
+        "_attend",
+        "_came",
+        "_deliver",
+        "_loop",
+        "_session",
+        "_timer",
+        "broken",
+        "refused_busy",
+        "rest",
+        "spent",
+    )
 
     def __init__(
         self,
@@ -55,8 +73,11 @@ class FramedSession:
             sends_at_once=True,
         )
         self._timer: asyncio.TimerHandle | None = None
+        self._came = 0.0
         self.broken = ""
         self.refused_busy = 0
+        self.rest = b""
+        self.spent = 0
 
     # What a driver asks, as of `TcpServerSession`.
 
@@ -100,12 +121,27 @@ class FramedSession:
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
         """Work through the first ``size`` bytes of ``buffer``; the frames to send, in order."""
-        emissions = self._session.receive(bytes(memoryview(buffer)[:size]), time.monotonic())
-        self._rearm()
+        self.put_off(buffer, size)
+        return self.go_on()
+
+    def put_off(self, buffer: bytes | bytearray, size: int) -> None:
+        """Take the first ``size`` bytes of ``buffer``, and work through none of them before `go_on`."""
+        self._stop_timer()  # they came before the silence was over
+        self._came = time.monotonic()
+        self.rest += bytes(memoryview(buffer)[:size])
+
+    def go_on(self) -> list[bytes]:
+        """Work through the rest, as far as a share goes; the frames to send, in order."""
+        now, self.rest = self.rest[:SHARE_OF_BYTES], self.rest[SHARE_OF_BYTES:]
+        self.spent = len(now) // 16
+        emissions = self._session.receive(now, self._came)
+        if not self.rest:
+            self._rearm()
         return [one.frame for one in emissions]
 
     def close(self) -> None:
         """The connection has ended."""
+        self.rest = b""
         self._stop_timer()
         self._session.close()
 

@@ -26,6 +26,7 @@ from .parameters import ListenerParameters
 from .pools import Pools
 from .reception import Reception
 from .tcp import TcpListener
+from .turns import Turns
 from .udp import UdpListener
 from .wires import Wires
 
@@ -48,6 +49,7 @@ class Opening:
         slots: of transactions, where the server has them as a whole.
         places: that listeners share, where they do.
         crowd: where all TCP connections wait together; None where the event loop can have none.
+        turns: where they wait when they have more to do than one turn of the loop allows.
     """
 
     loop: asyncio.AbstractEventLoop
@@ -61,18 +63,20 @@ class Opening:
     slots: TransactionSlots = field(init=False)
     places: Pools[ServerConnection] = field(init=False)
     crowd: Crowd | None = field(init=False)
+    turns: Turns = field(init=False)
 
     def __post_init__(self) -> None:
         self.slots = TransactionSlots(self.parameters.max_transactions)
         self.places = Pools(self.limits.pools)
         self.crowd = crowd_for(self.loop)
+        self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
         """A listener over TCP or TLS; None where it is optional and can not be had. Raises `OSError`, `ConfigError`."""
         limits = settings.limits
         shares = limits.shared_places and limits is self.limits
         management = ConnectionManagement(
-            self._reception(settings), self.places if shares else Pools(limits.pools), self.sockets
+            self._reception(settings), self.places if shares else Pools(limits.pools), self.sockets, self.turns
         )
         listener = TcpListener(management, settings, self.sockets, self.crowd)
         try:

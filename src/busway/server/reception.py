@@ -158,8 +158,8 @@ class Reception:
         """Whether connections of a host belong to the priority pool."""
         return host in self.parameters.priority
 
-    def session_for(self, guest: Guest) -> Session:
-        """A conversation for a newcomer."""
+    def session_for(self, guest: Guest, *, share: int | None = None) -> Session:
+        """A conversation for a newcomer; ``share``: requests on TCP that one call of it works through."""
         if self.framing != "mbap":
             return FramedSession(
                 self.loop,
@@ -184,6 +184,7 @@ class Reception:
             peer=guest.peer,
             listener=self.listener,
             role=guest.role,
+            share=share,
         )
 
     # What is counted.

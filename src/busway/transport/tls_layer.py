@@ -264,13 +264,17 @@ class TlsLayer(asyncio.BufferedProtocol):
         """Go on."""
         if self._reading_paused and not self._below.is_closing():
             self._reading_paused = False
-            self._below.resume_reading()
             if self._stream.may_hold_more:
+                # Before anything else is received: what waits here would grow with every pause.
                 self._loop.call_soon(self._deliver_left)
+            else:
+                self._below.resume_reading()
 
     def _deliver_left(self) -> None:
         if self.state is TlsState.UP and not self._below.is_closing():
             self._deliver()
+            if not self._reading_paused and not self._below.is_closing():
+                self._below.resume_reading()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         """Bytes that may wait to be sent before the protocol above is asked to pause."""

@@ -1,0 +1,105 @@
+"""Turns of the connections of an event loop: none of them works longer than its share while others wait.
+
+Knows who waits, in which order, and the clock; knows no connection and no request.
+
+1. A connection does one share of work in a turn of the loop, and waits here with the rest. So a client that asks
+   without end costs the others one share a turn, whatever it asks and however much of it has come.
+2. Priority hosts go first: what comes from them never waits here, and the rest of what they asked has every turn.
+3. Then those who asked little and found no time left in the turn in which they came, then those who have more to ask
+   than one share. Each kind has its own row, first come first served, and a part of every turn.
+4. While nobody asks for more than a few requests at once, nobody waits, and nothing is timed.
+"""
+
+import asyncio
+from collections import deque
+from time import perf_counter as seconds  # by a name that tests can move
+from typing import Final, Protocol
+
+TURN_SECONDS: Final = 0.001
+"""For the requests of everybody but priority hosts in one turn of the loop: a share more may be added to it."""
+_QUEUE_SECONDS: Final = 0.0005
+"""Of these, for those who waited. The others are for what comes anew."""
+
+
+class Waiting(Protocol):
+    """A connection with work for another turn.
+
+    Attributes:
+        marked: whether it is a priority host's.
+        is_greedy: whether it has asked for more than one share.
+    """
+
+    marked: bool
+    is_greedy: bool
+
+    def take_turn(self) -> bool:
+        """Do the work of one share; whether more of it waits. Raises nothing."""
+
+
+class Turns:
+    """Who waits for a turn, on one event loop.
+
+    Attributes:
+        is_crowded: whether work of others waits, or the time of this turn is over.
+    """
+
+    __slots__ = ("_greedy", "_is_due", "_loop", "_modest", "_preferred", "_until", "is_crowded")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._preferred: deque[Waiting] = deque()
+        self._modest: deque[Waiting] = deque()
+        self._greedy: deque[Waiting] = deque()
+        self._until = 0.0
+        self._is_due = False  # the next turn will be told
+        self.is_crowded = False
+
+    @property
+    def has_time(self) -> bool:
+        """Whether something new may be done in this turn of the loop."""
+        return seconds() < self._until
+
+    def worked(self) -> None:
+        """More than the least was done for somebody: see whether there is time for more in this turn."""
+        if not self._is_due:
+            self._begin()
+        elif not self.has_time:
+            self.is_crowded = True
+
+    def wait(self, one: Waiting) -> None:
+        """Let one who does not wait already take a turn, behind those before it."""
+        self._row(one).append(one)
+        self.is_crowded = True
+        if not self._is_due:
+            self._begin()
+
+    def _row(self, one: Waiting) -> deque[Waiting]:
+        if one.marked:
+            return self._preferred
+        return self._greedy if one.is_greedy else self._modest
+
+    def _begin(self) -> None:
+        self._until = seconds() + TURN_SECONDS
+        self._is_due = True
+        self._loop.call_soon(self._next_turn)
+
+    def _next_turn(self) -> None:
+        """A turn of the loop begins: let those who wait work, as far as its time goes."""
+        self._is_due = False
+        began = seconds()
+        self._work(self._preferred, None)
+        self._work(self._modest, began + _QUEUE_SECONDS)
+        self._work(self._greedy, began + _QUEUE_SECONDS)
+        self.is_crowded = bool(self._preferred or self._modest or self._greedy)
+        if self.is_crowded:
+            self._begin()
+            self._until = began + TURN_SECONDS
+
+    def _work(self, row: deque[Waiting], until: float | None) -> None:
+        """Let each of a row work once, in order, at least the first of them, until the time is over."""
+        for _ in range(len(row)):
+            one = row.popleft()
+            if one.take_turn():
+                self._row(one).append(one)
+            if until is not None and seconds() >= until:
+                return
