@@ -417,6 +417,16 @@ def test_restart_and_clear_concern_the_unit_addressed(sub_code: int) -> None:
     assert line.of(3).counters.bus_message_count == cleared.bus_message_count + 1
 
 
+def test_requests_of_a_line_are_counted_whatever_a_unit_clears() -> None:
+    line = LineDiagnostics(changes_allowed=True)
+    line.of(1).received()
+    line.received_foreign()
+    line.received_broadcast([1, 3])
+    line.exchanged[3] += 2
+    line.of(1).diagnose(0x0A, b"\x00\x00")
+    assert line.requests == 4
+
+
 @pytest.mark.clause("S17")
 def test_listen_only_mode_is_that_of_one_unit() -> None:
     line = LineDiagnostics(changes_allowed=True)

@@ -258,7 +258,7 @@ class Reception:
             event_count=diagnostics.event_count,
             listen_only=diagnostics.listen_only,
             listen_only_units=tuple(sorted(diagnostics.listen_only_units)),
-            requests=diagnostics.counters.server_message_count,
+            requests=diagnostics.requests,
             damaged=self.damaged,
             priority_connections=count(Pool.PRIORITY),
             other_connections=count(Pool.OTHER),

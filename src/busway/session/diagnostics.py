@@ -128,6 +128,7 @@ class LineDiagnostics:
         arrived, departed: likewise, where the answers come later: requests that came in, and answers that went out,
             all well.
         heard: what was heard since the start; call `fold` before you read it.
+        requests: requests for own units since the start, a broadcast once; nothing clears them.
         listen_only_units: the units that answer nothing until they are restarted.
         ascii_delimiter: the character that ends an ASCII frame (sub-function 03), 0x0A by default.
         changes_allowed: as above.
@@ -144,6 +145,7 @@ class LineDiagnostics:
         "exchanged",
         "heard",
         "listen_only_units",
+        "requests",
     )
 
     def __init__(self, *, changes_allowed: bool = False, listed_unit: Callable[[int], int] | None = None) -> None:
@@ -154,6 +156,7 @@ class LineDiagnostics:
         self.arrived: Counter[int] = Counter()
         self.departed: Counter[int] = Counter()
         self.heard = Heard()
+        self.requests = 0
         self._listed_unit = listed_unit
         self._states: dict[int, CommunicationState] = {}
         # A unit that nothing was sent to yet has no state, but has heard the damaged frames like all others.
@@ -198,6 +201,7 @@ class LineDiagnostics:
         """A broadcast came in: one message of the line, and one for each of ``units``."""
         self.fold()
         self.heard.messages += 1
+        self.requests += 1
         for unit in units:
             self.of(unit).received_broadcast()
 
@@ -219,7 +223,9 @@ class LineDiagnostics:
             return
         exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
         self.exchanged, self.arrived, self.departed = Counter(), Counter(), Counter()
-        self.heard.messages += sum(exchanged.values()) + sum(arrived.values())
+        came = sum(exchanged.values()) + sum(arrived.values())
+        self.heard.messages += came
+        self.requests += came
         for unit in {*exchanged, *arrived, *departed}:
             self.of(unit).take_many(exchanged[unit], arrived[unit], departed[unit])
 
@@ -354,6 +360,7 @@ class CommunicationState:
         if line.exchanged or line.arrived or line.departed:
             line.fold()
         line.heard.messages += 1
+        line.requests += 1
         self.own.server_message_count += 1
         self._log.appendleft(_RECEIVED_MUTED if self.unit in line.listen_only_units else _RECEIVED)
 

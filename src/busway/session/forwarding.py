@@ -30,10 +30,11 @@ READ_SIZE = 12
 """Bytes of a read of one of the four tables."""
 _READ_LENGTH = b"\0\0\0\6"
 """Protocol and length of such a read."""
-_unit_asked = itemgetter(4)
-"""The unit in what a read is known by, and in the head of its answer."""
-_unit_answered = itemgetter(6)
-"""The unit in an ADU."""
+_UNIT_ASKED = 4
+"""Where the unit stands in what a read is known by, and in the head of its answer."""
+_UNIT_ANSWERED = 6
+"""Where it stands in an ADU."""
+_unit_asked, _unit_answered = itemgetter(_UNIT_ASKED), itemgetter(_UNIT_ANSWERED)
 _LAST_READ = 4
 """The greatest function code among them."""
 _PLAN_LIMIT = 4096
@@ -199,9 +200,14 @@ class ForwardedReads:
                 return at
         slots.used += count
         self.waiting += count
-        units = bytes(map(_unit_asked, fields[1 : 2 * count : 2]))
-        self._diagnostics.arrived.update(units)
-        self._asked.update(units)
+        if count == 1:  # `Counter.update` takes 0.7 µs for one
+            unit = fields[1][_UNIT_ASKED]
+            self._diagnostics.arrived[unit] += 1
+            self._asked[unit] += 1
+        else:
+            units = bytes(map(_unit_asked, fields[1 : 2 * count : 2]))
+            self._diagnostics.arrived.update(units)
+            self._asked.update(units)
         way = self.plans.sole_way
         if way is not None:
             way.ask(self, reads)
@@ -232,9 +238,14 @@ class ForwardedReads:
             self.waiting -= count
             self._slots.used -= count
             adus = [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
-            units = bytes(map(_unit_answered, adus))
-            self._diagnostics.departed.update(units)
-            self._answered.update(units)
+            if count == 1:
+                unit = adus[0][_UNIT_ANSWERED]
+                self._diagnostics.departed[unit] += 1
+                self._answered[unit] += 1
+            else:
+                units = bytes(map(_unit_answered, adus))
+                self._diagnostics.departed.update(units)
+                self._answered.update(units)
             self._ready += adus
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
@@ -242,7 +253,7 @@ class ForwardedReads:
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
-            unit = _unit_asked(read[1].head)
+            unit = read[1].head[_UNIT_ASKED]
             self._answered[unit] += 1
             self._diagnostics.of(unit).answered(exception=code)
             self._ready.append(read[0] + read[1].refusal(code))
