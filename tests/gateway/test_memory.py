@@ -126,3 +126,40 @@ def test_the_device_itself_may_be_any_of_its_units() -> None:
     memory.write_ended(2)
     memory.read_begins(255, KEY, "after")
     assert memory.reading(255, KEY) == "after"
+
+
+def test_a_write_to_one_unit_of_a_device_forgets_what_is_remembered_of_its_others() -> None:
+    memory: Memory[str] = Memory(same_device=[{1, 2}, {5, 6, 7}])
+    for unit in (1, 2, 3, 5, 6, 7):
+        _remembered(memory, unit=unit)
+    memory.write_begins(2)
+    memory.write_ended(2)
+    place = (HOLDING, 100, 4)
+    recalled = [unit for unit in (1, 2, 3, 5, 6, 7) if memory.recall(unit, place, 10.5, for_seconds=1) is not None]
+    assert recalled == [3, 5, 6, 7]
+
+
+def test_while_one_unit_of_a_device_is_written_nothing_of_its_others_is_shared_or_remembered() -> None:
+    memory: Memory[str] = Memory(same_device=[{1, 2}])
+    memory.read_begins(1, KEY, "before")
+    memory.write_begins(2)
+    assert memory.reading(1, KEY) is None
+    assert memory.shared(1) is None
+    _remembered(memory, unit=1)
+    assert memory.recall(1, (HOLDING, 100, 4), 10.5, for_seconds=1) is None
+    memory.write_ended(2)
+    _remembered(memory, unit=1)
+    assert memory.recall(1, (HOLDING, 100, 4), 10.5, for_seconds=1) == bytes(range(8))
+
+
+def test_a_write_to_the_device_itself_forgets_the_units_of_a_group_too_and_theirs_forgets_255() -> None:
+    memory: Memory[str] = Memory(same_device=[{1, 2}])
+    place = (HOLDING, 100, 4)
+    _remembered(memory, unit=1)
+    memory.write_begins(255)
+    memory.write_ended(255)
+    assert memory.recall(1, place, 10.5, for_seconds=1) is None
+    _remembered(memory, unit=255)
+    memory.write_begins(1)
+    memory.write_ended(1)
+    assert memory.recall(255, place, 10.5, for_seconds=1) is None

@@ -283,7 +283,14 @@ def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: 
     if link is None:
         return None
     return judge.make(
-        lambda: LineSettings(section.name, link.settings, section.connections, section.share_reads, section.broadcast),
+        lambda: LineSettings(
+            section.name,
+            link.settings,
+            section.connections,
+            section.share_reads,
+            section.broadcast,
+            same_device=tuple(frozenset(group) for group in section.same_device),
+        ),
         lambda key: at if key is None else (*at, key),
     )
 

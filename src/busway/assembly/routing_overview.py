@@ -73,6 +73,8 @@ def _line(line: LineSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
         yield f"{line.connections} connections"
     if not line.share_reads:
         yield "reads are not shared"
+    for group in line.same_device:
+        yield f"units {units_text(group)} are the same device"
 
 
 def _own_unit(plan: GatewayPlan) -> str:

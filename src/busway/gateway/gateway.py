@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from ..client.settings import LinkSettings, link_settings, options_of
-from ..codes import DEFAULT_TCP_PORT, TCP_DEVICE_UNIT
+from ..codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ..config.access.rules import Action as PolicyAction
 from ..config.access.rules import Policy
 from ..config.endpoints import Endpoint, parse_endpoint
@@ -89,6 +89,8 @@ class LineSettings:
         share_reads: whether identical reads in flight are asked once.
         broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
         unit_gaps: seconds that a unit is left alone after it has replied, by unit; on serial lines only.
+        same_device: units behind that are the same device, group by group: what is written to one of them, and what is
+            remembered of another, is of the same registers.
     """
 
     name: str
@@ -97,14 +99,29 @@ class LineSettings:
     share_reads: bool = True
     broadcast: bool | None = None
     unit_gaps: Mapping[int, float] = field(default_factory=dict)
+    same_device: tuple[frozenset[int], ...] = ()
 
     def __post_init__(self) -> None:
+        self._check_same_device()
         if self.unit_gaps and self.link.line is None:
             raise ConfigError("units have gaps of their own on serial lines only", key="unit_gaps")
         if not 1 <= self.connections <= MAX_CONNECTIONS:
             raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {self.connections}", key="connections")
         if self.connections > 1 and self.link.endpoint.carrier == "serial":
             raise ConfigError("a serial port is opened once", key="connections")
+
+    def _check_same_device(self) -> None:
+        seen: set[int] = set()
+        first, last = (0, 255) if self.link.line is None else (1, LAST_SERIAL_UNIT)
+        for group in self.same_device:
+            if len(group) < 2:
+                raise ConfigError("a group is two units or more: [[1, 2]]", key="same_device")
+            wrong = next((unit for unit in sorted(group) if not first <= unit <= last), None)
+            if wrong is not None:
+                raise ConfigError(f"a unit of this line is {first}…{last}, not {wrong}", key="same_device")
+            if group & seen:
+                raise ConfigError(f"unit {min(group & seen)} is in two groups", key="same_device")
+            seen |= group
 
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
@@ -118,9 +135,8 @@ class LineSettings:
         for key, value in OF_LINES.items():
             if key in offered and key not in endpoint.options:
                 options.setdefault(key, value)
-        own = {
-            key: options.pop(key) for key in ("connections", "share_reads", "broadcast", "unit_gaps") if key in options
-        }
+        names = ("connections", "share_reads", "broadcast", "unit_gaps", "same_device")
+        own = {key: options.pop(key) for key in names if key in options}
         return cls(name, link_settings(url, options), **own)
 
 
@@ -566,6 +582,7 @@ def _opened(settings: LineSettings) -> Line:
         connections=settings.connections,
         share_reads=settings.share_reads,
         broadcast=settings.broadcast,
+        same_device=settings.same_device,
     )
     _open(line, settings)
     return line

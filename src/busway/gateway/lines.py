@@ -16,7 +16,7 @@ import asyncio
 import contextlib
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -174,6 +174,7 @@ class Line:
         connections: how many there are to one server; 1 on a serial line.
         share_reads: whether identical reads in flight are asked once.
         broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
+        same_device: units that are the same device, group by group.
         clock: seconds, by which values that are remembered grow old.
     """
 
@@ -185,6 +186,7 @@ class Line:
         connections: int = 1,
         share_reads: bool = True,
         broadcast: bool | None = None,
+        same_device: Iterable[Collection[int]] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if not 1 <= connections <= MAX_CONNECTIONS:
@@ -206,7 +208,7 @@ class Line:
         self._link_of: OrderedDict[str, Link] = OrderedDict()  # by client; who asked last comes last
         self._users: dict[Link, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
-        self.memory: Memory[_Exchange | Bunch] = Memory(self._width)
+        self.memory: Memory[_Exchange | Bunch] = Memory(self._width, same_device)
         self.bunches = Bunches(self)
         self._open = 0
         self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open

@@ -8,10 +8,12 @@ Whoever has seen a write end must not be given what was there before it. So:
    was before is forgotten. A broadcast does so for all units of the line.
    A write to 255 or 0 of a server on TCP is one to the device itself, whatever number others ask it by: it concerns all
    units too, and what is remembered of 255 and 0 is forgotten at every write.
+   So is a write to one of the units that are known to be the same device: it concerns all of them.
 2. A read that was sent before a write ended is not remembered either: its value may be the old one.
 3. A value is as old as the moment its read was sent; it is answered until its time to live has passed since.
 """
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -61,12 +63,15 @@ class Memory(Generic[Shared]):
 
     Args:
         register_width: bytes of a register.
+        same_device: units that are the same device, group by group.
     """
 
-    __slots__ = ("_open_writes", "_units", "_width")
+    __slots__ = ("_concerned", "_open_writes", "_units", "_width")
 
-    def __init__(self, register_width: int = NARROW) -> None:
+    def __init__(self, register_width: int = NARROW, same_device: Iterable[Collection[int]] = ()) -> None:
         self._width = register_width
+        # What a write to a unit concerns, where that is more than itself and what may stand for any unit.
+        self._concerned = {unit: (*sorted(group), *EVERYBODY) for group in same_device for unit in group}
         self._units: dict[int, _Unit[Shared]] = {}
         self._open_writes = 0
 
@@ -91,7 +96,7 @@ class Memory(Generic[Shared]):
         self._changed(unit)
 
     def _changed(self, unit: int) -> None:
-        concerned = self._units if unit in EVERYBODY else (unit, *EVERYBODY)
+        concerned = self._units if unit in EVERYBODY else self._concerned.get(unit, (unit, *EVERYBODY))
         for each in concerned:
             state = self._units.get(each)
             if state is not None:
@@ -103,7 +108,7 @@ class Memory(Generic[Shared]):
             return True
         if unit in EVERYBODY:
             return False
-        states = (self._units.get(each) for each in (unit, *EVERYBODY))
+        states = (self._units.get(each) for each in self._concerned.get(unit, (unit, *EVERYBODY)))
         return not any(state is not None and state.open_writes for state in states)
 
     # Reads in flight.

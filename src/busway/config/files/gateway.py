@@ -93,6 +93,7 @@ class LineSection(LinkKeys):
     connections: int = Field(default=1, ge=1, le=16)
     share_reads: bool = True
     broadcast: bool | None = None
+    same_device: list[list[int]] = Field(default_factory=list)
 
 
 class RouteSection(Section):
