@@ -284,3 +284,16 @@ def test_a_parameter_that_doubles_with_each_file_is_refused() -> None:
     files = {f"f{number}": file(number) for number in range(1, 60)}
     (sentence, *_) = refused('[[include]]\nfile = "f1.toml"\nwith = { a = "xx" }\n', **files)
     assert "more than 10000 characters of parameters would be put into it" in sentence
+
+
+def test_files_that_include_one_another_too_deeply_are_refused() -> None:
+    files = {f"f{number}": f'[[include]]\nfile = "f{number + 1}.toml"\n' for number in range(1, 500)}
+    (sentence,) = refused('[[include]]\nfile = "f1.toml"\n', **files)
+    assert "more than 32 files would include one another" in sentence
+
+
+@pytest.mark.parametrize("text", ["n is ${n}", "${n + 1}"])
+def test_a_whole_number_of_any_size_is_refused_where_it_is_put_in(text: str) -> None:
+    profile = f'[parameters]\nn = 0x{"f" * 100_000}\n[[unit]]\nname = "{text}"\ncoils = 1\n'
+    (sentence,) = refused('[[include]]\nfile = "f.toml"\nunits = "1"\n', f=profile)
+    assert "400000 bits" in sentence

@@ -39,7 +39,7 @@ from ..config.files.simulation import (
 )
 from ..errors import ConfigError
 from ..values.refusal import shown
-from .behaviours.expression import parse_expression
+from .behaviours.expression import WHOLE_BITS, parse_expression
 from .devices import PREFIX, read_included, read_profile
 from .faults.reading import fault_problems
 
@@ -51,6 +51,8 @@ _ESCAPED: Final = "$${"
 _OF_UNITS: Final = ("unit", "index")
 MOST_INCLUDES: Final = 1000
 """Files that are taken in, each as often as it is: twenty files that each include the next twice are a million."""
+MOST_LEVELS: Final = 32
+"""Files that include one another, one inside the other."""
 LONGEST_TEXT: Final = 10_000
 """Characters that are put into one text: a parameter that is put twice into the next one's doubles with each file."""
 
@@ -176,6 +178,8 @@ class _Including:
         identity = _identity(name)
         if identity in self._chain:
             raise FileError([parent.problem((*at, "file"), f"{name} would include itself")])
+        if len(self._chain) > MOST_LEVELS:
+            raise FileError([parent.problem((*at, "file"), f"more than {MOST_LEVELS} files would include one another")])
         try:
             self._count.take()
         except ConfigError as error:
@@ -332,7 +336,12 @@ class _Filled:
 
         def written(match: re.Match[str]) -> str:
             nonlocal put_in
-            found = _written(self._value(match[1], path))
+            try:
+                found = _written(self._value(match[1], path))
+            except FileError:
+                raise
+            except ConfigError as error:
+                raise FileError([self.source.problem(path, error.message)]) from None
             put_in += len(found)
             if put_in > LONGEST_TEXT:
                 sentence = f"more than {LONGEST_TEXT} characters of parameters would be put into it"
@@ -369,6 +378,8 @@ class _Filled:
 def _written(value: Parameter) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, int) and value.bit_length() > WHOLE_BITS:
+        raise ConfigError(f"a whole number of {value.bit_length()} bits is put in, and {WHOLE_BITS} are the limit")
     return str(value)
 
 

@@ -96,3 +96,77 @@ def test_a_result_of_whole_numbers_is_whole() -> None:
     assert parse_expression("1000 + 10 * index").result({"index": 4}) == 1040
     with pytest.raises(ConfigError, match="has no value"):
         parse_expression("1 / index").result({"index": 0})
+
+
+HUGE = 10**8
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "rounded"),
+    [
+        (7, -HUGE, 0.0),
+        (7, HUGE, 7.0),
+        (-(2**63), -(2**63), 0.0),
+        (2.345, HUGE, 2.345),
+        (2.345, -HUGE, 0.0),
+        (1e308, 400, 1e308),
+        (5e-324, 401, 5e-324),
+        (1234, -2, 1200.0),
+        (2.345, 1, 2.3),
+        (2.345, True, 2.3),
+    ],
+)
+def test_digits_of_rounding_are_bounded_whatever_a_point_holds(value: float, digits: float, rounded: float) -> None:
+    """A client may write any number into a point that stands for digits."""
+    held = {"value": value, "digits": digits}
+    assert parse_expression("round(value, digits)").bind(lambda name: lambda: held[name])(0.0) == rounded
+
+
+@pytest.mark.parametrize("digits", [math.nan, math.inf, -math.inf])
+def test_digits_that_are_no_number_give_no_number(digits: float) -> None:
+    assert math.isnan(parse_expression("round(7, d)").bind(lambda name: lambda: digits)(0.0))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a ** a ** a ** a",
+        "a ** -a",
+        "*".join(["a"] * 40),
+        "floor(1e308)" + " * floor(1e308)" * 35,
+        "9" * 990,
+        "exp(exp(exp(a)))",
+        "a // 1e-300 % 3",
+        "log(a, 1)",
+    ],
+)
+@pytest.mark.parametrize("value", [0, 1, -1, 2**63, -(2**63), 1e308, -1e308, 5e-324, math.inf, -math.inf, math.nan])
+def test_extreme_numbers_give_a_number_or_none_and_nothing_is_raised(text: str, value: float) -> None:
+    result = parse_expression(text).bind(lambda name: lambda: value)(0.0)
+    assert isinstance(result, float)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" + "-" * 900 + "1]",
+        "[a" + ".a" * 400 + "]",
+        "a.b[0]" + ".a" * 400,
+        "-" * 990 + "1",
+        "not " * 240 + "1",
+        "(" * 199,
+        "f(" * 99 + ")" * 99,
+    ],
+)
+def test_what_is_nested_deeply_is_refused_with_a_sentence(text: str) -> None:
+    with pytest.raises(ConfigError):
+        parse_expression(text)
+
+
+def test_whole_numbers_have_at_most_64_bits_where_they_stay_whole() -> None:
+    assert parse_expression("a * 1").result({"a": 2**64 - 1}) == 2**64 - 1
+    with pytest.raises(ConfigError, match="'a' has 65 bits, and whole numbers have at most 64"):
+        parse_expression("a").result({"a": 2**64})
+    with pytest.raises(ConfigError, match=r"has 128 bits, and whole numbers have at most 64"):
+        parse_expression("a * a").result({"a": 2**64 - 1})
+    assert parse_expression("a * 1.0").result({"a": 2**63}) == 2.0**63

@@ -6,7 +6,9 @@ Knows numbers, names and a few functions; knows no point: whoever binds an expre
    seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name, such as
    ``point("3/voltage L1")``, which is a point of unit 3.
 2. What can not be computed (a division by zero, the root of -1) is NaN. Truth is 1 and 0.
-3. An expression is short and flat: a bounded number of characters and levels, so it costs a bounded time.
+3. An expression is short and flat: a bounded number of characters and levels, so it costs a bounded time. Whatever
+   numbers come in, those in between are bounded too: powers are computed with fractions, rounding beyond `_MOST_DIGITS`
+   is none, and whole numbers that come from outside have at most `WHOLE_BITS` bits.
 """
 
 import ast
@@ -25,9 +27,19 @@ Bound = Callable[[float], float]
 
 _LONGEST: Final = 1000
 _DEEPEST: Final = 40
+_MOST_DIGITS: Final = 400
+"""Digits of rounding, either way: no number of 64 bits, and no float, has any beyond that."""
+WHOLE_BITS: Final = 64
+"""Bits of a whole number that goes into an expression or comes out whole."""
 TIME: Final = "t"
 _POINT: Final = "point"
 _CONSTANTS: Final = {"pi": math.pi}
+
+
+def _rounded(value: Any, digits: Any = 0) -> Any:
+    """``round`` with a bounded number of digits: of whole numbers Python computes ten to the power of it."""
+    return round(value, max(-_MOST_DIGITS, min(int(digits), _MOST_DIGITS)))
+
 
 _BINARY: Final[dict[type[ast.operator], Callable[[Any, Any], Any]]] = {
     ast.Add: operator.add,
@@ -55,7 +67,7 @@ _FUNCTIONS: Final[dict[str, tuple[Callable[..., Any], int, int]]] = {
     "min": (min, 2, 16),
     "max": (max, 2, 16),
     "abs": (abs, 1, 1),
-    "round": (lambda value, digits=0: round(value, int(digits)), 1, 2),
+    "round": (_rounded, 1, 2),
     "floor": (math.floor, 1, 1),
     "sqrt": (math.sqrt, 1, 1),
     "sin": (math.sin, 1, 1),
@@ -97,12 +109,24 @@ class Expression:
         return value
 
     def result(self, values: dict[str, Number]) -> Number:
-        """Its value where every name stands for a number; whole numbers stay so. Raises `ConfigError`."""
+        """Its value where every name stands for a number; whole numbers stay so.
+
+        Raises:
+            ConfigError: it has no value, or it or a number that goes in is whole and has more than `WHOLE_BITS` bits.
+        """
+        for name in self.names:
+            _check_whole(name, values[name])
         try:
             found: Number = _compiled(self._tree, lambda name: lambda: values[name])(0.0)
         except (ArithmeticError, ValueError) as error:
             raise ConfigError(f"{self.text} has no value: {error}") from error
+        _check_whole(self.text, found)
         return found
+
+
+def _check_whole(what: str, value: Number) -> None:
+    if isinstance(value, int) and value.bit_length() > WHOLE_BITS:
+        raise ConfigError(f"{shown(what)} has {value.bit_length()} bits, and whole numbers have at most {WHOLE_BITS}")
 
 
 def parse_expression(text: str) -> Expression:
@@ -111,12 +135,16 @@ def parse_expression(text: str) -> Expression:
         raise ConfigError(f"an expression has at most {_LONGEST} characters, not {len(text)}")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
+        names = tuple(dict.fromkeys(_names(tree, text, 0)))
     except SyntaxError as error:
         near = f" (column {error.offset})" if error.offset else ""
         raise ConfigError(f"{shown(text)} is no expression{near}: {error.msg}") from None
-    except (ValueError, RecursionError, MemoryError) as error:
-        raise ConfigError(f"{shown(text)} is no expression: {error or 'it is nested too deeply'}") from None
-    names = tuple(dict.fromkeys(_names(tree, text, 0)))
+    except (RecursionError, MemoryError):
+        raise ConfigError(f"{shown(text)} is no expression: it is nested too deeply") from None
+    except ConfigError:  # which is a ValueError too
+        raise
+    except ValueError as error:
+        raise ConfigError(f"{shown(text)} is no expression: {error}") from None
     return Expression(text, names, tree)
 
 
