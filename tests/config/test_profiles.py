@@ -10,7 +10,14 @@ import pytest
 import busway
 from busway.client.settings import link_settings
 from busway.config.files.device import parse_device_file
-from busway.config.profiles import STRICT_LINE_LISTENERS, STRICT_LINKS, STRICT_SERVERS, Profile, profile_of
+from busway.config.profiles import (
+    STRICT_LINE_LISTENERS,
+    STRICT_LINKS,
+    STRICT_SERVERS,
+    STRICT_TLS_LISTENERS,
+    Profile,
+    profile_of,
+)
 from busway.errors import ConfigError
 from busway.server.device import Device
 from busway.server.listener import Listener
@@ -22,7 +29,9 @@ from busway.session.parameters import MismatchPolicy, Scope, TransactionScope
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))
-EVERYWHERE = {one.option: one for one in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_SERVERS)}
+EVERYWHERE = {
+    one.option: one for one in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_TLS_LISTENERS, *STRICT_SERVERS)
+}
 URLS = ("tcp://h", "udp://h", "rtu:///dev/x", "ascii:///dev/x", "rtu+tcp://h:1", "ascii+udp://h:1")
 
 
@@ -57,6 +66,7 @@ def test_whatever_the_profile_changes_is_stated_as_a_deviation() -> None:
         if getattr(default, "value", default) != setting.value:
             changed.add(setting.option)
     assert changed <= stated
+    assert {one.option for one in STRICT_TLS_LISTENERS} <= stated
     assert {one.option for one in STRICT_SERVERS} - stated <= {"keepalive", "no_delay"}  # those are our defaults
 
 
@@ -125,7 +135,7 @@ def test_a_profile_that_is_not_there_is_refused() -> None:
 
 def test_the_reference_lists_every_setting_of_the_profile() -> None:
     page = (ROOT / "docs" / "reference" / "defaults.md").read_text(encoding="utf-8")
-    for setting in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_SERVERS):
+    for setting in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_TLS_LISTENERS, *STRICT_SERVERS):
         value = "on" if setting.value is True else setting.value
         shown = f"`{setting.option}={value:g}`" if isinstance(value, int | float) else f"`{setting.option}={value}`"
         assert f"{shown}*" in page if setting.adaptable else shown in page, setting.option

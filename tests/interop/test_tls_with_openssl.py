@@ -101,6 +101,27 @@ def test_old_versions_and_weak_suites_are_refused(
     assert "alert" in seen
 
 
+@pytest.mark.clause("M2")
+@pytest.mark.parametrize("version", ["-tls1_2", "-tls1_3"])
+@pytest.mark.parametrize(
+    ("groups", "agreed"),
+    [
+        ("X25519:P-256", True),
+        ("X448:P-521:P-384:X25519:P-256", True),
+        ("X25519", False),
+        ("X448", False),
+        ("P-384", False),
+        ("P-521", False),
+    ],
+)
+def test_keys_are_agreed_on_over_p_256_alone_whatever_is_offered(
+    openssl: str, port: str, client: CertificateFiles, version: str, groups: str, agreed: bool
+) -> None:
+    seen = report(command(openssl, port, client, version, "-groups", groups))
+    assert ("ECDH, prime256v1" in seen or "ECDH, P-256" in seen or "secp256r1" in seen) is agreed
+    assert ("alert handshake failure" in seen) is not agreed
+
+
 @pytest.mark.clause("M3")
 @pytest.mark.parametrize(("version", "alert"), [("-tls1_2", "handshake failure"), ("-tls1_3", "certificate required")])
 def test_without_a_certificate_there_is_a_fatal_alert(

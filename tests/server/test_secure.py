@@ -379,6 +379,79 @@ def test_what_is_no_tls_is_refused_and_never_reaches_the_device(served: ServerTh
 
 
 @pytest.mark.clause("T35")
+@pytest.mark.clause("M3")
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_revoked_client_is_refused_as_soon_as_the_list_is_read_again(
+    store: Store, server_files: CertificateFiles, caplog: pytest.LogCaptureFixture, version: TlsVersion
+) -> None:
+    files = store.client("soon lost")
+    context = foreign_context(files, files, version)
+    revocations = store.revocation_list(name="read again")
+    url = f"tls://127.0.0.1:0?{server_files.query()}&revocation_list={revocations}"
+    with busway.serve_in_thread(url, units=device()) as server:
+        with foreign_client(port_of(server), context) as client:
+            assert ask(client) == REPLY
+        store.revocation_list(files, name="read again")
+        server.reload_security()
+        assert "ALERT" in try_to_read(port_of(server), context)
+        wait_for(lambda: security_of(server).refused == {"revoked": 1})
+        assert "the client's certificate is revoked" in caplog.text
+        revocations.write_bytes(b"damaged")
+        with pytest.raises(ConfigError, match="there is no revocation list in it"):
+            server.reload_security()
+        assert "ALERT" in try_to_read(port_of(server), context)  # the list before still holds
+
+
+@pytest.mark.clause("M3")
+def test_with_a_list_that_has_expired_nobody_is_let_in_and_the_log_says_what_is_needed(
+    store: Store, server_files: CertificateFiles, operator: CertificateFiles, caplog: pytest.LogCaptureFixture
+) -> None:
+    revocations = store.revocation_list(name="expired", days=-1.0)
+    url = f"tls://127.0.0.1:0?{server_files.query()}&revocation_list={revocations}"
+    with busway.serve_in_thread(url, units=device()) as server:
+        assert "ALERT" in try_to_read(port_of(server), foreign_context(operator, operator))
+        wait_for(lambda: security_of(server).refused == {"not known whether revoked": 1})
+    assert "a revocation list has expired, and a new one is needed" in caplog.text
+
+
+@pytest.mark.clause("M3")
+def test_a_client_refuses_a_revoked_server_and_says_why(store: Store, operator: CertificateFiles) -> None:
+    lost = store.server("lost server")
+    with busway.serve_in_thread(f"tls://127.0.0.1:0?{lost.query()}", units=device()) as server:
+        for revocations, sentence in (
+            (store.revocation_list(lost, name="of servers"), "the server's certificate is revoked"),
+            (store.revocation_list(name="old", days=-1.0), "a revocation list has expired"),
+        ):
+            url = f"{server.endpoints[0]}?{operator.query()}&revocation_list={revocations}"
+            with pytest.raises(busway.LinkDown, match=sentence), busway.connect(url, shared=False, retries=0) as link:
+                link.unit(1).read_holding_registers(0, count=1)
+        revocations = store.revocation_list(name="of servers")
+        url = f"{server.endpoints[0]}?{operator.query()}&revocation_list={revocations}"
+        with busway.connect(url, shared=False) as link:
+            assert link.unit(1).read_holding_registers(0, count=1) == [REGISTER]
+
+
+@pytest.mark.clause("M3")
+@pytest.mark.parametrize("strict", [False, True], ids=["standard", "strict"])
+def test_a_certificate_that_does_not_say_what_it_is_for_is_refused_by_the_profile_strict(
+    store: Store, server_files: CertificateFiles, operator: CertificateFiles, strict: bool
+) -> None:
+    options = {"profile": "strict", "standard_port": False} if strict else {}
+    files = store.client_without_purpose()
+    with busway.serve_in_thread(f"tls://127.0.0.1:0?{server_files.query()}", units=device(), **options) as server:
+        heard = try_to_read(port_of(server), foreign_context(files, files))
+        assert heard == ("closed" if strict else REPLY.hex())
+        if strict:
+            wait_for(lambda: security_of(server).refused == {"wrong purpose": 1})
+        assert try_to_read(port_of(server), foreign_context(operator, operator)) == REPLY.hex()
+
+
+def test_an_option_that_contradicts_the_profile_is_refused(server_files: CertificateFiles) -> None:
+    url = f"tls://127.0.0.1:0?{server_files.query()}&require_purpose=off"
+    with pytest.raises(ConfigError, match="require_purpose: does not go with the profile strict"):
+        busway.serve(url, units=device(), profile="strict", standard_port=False)
+
+
 def test_an_address_that_is_refused_never_gets_to_a_handshake(server_files: CertificateFiles) -> None:
     with busway.serve_in_thread(
         f"tls://127.0.0.1:0?{server_files.query()}", units=device(), authorise=lambda host: False

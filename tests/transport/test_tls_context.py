@@ -5,14 +5,17 @@ import os
 import ssl
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tls_peers import OF_SSL
 
 from busway.errors import ConfigError
 from busway.testing.certificates import CertificateFiles, CertificateStore
 from busway.testing.clock import FakeClock
-from busway.transport.tls import SUITES, TlsParameters, TlsVersion, Verify, tls_parameters
+from busway.transport.tls import SUITES, Curve, TlsParameters, TlsVersion, Verify, tls_parameters
 from busway.transport.tls_context import WatchedContext, client_context, server_context
+from busway.transport.tls_failures import FailureKind, failure_of
 
 
 @pytest.fixture
@@ -97,6 +100,29 @@ def _written(files: CertificateFiles, name: str, data: bytes) -> str:
 
 
 DAMAGES: dict[str, tuple[Damage, str]] = {
+    "no revocation list file": (
+        lambda files, store: _with(files, revocation_list="/missing.crl"),
+        "/missing.crl: revocation_list: can not be read: no such file or directory",
+    ),
+    "a revocation list that is none": (
+        lambda files, store: _with(files, revocation_list=str(files.key)),
+        "server.key: revocation_list: there is no revocation list in it (a PEM file is needed)",
+    ),
+    "a certificate among revocation lists": (
+        lambda files, store: _with(
+            files,
+            revocation_list=_written(
+                files, "both.crl", store.revocation_list().read_bytes() + files.certificate.read_bytes()
+            ),
+        ),
+        "both.crl: revocation_list: there is a certificate in it; it holds revocation lists alone",
+    ),
+    "a damaged revocation list": (
+        lambda files, store: _with(
+            files, revocation_list=_written(files, "odd.crl", b"-----BEGIN X509 CRL-----\nAAAA\n-----END X509 CRL-----")
+        ),
+        "odd.crl: revocation_list: the revocation lists can not be read",
+    ),
     "no certificate file": (
         lambda files, store: _with(files, certificate="/missing.pem"),
         "/missing.pem: certificate: can not be read: no such file or directory",
@@ -252,3 +278,134 @@ def test_a_new_authority_in_a_directory_is_noticed(store: CertificateStore, file
     (directory / "two.pem").write_bytes(store.foreign.issued.certificate_pem())
     clock.advance(1.0)
     assert watched.current().cert_store_stats()["x509_ca"] == 2
+
+
+# ---- curves and revocation lists: handshakes in memory
+
+
+def agreed(server: ssl.SSLContext, client: ssl.SSLContext) -> FailureKind | None:
+    """What came of a handshake: None where both sides agreed, or else what the side that refused says."""
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    sides = {
+        True: server.wrap_bio(to_server, to_client, server_side=True),
+        False: client.wrap_bio(to_client, to_server, server_hostname="localhost"),
+    }
+    left = set(sides)
+    for _ in range(10):
+        for server_side in sorted(left):
+            try:
+                sides[server_side].do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+            except ssl.SSLError as error:
+                return failure_of(error, server_side=server_side).kind
+            left.discard(server_side)
+    assert not left
+    return None
+
+
+def pair(
+    store: CertificateStore, version: TlsVersion | None = None, **more: Any
+) -> tuple[ssl.SSLContext, ssl.SSLContext]:
+    """A server and a client of ours with the same options."""
+    versions = {} if version is None else {"minimum_version": version, "maximum_version": version}
+    server, client = store.server().options(), store.client().options()
+    return (
+        server_context(TlsParameters(**server, **versions, **more)),
+        client_context(TlsParameters(**client, **versions, **more)),
+    )
+
+
+def foreign(files: CertificateFiles, protocol: int, group: str | None, version: TlsVersion) -> ssl.SSLContext:
+    """A context of the standard library with one group, or all that OpenSSL has."""
+    context = ssl.SSLContext(protocol)
+    context.minimum_version = context.maximum_version = OF_SSL[version]
+    context.load_cert_chain(files.certificate, files.key)
+    context.load_verify_locations(files.authority)
+    if group is not None:
+        context.set_ecdh_curve(group)
+    return context
+
+
+@pytest.mark.clause("M2")
+@pytest.mark.parametrize("version", list(TlsVersion))
+@pytest.mark.parametrize("group", [None, "prime256v1", "X25519", "X448", "secp384r1", "secp521r1"])
+def test_keys_are_agreed_on_over_p_256_alone(store: CertificateStore, version: TlsVersion, group: str | None) -> None:
+    ours = dict(zip((True, False), pair(store, version), strict=True))
+    client = foreign(store.client(), ssl.PROTOCOL_TLS_CLIENT, group, version)
+    server = foreign(store.server(), ssl.PROTOCOL_TLS_SERVER, group, version)
+    may = group in (None, "prime256v1")
+    assert (agreed(ours[True], client) is None) is may
+    assert (agreed(server, ours[False]) is None) is may
+
+
+def test_with_any_curve_others_are_taken(store: CertificateStore) -> None:
+    version = TlsVersion.TLS_1_3  # with 1.2 a list of one group is about the keys of certificates too
+    server, client = pair(store, version, curve=Curve.ANY)
+    for group in ("X25519", "secp384r1", "prime256v1"):
+        assert agreed(server, foreign(store.client(), ssl.PROTOCOL_TLS_CLIENT, group, version)) is None
+        assert agreed(foreign(store.server(), ssl.PROTOCOL_TLS_SERVER, group, version), client) is None
+
+
+@pytest.mark.clause("M3")
+@pytest.mark.parametrize("version", list(TlsVersion))
+def test_a_revoked_certificate_is_refused_by_either_side_and_others_are_not(
+    store: CertificateStore, version: TlsVersion
+) -> None:
+    good, lost, bad_server = store.client(), store.client("lost"), store.server("bad server")
+    revocations = str(store.revocation_list(lost, bad_server))
+    server, client = pair(store, version, revocation_list=revocations)
+    assert agreed(server, client) is None
+    assert agreed(server, foreign(good, ssl.PROTOCOL_TLS_CLIENT, None, version)) is None
+    assert agreed(server, foreign(lost, ssl.PROTOCOL_TLS_CLIENT, None, version)) is FailureKind.REVOKED
+    assert agreed(foreign(store.server(), ssl.PROTOCOL_TLS_SERVER, None, version), client) is None
+    assert agreed(foreign(bad_server, ssl.PROTOCOL_TLS_SERVER, None, version), client) is FailureKind.REVOKED
+
+
+@pytest.mark.clause("M3")
+def test_without_a_valid_list_of_each_authority_above_nobody_is_let_in(store: CertificateStore) -> None:
+    between = store.authority.intermediate("between")
+    below = store.client("below", authority=between)
+    context = foreign(below, ssl.PROTOCOL_TLS_CLIENT, None, TlsVersion.TLS_1_3)
+    files = store.server().options()
+    of_root = store.revocation_list(name="root").read_bytes()
+    of_between = store.revocation_list(name="between", authority=between).read_bytes()
+    expired = store.revocation_list(name="old", days=-1.0).read_bytes()
+    foreign_list = store.revocation_list(name="foreign", authority=store.foreign).read_bytes()
+    known = FailureKind.NOT_KNOWN_WHETHER_REVOKED
+    for lists, outcome in (
+        (of_root + of_between, None),
+        (of_root, known),
+        (of_between, known),
+        (of_between + expired, known),
+        (foreign_list, known),
+    ):
+        file = _written(below, "lists.crl", lists)
+        assert agreed(server_context(TlsParameters(**files, revocation_list=file)), context) is outcome
+
+
+def test_an_authority_that_was_revoked_takes_with_it_what_it_has_signed(store: CertificateStore) -> None:
+    between = store.authority.intermediate("between")
+    below = store.client("below", authority=between)
+    revoked = CertificateFiles(Path(), Path(), Path(), between.issued)
+    lists = store.revocation_list(revoked).read_bytes()
+    lists += store.revocation_list(name="between", authority=between).read_bytes()
+    file = _written(below, "lists.crl", lists)
+    server = server_context(TlsParameters(**store.server().options(), revocation_list=file))
+    client = foreign(below, ssl.PROTOCOL_TLS_CLIENT, None, TlsVersion.TLS_1_3)
+    assert agreed(server, client) is FailureKind.REVOKED
+
+
+def test_a_list_that_is_read_again_holds_for_the_next_connection(store: CertificateStore) -> None:
+    clock = FakeClock()
+    files = store.client()
+    client = foreign(files, ssl.PROTOCOL_TLS_CLIENT, None, TlsVersion.TLS_1_3)
+    parameters = TlsParameters(**store.server().options(), revocation_list=str(store.revocation_list()))
+    watched = WatchedContext(parameters, server_context, name="x", clock=clock.now)
+    assert agreed(watched.current(), client) is None
+    store.revocation_list(files)
+    clock.advance(2)
+    assert agreed(watched.current(), client) is FailureKind.REVOKED
+    store.revocation_list()
+    watched.reload()
+    assert agreed(watched.current(), client) is None

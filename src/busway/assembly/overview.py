@@ -50,6 +50,8 @@ def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
         yield f"certificate {tls.certificate}, authority {tls.authority}"
         if tls.require_role:
             yield "a role is required"
+        if tls.revocation_list is not None:
+            yield f"revocation list {tls.revocation_list}"
 
 
 def _addresses(addresses: AddressList) -> Iterator[str]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-TLS_FILES: Final = ("certificate", "key", "password_file", "authority")
+TLS_FILES: Final = ("certificate", "key", "password_file", "authority", "revocation_list")
 """Options of `TlsParameters` that are paths."""
 
 

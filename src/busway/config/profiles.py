@@ -77,6 +77,9 @@ STRICT_LINKS: Final = (
 STRICT_LINE_LISTENERS: Final = _LINE
 """What the URL of a listener on a line is set to."""
 
+STRICT_TLS_LISTENERS: Final = (Setting("M3", "require_purpose", True),)
+"""What the URL of a ``tls://`` listener is set to."""
+
 STRICT_SERVERS: Final = (
     Setting("T3", "standard_port", True, adaptable=True),
     Setting("T11", "single_adu_segments", True),

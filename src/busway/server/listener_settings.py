@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from ..config.endpoints import Endpoint, parse_endpoint
 from ..config.options import build_parameters, option_names
-from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, with_profile
+from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, STRICT_TLS_LISTENERS, with_profile
 from ..errors import ConfigError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
@@ -84,8 +84,9 @@ def listener_settings(
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
     given: Mapping[str, object] = endpoint.options
-    if endpoint.framing != "mbap":
-        given = with_profile(given, STRICT_LINE_LISTENERS, takes={name for names in offered.values() for name in names})
+    strict = STRICT_TLS_LISTENERS if endpoint.carrier == "tls" else STRICT_LINE_LISTENERS
+    if endpoint.carrier == "tls" or endpoint.framing != "mbap":
+        given = with_profile(given, strict, takes={name for names in offered.values() for name in names})
     for name, value in given.items():
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:

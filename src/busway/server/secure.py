@@ -224,6 +224,9 @@ class Gate:
         facts = facts_of_der(certificate)
         if now() > facts.not_after:
             raise TlsFailure(FailureKind.EXPIRED, "the client's certificate has expired since the session began")
+        if self._parameters.require_purpose and not facts.states_purpose:
+            sentence = f"the client's certificate {facts.subject} does not say what it is for (extended key usage)"
+            raise TlsFailure(FailureKind.WRONG_PURPOSE, f"{sentence}, and that is required (require_purpose)")
         if reading.role is None:
             about = f" ({reading.reason})" if reading.reason else ""
             if self._parameters.require_role:

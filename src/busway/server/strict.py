@@ -44,10 +44,10 @@ def with_server_profile(
 
 
 def _strict(place: Place) -> Place:
-    """A listener on a line takes the profile in its URL; limits of its own keep to one frame for each segment."""
+    """A listener on a line or over TLS takes the profile in its URL; own limits keep to one frame for each segment."""
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)
-    if endpoint.framing != "mbap" and OPTION not in endpoint.options:
+    if (endpoint.framing != "mbap" or endpoint.carrier == "tls") and OPTION not in endpoint.options:
         endpoint = replace(endpoint, options={**endpoint.options, OPTION: Profile.STRICT.value})
     limits = listener.limits and replace(listener.limits, single_adu_segments=True)
     return replace(listener, endpoint=endpoint, limits=limits)

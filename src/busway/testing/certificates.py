@@ -95,6 +95,30 @@ class CertificateStore:
         """A client's in which the role extension stands twice."""
         return self.write(name, self._two_roles(name, first, second))
 
+    def client_without_purpose(self, name: str = "any purpose") -> CertificateFiles:
+        """A client's that does not say what it is for: it has no extended key usage."""
+        return self.write(name, self.authority.client_with(name, [], states_purpose=False))
+
+    def revocation_list(
+        self,
+        *revoked: CertificateFiles,
+        authority: Authority | None = None,
+        days: float = 30.5,
+        name: str = "revoked",
+    ) -> Path:
+        """A file with the revocation list of an authority: of the trusted one unless another is named.
+
+        Args:
+            revoked: the certificates on it.
+            authority: who signs it.
+            days: how long it is valid from now on; negative for one whose time is over.
+            name: it is written as NAME.crl, in place of an old one.
+        """
+        file = self.directory / f"{name}.crl"
+        serials = [one.issued.certificate.serial_number for one in revoked]
+        file.write_bytes((authority or self.authority).revocation_list(serials, days=days))
+        return file
+
     def write(self, name: str, issued: Issued) -> CertificateFiles:
         """Write certificate and key as NAME.pem and NAME.key."""
         stem = name.replace(" ", "-")

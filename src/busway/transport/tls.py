@@ -28,7 +28,7 @@ NULL_SUITES: Final = ("NULL-SHA256",)
 
 OF_CLIENTS: Final = frozenset({"server_name", "verify"})
 """What has no effect with a listener."""
-OF_SERVERS: Final = frozenset({"require_role", "max_handshakes"})
+OF_SERVERS: Final = frozenset({"require_role", "require_purpose", "max_handshakes"})
 """What has no effect with a client."""
 
 
@@ -37,6 +37,14 @@ class TlsVersion(Enum):
 
     TLS_1_2 = "1.2"
     TLS_1_3 = "1.3"
+
+
+class Curve(Enum):
+    """The curve over which keys are agreed on."""
+
+    P_256 = "P-256"
+    ANY = "any"
+    """Whatever OpenSSL offers: X25519, P-256, X448, P-384, P-521 and finite fields."""
 
 
 class Verify(Enum):
@@ -59,8 +67,14 @@ class TlsParameters:
         authority: file with the certificates of the authorities that peers may come from, or a directory of such files.
         minimum_version, maximum_version: 1.2 or 1.3.
         ciphers: suites of TLS 1.2, out of `SUITES` and `NULL_SUITES`, with commas between; None takes `SUITES`.
+        curve: ``P-256`` alone, or ``any`` that OpenSSL has. With TLS 1.2, EC keys of certificates are bound to it too.
+        revocation_list: file with the revocation lists (CRLs) in PEM of every authority that certificates of peers come
+            from, up to the root; a peer whose certificate is revoked, or about which no valid list is there, is
+            refused. None looks at none.
         handshake_timeout: seconds from the connection until both sides have agreed, 0.1…600.
         require_role: a listener refuses clients whose certificate has no role.
+        require_purpose: a listener refuses clients whose certificate does not say what it is for (extended key usage).
+            One that says it is for something else is refused in any case.
         max_handshakes: clients of a listener whose handshake is not finished, 1…10000; the next one takes the place of
             the oldest of them.
         server_name: the name (or address) that the server's certificate must have; None takes the host of the URL.
@@ -74,8 +88,11 @@ class TlsParameters:
     minimum_version: TlsVersion = TlsVersion.TLS_1_2
     maximum_version: TlsVersion = TlsVersion.TLS_1_3
     ciphers: str | None = None
+    curve: Curve = Curve.P_256
+    revocation_list: str | None = None
     handshake_timeout: float = 10.0
     require_role: bool = False
+    require_purpose: bool = False
     max_handshakes: int = 64
     server_name: str | None = None
     verify: Verify = Verify.ALWAYS

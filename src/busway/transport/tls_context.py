@@ -2,8 +2,8 @@
 
 Knows files and OpenSSL; knows no connection.
 
-1. TLS 1.2 and 1.3 only, suites of the parameters only, no compression, no renegotiation, security level 2 (keys of at
-   least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1).
+1. TLS 1.2 and 1.3 only, suites and curve of the parameters only, no compression, no renegotiation, security level 2
+   (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1).
 2. A server asks every client for a certificate. Sessions to be resumed stay in the server's memory and not in tickets,
    because only there a fatal alert can forget them; with them stays the client's certificate.
 3. `WatchedContext` gives the context to each new connection: files that have changed are read again, and where they
@@ -19,12 +19,15 @@ from pathlib import Path
 from typing import Final
 
 from ..errors import ConfigError
-from .tls import NULL_SUITES, TlsParameters, TlsVersion, Verify
+from .tls import NULL_SUITES, Curve, TlsParameters, TlsVersion, Verify
 
 _log = logging.getLogger("busway.tls")
 
 _VERSIONS: Final = {TlsVersion.TLS_1_2: ssl.TLSVersion.TLSv1_2, TlsVersion.TLS_1_3: ssl.TLSVersion.TLSv1_3}
 _BEGIN_CERTIFICATE: Final = "-----BEGIN CERTIFICATE-----"
+_ANY_CERTIFICATE: Final = "CERTIFICATE-----"
+_BEGIN_REVOCATIONS: Final = "-----BEGIN X509 CRL-----"
+_OPENSSL_NAME: Final = {Curve.P_256: "prime256v1"}
 _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
 """What of a directory of authorities is read."""
 _NO_CHECK_TIME: Final = 0x20_0000
@@ -69,10 +72,15 @@ def _context(protocol: int, parameters: TlsParameters) -> ssl.SSLContext:
     context.set_ciphers(":".join([*parameters.suites, f"@SECLEVEL={0 if unencrypted else 2}"]))
     if unencrypted:
         _log.warning("%s: what is said over such a connection can be read by everybody", ", ".join(unencrypted))
+    if parameters.curve is not Curve.ANY:
+        # Of both sides and, by OpenSSL 3, for TLS 1.3 too: it sets the list of groups to this one.
+        context.set_ecdh_curve(_OPENSSL_NAME[parameters.curve])
     if parameters.certificate is not None:
         _load_own(context, parameters, parameters.certificate)
     if parameters.authority is not None:
         _load_authority(context, parameters.authority)
+    if parameters.revocation_list is not None:
+        _load_revocations(context, parameters.revocation_list)
     return context
 
 
@@ -136,6 +144,24 @@ def _load_authority(context: ssl.SSLContext, name: str) -> None:
         except ssl.SSLError as error:
             reason = (error.reason or str(error)).lower().replace("_", " ")
             raise ConfigError(f"the certificates can not be read: {reason}", file=file, key="authority") from error
+
+
+def _load_revocations(context: ssl.SSLContext, name: str) -> None:
+    text = _text(name, "revocation_list")
+    if _BEGIN_REVOCATIONS not in text:
+        raise ConfigError("there is no revocation list in it (a PEM file is needed)", file=name, key="revocation_list")
+    if _ANY_CERTIFICATE in text:  # OpenSSL would take it for one of an authority that is trusted
+        raise ConfigError(
+            "there is a certificate in it; it holds revocation lists alone", file=name, key="revocation_list"
+        )
+    try:
+        context.load_verify_locations(cafile=name)
+    except (ssl.SSLError, OSError) as error:
+        reason = (getattr(error, "reason", None) or str(error)).lower().replace("_", " ")
+        raise ConfigError(
+            f"the revocation lists can not be read: {reason}", file=name, key="revocation_list"
+        ) from error
+    context.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN
 
 
 def _authority_files(name: str) -> list[str]:
@@ -224,7 +250,8 @@ class WatchedContext:
     def _files(self) -> tuple[tuple[str, int, int], ...]:
         """What tells whether a file has changed: time and size of each; a file that is not there has none."""
         chosen = self.parameters
-        names = [one for one in (chosen.certificate, chosen.key, chosen.password_file) if one is not None]
+        own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
+        names = [one for one in own if one is not None]
         if chosen.authority is not None:
             try:
                 names += [chosen.authority, *_authority_files(chosen.authority)]

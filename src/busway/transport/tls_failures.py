@@ -23,6 +23,7 @@ class FailureKind(Enum):
     WRONG_NAME = "wrong name"
     WRONG_PURPOSE = "wrong purpose"
     REVOKED = "revoked"
+    NOT_KNOWN_WHETHER_REVOKED = "not known whether revoked"
     TOO_WEAK = "too weak"
     BAD_CERTIFICATE = "bad certificate"
     NO_CERTIFICATE = "no certificate"
@@ -98,9 +99,25 @@ def _verdict(error: ssl.SSLError, peer: str) -> tuple[FailureKind, str]:
 
 _VERIFICATION: Final = {
     # X509_V_ERR_… of OpenSSL. Which certificate of a chain has expired, ssl does not tell.
+    3: (
+        FailureKind.NOT_KNOWN_WHETHER_REVOKED,
+        "may be revoked: there is no revocation list of its authority, or of one above that (revocation_list)",
+    ),
     7: (FailureKind.BAD_CERTIFICATE, "has a signature that does not fit"),
+    8: (
+        FailureKind.NOT_KNOWN_WHETHER_REVOKED,
+        "may be revoked: the signature of a revocation list does not fit (revocation_list)",
+    ),
     9: (FailureKind.NOT_YET_VALID, "is not valid yet (one of its chain; or the clock here is wrong)"),
     10: (FailureKind.EXPIRED, "has expired (one of its chain; or the clock here is wrong)"),
+    11: (
+        FailureKind.NOT_KNOWN_WHETHER_REVOKED,
+        "may be revoked: a revocation list is not valid yet, or the clock here is wrong (revocation_list)",
+    ),
+    12: (
+        FailureKind.NOT_KNOWN_WHETHER_REVOKED,
+        "may be revoked: a revocation list has expired, and a new one is needed (revocation_list)",
+    ),
     18: (FailureKind.SELF_SIGNED, "is signed by itself, and not by an authority that is known here"),
     19: (FailureKind.UNKNOWN_AUTHORITY, "is signed by an authority that is not known here"),
     20: (FailureKind.UNKNOWN_AUTHORITY, "is signed by an authority that is not known here"),
@@ -134,6 +151,7 @@ _ALERTS: Final = {
 _NO_TLS: Final = (FailureKind.NOT_TLS, "what the PEER sends is no TLS")
 _VERSION: Final = (FailureKind.WRONG_VERSION, "the PEER speaks no version of TLS that is allowed here")
 _SUITE: Final = (FailureKind.NO_COMMON_SUITE, "the PEER offers no suite that is allowed here")
+_CURVE: Final = (FailureKind.NO_COMMON_SUITE, "the PEER offers no curve that is allowed here (curve)")
 
 _REASONS: Final = {
     "PEER_DID_NOT_RETURN_A_CERTIFICATE": (FailureKind.NO_CERTIFICATE, "the PEER sent no certificate"),
@@ -150,8 +168,13 @@ _REASONS: Final = {
     "NO_PROTOCOLS_AVAILABLE": _VERSION,
     "NO_SHARED_CIPHER": _SUITE,
     "NO_SUITABLE_SIGNATURE_ALGORITHM": _SUITE,
-    "NO_SUITABLE_KEY_SHARE": _SUITE,
-    "NO_SUITABLE_GROUPS": _SUITE,
+    "NO_SUITABLE_KEY_SHARE": _CURVE,
+    "NO_SUITABLE_GROUPS": _CURVE,
+    "BAD_KEY_SHARE": _CURVE,
+    "WRONG_CURVE": (
+        FailureKind.BAD_CERTIFICATE,
+        "the PEER's certificate has a key on a curve not allowed here (curve)",
+    ),
     "WRONG_CIPHER_RETURNED": _SUITE,
     "UNEXPECTED_EOF_WHILE_READING": (FailureKind.GONE, "the PEER closed the connection"),
     "DECRYPTION_FAILED_OR_BAD_RECORD_MAC": (FailureKind.OTHER, "a record of the PEER was damaged or forged"),

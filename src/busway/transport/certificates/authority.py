@@ -112,15 +112,44 @@ class Authority:
         days: float = 825.0,
         starts_in: float = 0.0,
         more: Mapping[str, bytes] | None = None,
+        states_purpose: bool = True,
     ) -> Issued:
-        """A certificate for a client whose role extension holds these bytes (at most one value), with ``more``."""
+        """A certificate for a client whose role extension holds these bytes (at most one value), with ``more``.
+
+        ``states_purpose``: whether it says that it is for clients (extended key usage).
+        """
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
-        extensions: list[x509.ExtensionType] = [x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])]
+        extensions: list[x509.ExtensionType] = []
+        if states_purpose:
+            extensions.append(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]))
         raw = [(ROLE_EXTENSION, one) for one in role_values] + list((more or {}).items())
         extensions += [x509.UnrecognizedExtension(x509.ObjectIdentifier(number), one) for number, one in raw]
         return _build(name, self.issued, days=days, starts_in=starts_in, extensions=extensions)
+
+    def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
+        """A revocation list in PEM with these serial numbers, valid for ``days`` from now; negative: it has expired."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives import hashes
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        now = datetime.datetime.now(datetime.UTC)
+        ends = now + datetime.timedelta(days=days)
+        begins = min(now - _BACKDATED, ends - _BACKDATED)
+        builder = (
+            x509.CertificateRevocationListBuilder()
+            .issuer_name(self.issued.certificate.subject)
+            .last_update(begins)
+            .next_update(ends)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self.issued.key.public_key()), critical=False
+            )
+        )
+        for serial in serials:
+            one = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(begins).build()
+            builder = builder.add_revoked_certificate(one)
+        return builder.sign(self.issued.key, hashes.SHA256()).public_bytes(Encoding.PEM)
 
     @staticmethod
     def self_signed(name: str, hosts: Sequence[str], *, days: float = 825.0) -> Issued:

@@ -31,6 +31,7 @@ class CertificateFacts:
         role: role of a client; None without one.
         role_problem: what is wrong with the role; empty otherwise.
         is_authority: whether it may sign others.
+        states_purpose: whether it says what it is for (extended key usage).
         key: kind and size of the key, as ``EC secp256r1``.
         fingerprint: SHA-256 in hexadecimal.
     """
@@ -44,6 +45,7 @@ class CertificateFacts:
     role: str | None
     role_problem: str
     is_authority: bool
+    states_purpose: bool
     key: str
     fingerprint: str
 
@@ -100,7 +102,7 @@ def _facts(certificate: "x509.Certificate") -> CertificateFacts:
 
     role, problem = None, ""
     names: tuple[str, ...] = ()
-    is_authority = False
+    is_authority = states_purpose = False
     try:
         reading = role_of_certificate(certificate.public_bytes(Encoding.DER))
         role, problem = reading.role, reading.reason
@@ -112,6 +114,8 @@ def _facts(certificate: "x509.Certificate") -> CertificateFacts:
                 names = tuple(printable(str(name.value)) for name in one.value)
             elif isinstance(one.value, x509.BasicConstraints):
                 is_authority = one.value.ca
+            elif isinstance(one.value, x509.ExtendedKeyUsage):
+                states_purpose = True
     return CertificateFacts(
         subject=printable(certificate.subject.rfc4514_string()),
         issuer=printable(certificate.issuer.rfc4514_string()),
@@ -122,6 +126,7 @@ def _facts(certificate: "x509.Certificate") -> CertificateFacts:
         role=role,
         role_problem=problem,
         is_authority=is_authority,
+        states_purpose=states_purpose,
         key=_key_words(certificate),
         fingerprint=certificate.fingerprint(hashes.SHA256()).hex(),
     )
