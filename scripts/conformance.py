@@ -115,12 +115,9 @@ def _claim(kind: dict[str, Any], data: dict[str, Any]) -> Claim:
         for id_ in re.findall(r"[ASTM]\d+", one["clause"].split(":")[0])
         if id_ in concerning and _concerns(one, kind, id_)
     ]
-    open_ended = {id_ for id_, one in deviating if "profile" not in one}
-    failing = {id_ for id_, one in concerning.items() if one["state"] != "done"} | open_ended
-    musts, shoulds = (
-        tuple(id_ for id_ in concerning if id_ in failing and concerning[id_].get("word") == word)
-        for word in ("must", "should")
-    )
+    failing = {(id_, one.get("word")) for id_, one in concerning.items() if one["state"] != "done"}
+    failing |= {(id_, one.get("word", concerning[id_].get("word"))) for id_, one in deviating if "profile" not in one}
+    musts, shoulds = (tuple(id_ for id_ in concerning if (id_, word) in failing) for word in ("must", "should"))
     verdict = NONE if musts else CONDITIONAL if shoulds else UNCONDITIONAL
     ended = {id_ for id_, one in deviating if "profile" in one}
     return Claim(kind["name"], verdict, tuple(id_ for id_ in concerning if id_ in ended), musts, shoulds)

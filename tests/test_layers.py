@@ -23,6 +23,7 @@ LAYER_OF = {
     "values": 1,
     "framing": 2,
     "session": 3,
+    "interpreter": 4,
     "transport": 4,
     "config": 4,
     "client": 5,

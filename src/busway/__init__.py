@@ -11,7 +11,10 @@ interface; everything else may change.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .interpreter import refuse_free_threading
 from .version import __version__
+
+refuse_free_threading()
 
 if TYPE_CHECKING:
     from .assembly.configuration import Configuration, load_configuration

@@ -133,7 +133,8 @@ class ExceptionCode(IntEnum):
 EXCEPTION_MEANING: Final[dict[int, str]] = {
     0x01: "illegal function: the device does not offer it or not to you, or is not configured",
     0x02: "illegal data address: an item in the range does not exist or may not be written",
-    0x03: "illegal data value: a quantity or a length in the request is not allowed",
+    0x03: "illegal data value: a quantity or a length in the request is not allowed (the code is not about a value"
+    " that is written, though some devices use it so)",
     0x04: "server device failure while executing",
     0x05: "acknowledge: the device accepted the request and needs time",
     0x06: "server device busy: the application decides on sending again",

@@ -79,6 +79,8 @@ def test_a_deviation_that_the_profile_ends_is_named_and_one_that_nothing_ends_co
     assert (claim.verdict, claim.profile) == (MODULE.UNCONDITIONAL, ("S1",))
     assert claimed(clauses, [ended, {"clause": "S2: that"}]).verdict == MODULE.CONDITIONAL
     assert claimed(clauses, [{"clause": "S3: that"}]).verdict == MODULE.NONE
+    assert claimed(clauses, [{"clause": "S3: that", "word": "should"}]).verdict == MODULE.CONDITIONAL
+    assert claimed(clauses, [{"clause": "S3: that", "word": "may"}]).verdict == MODULE.UNCONDITIONAL
     assert claimed(clauses, [{"clause": "S3: that", "concerns": ["client"]}]).verdict == MODULE.UNCONDITIONAL
 
 

@@ -1,6 +1,7 @@
 """The pages of the documentation: their code runs and prints what they say, and their links lead somewhere."""
 
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -66,3 +67,20 @@ def headings_of(page: Path) -> set[str]:
     """The anchors of a page, as GitHub makes them."""
     titles = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_no_example_answers_03_for_a_value_that_is_written() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    helps = [*(ROOT / "src" / "busway" / "cli").glob("*.py"), *(ROOT / "src" / "busway" / "simulator").rglob("*.py")]
+    for file in (*pages, *helps):
+        assert not re.search(
+            r"Refusal\(\s*(busway\.)?(ExceptionCode\.ILLEGAL_DATA_VALUE|0?x?0?3\b)", file.read_text("utf-8")
+        ), file
+
+
+def test_the_pages_say_which_systems_were_never_run() -> None:
+    said = (ROOT / "README.md").read_text("utf-8")
+    assert "Windows and macOS were never run" in said
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    systems = [one for one in project["classifiers"] if one.startswith("Operating System")]
+    assert systems == ["Operating System :: POSIX :: Linux"]

@@ -238,7 +238,7 @@ def test_the_drive_follows_its_set_point_and_says_so_in_its_status_word() -> Non
         assert unit.read("3x1") == 0b1
         with pytest.raises(ExceptionReply) as caught:
             unit.write("4x2", 5000)
-        assert caught.value.code == 3
+        assert caught.value.code == 4
 
 
 def test_the_drive_stops_with_a_fault_until_it_is_reset() -> None:
@@ -311,7 +311,7 @@ def test_the_thermostat_reaches_its_set_point_and_alarms_where_it_should() -> No
         assert unit.read("4x4") == 4
         with pytest.raises(ExceptionReply) as caught:
             unit.write("4x11", 7)
-        assert caught.value.code == 3
+        assert caught.value.code == 4
 
 
 @pytest.mark.real_time

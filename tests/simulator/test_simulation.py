@@ -278,7 +278,7 @@ async def test_modbus_writes_are_judged_held_and_told() -> None:
         ):
             with pytest.raises(busway.ExceptionReply) as caught:
                 await write
-            assert caught.value.code == 3
+            assert caught.value.code == 4
         assert await unit.read("4x3", "float32") == 2.5
         assert simulation.points["1/speed"].value == 10.0
         clock.advance(30.0)

@@ -3,14 +3,15 @@
 Knows points and the hooks of devices; knows no behaviour.
 
 1. A write is judged by the values that it would leave: outside a point's range, or a number without a name where the
-   numbers have names, is answered with exception 03, and nothing has changed.
+   numbers have names, is answered with exception 04, and nothing has changed: 03 is about how a request is
+   built, and never about a register's value (Application Protocol V1.1b3 §7).
 2. A write of some of a point's registers is a write of the point.
 """
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 
-from ..codes import ExceptionCode, Table
+from ..codes import Table
 from ..errors import BadReply, InvalidRequest
 from ..pdu.model import Refusal
 from ..pdu.write_items import pack_registers
@@ -66,7 +67,7 @@ class _Writes:
                     section.raw(value)
                 section.check_range(value)
             except (InvalidRequest, BadReply) as error:
-                raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, f"{point.key}: {error.message}") from error
+                raise Refusal(reason=f"{point.key}: {error.message}") from error
 
     def tell(self, change: Change) -> None:
         """Say what was written."""

@@ -56,7 +56,8 @@ BOTH: dict[str, tuple[dict[str, Any], list[tuple[str, str]]]] = {
             (
                 "read ten",
                 f"ExceptionReply: {READ_TEN}the device answered with exception 03, illegal data value: a quantity or "
-                "a length in the request is not allowed (after … s, received …)",
+                "a length in the request is not allowed (the code is not about a value that is written, though some "
+                "devices use it so) (after … s, received …)",
             ),
         ],
     ),
