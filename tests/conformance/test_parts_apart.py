@@ -92,6 +92,8 @@ class Guest:
     pool: Pool = Pool.OTHER
     last_used: float = 0.0
     is_busy: bool = False
+    received: int = 12
+    has_ended: bool = False
 
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import logging
 import socket
+import struct
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -12,6 +13,7 @@ from handlers import ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
+import busway.server.pools
 from busway.config.access.addresses import AddressList
 from busway.config.access.networks import Networks
 from busway.server.authorisation import Authorise
@@ -91,6 +93,39 @@ async def test_newcomers_push_out_strangers_and_never_a_marked_connection() -> N
         assert [one.pool for one in status.connections] == [Pool.PRIORITY] * 2 + [Pool.OTHER] * 2
         assert (status.listeners[0].priority_connections, status.listeners[0].other_connections) == (2, 2)
         await closed(*marked, *strangers)
+
+
+@pytest.mark.clause("T13", "T18")
+@pytest.mark.parametrize("ends", ["a reset", "the end of the stream"])
+async def test_sixty_that_connect_and_close_push_nobody_off(ends: str) -> None:
+    async with served() as server:
+        client = await Client.of(server)
+        await client.ask()
+        assert server.status().supported_connections < 60 + 8
+        knocks = [
+            socket.create_connection(("127.0.0.1", urlsplit(server.endpoints[0]).port), timeout=10) for _ in range(60)
+        ]
+        for one in knocks:
+            if ends == "a reset":
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            one.close()
+        await until(lambda: server.counters.accepted + server.counters.refused_full >= 61)
+        await until(lambda: len(server.status().connections) == 1)
+        await client.ask()
+        await client.close()
+
+
+@pytest.mark.clause("T13")
+async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(busway.server.pools, "SECONDS_TO_SPEAK", 0.0)
+    async with served(max_connections=5) as server:
+        client = await Client.of(server)
+        await client.ask()
+        silent = [await Client.of(server) for _ in range(12)]
+        for one in silent[:8]:
+            assert await one.is_closed()
+        await client.ask()
+        await closed(client, *silent)
 
 
 @pytest.mark.clause("T13")

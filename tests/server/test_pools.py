@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.server.pools import Pool, PoolLimits, Pools
+from busway.server.pools import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
 
 
 @dataclass(eq=False)
@@ -19,6 +19,8 @@ class Connection:
     last_used: float = 0.0
     is_busy: bool = False
     pool: Pool = Pool.OTHER
+    received: int = 12
+    has_ended: bool = False
 
 
 def pools(
@@ -38,6 +40,45 @@ def test_marked_connections_take_priority_places_up_to_the_limit_of_their_device
     assert [one.pool for one in own] == [Pool.PRIORITY, Pool.PRIORITY, Pool.OTHER]
     assert foreign.pool is Pool.PRIORITY
     assert (both.count(Pool.PRIORITY), both.count(Pool.OTHER), len(both)) == (3, 1, 4)
+
+
+@pytest.mark.clause("T13", "T18")
+def test_who_has_said_nothing_and_is_gone_makes_room_before_the_one_unused_longest() -> None:
+    both = pools(other=3)
+    worker, silent, gone = Connection("a", last_used=1.0), Connection("b", received=0), Connection("c", received=0)
+    for number, one in enumerate((worker, silent, gone)):
+        one.last_used = float(number) / 10
+        both.admit(one)
+    gone.has_ended = True
+    assert both.admit(Connection("x", last_used=0.5)).evicted is gone
+    silent.received = 12  # it speaks, and is like all others
+    assert both.admit(Connection("y", last_used=0.6)).evicted is worker
+
+
+@pytest.mark.clause("T13")
+def test_who_had_time_and_said_nothing_makes_room_before_all_that_have_said_something() -> None:
+    both = pools(other=2)
+    worker, silent = Connection("a", last_used=1.0), Connection("b", last_used=5.0, received=0)
+    both.admit(worker)
+    both.admit(silent)
+    assert both.admit(Connection("x", last_used=5.0 + SECONDS_TO_SPEAK)).evicted is silent
+
+
+@pytest.mark.clause("T13")
+def test_newcomer_that_has_just_come_keeps_its_place_though_it_said_nothing_yet() -> None:
+    both = pools(other=2)
+    worker, fresh = Connection("a", last_used=1.0), Connection("b", last_used=5.0, received=0)
+    both.admit(worker)
+    both.admit(fresh)
+    assert both.admit(Connection("x", last_used=5.0 + SECONDS_TO_SPEAK / 2)).evicted is worker
+
+
+@pytest.mark.clause("T13")
+def test_newcomer_whose_other_end_has_closed_takes_nobodys_place() -> None:
+    both = pools(other=1)
+    both.admit(Connection("a"))
+    assert not both.admit(Connection("x", last_used=9.0, received=0, has_ended=True)).accepted
+    assert both.count(Pool.OTHER) == 1
 
 
 @pytest.mark.clause("T13")

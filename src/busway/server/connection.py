@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer
+from ..transport.tcp import peer_has_ended
 from .failures import answer_later
 from .framed import Session
 from .peers import host_of, peer_name
@@ -330,6 +331,11 @@ class ServerConnection(asyncio.BufferedProtocol):
         if self.session is None:
             return False
         return bool(self.session.waiting or self.session.rest or self.unsent or self._late)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether its other end is known to have closed, with nothing left to be read."""
+        return self._transport.is_closing() or peer_has_ended(self._transport.get_extra_info("socket"))
 
     @property
     def is_idle(self) -> bool:

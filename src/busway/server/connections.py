@@ -139,6 +139,8 @@ class ConnectionManagement:
         admission = self.pools.admit(connection)
         if not admission.accepted:
             self.counters.refused_full += 1
+            if connection.has_ended:
+                return None  # it had gone before it came, and hears nothing
             reception.say(
                 logging.WARNING,
                 connection.host,

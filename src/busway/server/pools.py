@@ -6,8 +6,10 @@ Pure: knows who is connected and since when unused; closes nothing, logs nothing
    moves it. Each device has a limit there, so that one does not take all.
 2. A marked newcomer is always accepted: beyond its limit it takes a place of the other pool, and moves up when one of
    the priority pool becomes free.
-3. In the other pool a newcomer pushes out the connection unused longest, or the oldest where all are busy. One that is
-   not marked never pushes out one that is: where only such are left, it is refused itself.
+3. In the other pool a newcomer pushes out one that has never said anything, if its other end has closed or it had
+   `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are busy. One that is not marked
+   never pushes out one that is: where only such are left, it is refused itself. So who knocks and goes, or knocks and
+   says nothing, takes no place of one who has worked; and a newcomer whose other end has closed takes nobody's.
 4. Only a marked newcomer that finds nothing but marked connections takes the place of one: of its own device's oldest,
    if there is one. Nothing else keeps both the bound and rule 2.
 5. A device that is not marked may have a limit of its own; its next connection replaces its oldest. With a limit of 1
@@ -17,7 +19,13 @@ Pure: knows who is connected and since when unused; closes nothing, logs nothing
 from collections import Counter, deque
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, Protocol, TypeVar
+from itertools import islice
+from typing import Final, Generic, Protocol, TypeVar
+
+SECONDS_TO_SPEAK: Final = 1.0
+"""So long a connection may stand and say nothing until it makes room before all that have said something."""
+_LOOKS: Final = 64
+"""Silent connections whose other ends are looked at for one newcomer at most."""
 
 
 class Pool(Enum):
@@ -34,17 +42,23 @@ class Member(Protocol):
         host: of the device at the other end.
         marked: whether it is a device that the priority pool is for.
         pool: set when it gets a place.
-        last_used: seconds; never goes back.
+        last_used: seconds; never goes back. When it came, as long as it has said nothing.
+        received: bytes so far.
     """
 
     host: str
     marked: bool
     pool: Pool
     last_used: float
+    received: int
 
     @property
     def is_busy(self) -> bool:
         """Whether a request is in work or a reply on its way."""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether its other end is known to have closed, with nothing left to be read."""
 
 
 One = TypeVar("One", bound=Member)
@@ -90,6 +104,7 @@ class Pools(Generic[One]):
         self._other: dict[One, int] = {}  # in the order they came, with the number of each
         self._numbered: dict[int, One] = {}
         self._of_device: dict[str, dict[One, None]] = {}  # of those in the other pool that are not marked
+        self._silent: dict[One, None] = {}  # of those, the ones that had said nothing, in the order they came
         self._by_use: deque[tuple[float, int]] = deque()  # the longest unused first, as they stood once
         self._next_number = 0
 
@@ -107,7 +122,9 @@ class Pools(Generic[One]):
             return Admission(True)
         evicted = self._of_same_device(newcomer)
         if evicted is None and len(self._other) >= self.limits.other:
-            evicted = self._longest_unused() or self._marked_one(newcomer)
+            if newcomer.has_ended:
+                return Admission(False)
+            evicted = self._silent_one(newcomer) or self._longest_unused() or self._marked_one(newcomer)
             if evicted is None:
                 return Admission(False)
         if evicted is not None:
@@ -135,6 +152,15 @@ class Pools(Generic[One]):
             return None
         own = self._of_device.get(newcomer.host, {})
         return next(iter(own)) if len(own) >= limit else None
+
+    def _silent_one(self, newcomer: One) -> One | None:
+        """One that has never said anything, and is not going to or had time to."""
+        for member in list(islice(self._silent, _LOOKS)):
+            if member.received:
+                del self._silent[member]
+            elif member.has_ended or newcomer.last_used - member.last_used >= SECONDS_TO_SPEAK:
+                return member
+        return None
 
     def _longest_unused(self) -> One | None:
         """Of those that are not marked: the one unused longest, or the oldest if all are busy."""
@@ -188,9 +214,11 @@ class Pools(Generic[One]):
         self._next_number += 1
         if not member.marked:
             self._of_device.setdefault(member.host, {})[member] = None
+            self._silent[member] = None
 
     def _remove(self, member: One) -> None:
         del self._numbered[self._other.pop(member)]
+        self._silent.pop(member, None)
         own = self._of_device.get(member.host)
         if own is not None and not member.marked:
             del own[member]

@@ -301,6 +301,11 @@ class _Peer:
         return bool(self.session.waiting)
 
     @property
+    def has_ended(self) -> bool:
+        """False: nobody says when a sender has gone."""
+        return False
+
+    @property
     def state(self) -> ConnectionState:
         """What it does."""
         return ConnectionState.BUSY if self.is_busy else ConnectionState.IDLE

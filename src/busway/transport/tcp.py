@@ -7,6 +7,7 @@ import contextlib
 import errno
 import socket
 import struct
+import sys
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,6 +123,29 @@ def takes_bytes(connection: Any) -> bool:
         return bool(wait_ready([], [connection.fileno()], 0.0))
     except (OSError, ValueError):  # it has ended already
         return False
+
+
+def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transport gives for one
+    """Whether the other end has closed a connection, or its half of it, and nothing it sent is left to be read.
+
+    Looks, and takes nothing. False where the system does not tell: it is Linux that does.
+    """
+    if sys.platform != "linux":
+        return False
+    import fcntl
+    import termios
+
+    try:
+        if connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 1)[0] not in _ENDED:
+            return False
+        unread = fcntl.ioctl(connection.fileno(), termios.FIONREAD, bytes(4))
+    except (OSError, ValueError, AttributeError):  # it is closed already, or no socket of TCP
+        return False
+    return not any(unread)
+
+
+_ENDED = frozenset({7, 8})
+"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN is there."""
 
 
 def _set_if_known(connection: socket.socket, name: str, value: int) -> None:
