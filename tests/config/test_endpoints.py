@@ -52,6 +52,25 @@ def test_a_serial_endpoint(url: str, path: str, framing: str, name: str) -> None
     assert (endpoint.framing, endpoint.carrier, endpoint.url) == (framing, "serial", name)
 
 
+@pytest.mark.parametrize(
+    ("text", "url"),
+    [
+        ("10.0.0.5", "tcp://10.0.0.5:502"),
+        ("10.0.0.5:5020", "tcp://10.0.0.5:5020"),
+        ("10.0.0.5?timeout=2", "tcp://10.0.0.5:502?timeout=2"),
+        ("[::1]:5020", "tcp://[::1]:5020"),
+        ("fe80::1", "tcp://[fe80::1]:502"),
+        ("COM3", "rtu:///COM3"),
+        ("com12?baud=9600", "rtu:///com12?baud=9600"),
+        ("rtu://COM3", "rtu:///COM3"),
+        ("ascii://COM3?baud=9600", "ascii:///COM3?baud=9600"),
+        ("/dev/ttyUSB0?parity=none", "rtu:///dev/ttyUSB0?parity=none"),
+    ],
+)
+def test_a_text_that_can_mean_one_endpoint_only_is_that_endpoint(text: str, url: str) -> None:
+    assert str(parse_endpoint(text)) == url
+
+
 def test_options_are_kept_as_text_with_underscores_and_are_not_part_of_the_name() -> None:
     endpoint = parse_endpoint("rtu:///dev/ttyUSB0?baud=19200&parity=even&stop-bits=1&note=a%20b&empty=")
     assert dict(endpoint.options) == {"baud": "19200", "parity": "even", "stop_bits": "1", "note": "a b", "empty": ""}
@@ -68,7 +87,14 @@ def test_an_endpoint_is_given_back_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("url", "sentence"),
     [
-        ("10.0.0.5", "'10.0.0.5' is no endpoint; write for example tcp://192.168.0.5"),
+        ("plc.local", "'plc.local' is no endpoint; is it tcp://plc.local? A serial port is written rtu:///dev/ttyUSB0"),
+        ("plc:5020", "'plc:5020' is no endpoint; is it tcp://plc:5020?"),
+        ("tcp:10.0.0.5", "'tcp:10.0.0.5' is no endpoint; is it tcp://10.0.0.5?"),
+        ("rtu:/dev/ttyUSB0", "'rtu:/dev/ttyUSB0' is no endpoint; is it rtu:///dev/ttyUSB0?"),
+        ("usb:0403:6001", "'usb:0403:6001' is no endpoint; is it rtu:///usb:0403:6001?"),
+        ("a b", "'a b' is no endpoint; write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0"),
+        ("tpc://10.0.0.5", "tpc://10.0.0.5: unknown scheme 'tpc'; is it tcp://10.0.0.5?"),
+        ("modbus://10.0.0.5", "modbus://10.0.0.5: unknown scheme 'modbus'; is it tcp://10.0.0.5?"),
         ("", "'' is no endpoint"),
         (None, "None is no endpoint"),
         ("http://host", "http://host: unknown scheme 'http'; there are tcp, tls"),
@@ -81,7 +107,10 @@ def test_an_endpoint_is_given_back_as_it_is() -> None:
         ("tcp://ho st", "tcp://ho st: 'ho st' is no host name"),
         ("tcp://::1", "tcp://::1: "),
         ("tcp://[::1", "tcp://[::1: "),
-        ("rtu://dev/ttyUSB0", "rtu://dev/ttyUSB0: a serial line is rtu:///dev/… with three slashes"),
+        (
+            "rtu://dev/ttyUSB0",
+            "rtu://dev/ttyUSB0: a serial line is rtu:///dev/… with three slashes; is it rtu:///dev/ttyUSB0?",
+        ),
         ("rtu://", "rtu://: the path of the serial port is missing, as in rtu:///dev/ttyUSB0"),
         ("rtu+tcp://host", "rtu+tcp://host: the port is missing; rtu+tcp has no usual one"),
         ("tcp://host?timeout", "tcp://host?timeout: the options behind ? are name=value pairs joined by &"),

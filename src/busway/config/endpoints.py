@@ -10,6 +10,9 @@ component that takes it; an option that nobody takes is an error there.
     rtu+tcp://host:4001   ascii+tcp://host:4001   rtu+udp://host:4001   ascii+udp://host:4001
 
 An empty host is every interface for a listener and 127.0.0.1 for a client.
+
+Without a scheme an IP address is tcp, and the name of a serial port (``/dev/ttyUSB0``, ``COM3``) is rtu, the default of
+a line (Serial Line V1.02 §2.5). Any other text is refused with the URL that may be meant.
 """
 
 import re
@@ -41,6 +44,23 @@ SCHEMES: dict[str, Scheme] = {
     "rtu+udp": Scheme("rtu", "udp"),
     "ascii+udp": Scheme("ascii", "udp"),
 }
+
+# Texts, and compiled where they are used: a URL with a scheme needs none of them.
+_ADDRESS = r"(?:[0-9]{1,3}(?:\.[0-9]{1,3}){3}|\[[0-9A-Fa-f:.]*:[0-9A-Fa-f:.%\w]*\])(?::[0-9]{1,5})?/?"
+_BARE_IPV6 = r"[0-9A-Fa-f]*:[0-9A-Fa-f]*:[0-9A-Fa-f:.]*"
+_PORT_NAME = r"[Cc][Oo][Mm][0-9]{1,3}|/dev/.+"
+_HALF_A_SCHEME = r"(?P<scheme>[A-Za-z+]+):/*(?P<rest>[^/].*)"
+_HOST_NAME = r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)*\.?(?::[0-9]{1,5})?"
+_OTHER_NAMES = {
+    "modbus": "tcp",
+    "modbus+tcp": "tcp",
+    "modbustcp": "tcp",
+    "mbap": "tcp",
+    "modbus+udp": "udp",
+    "modbus+rtu": "rtu",
+    "serial": "rtu",
+}
+"""What other programs call the schemes."""
 
 _HOST = re.compile(r"^[A-Za-z0-9._~%-]*$|^\[[0-9A-Fa-f:.%\w]+\]$")
 
@@ -89,14 +109,20 @@ class Endpoint:
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
-    """The endpoint of a URL; an `Endpoint` is returned as it is. Raises `ConfigError` that names what is wrong."""
+    """The endpoint of a URL; an `Endpoint` is returned as it is. Raises `ConfigError` that names what is wrong.
+
+    An IP address alone is ``tcp://``, the name of a serial port alone ``rtu://``.
+    """
     if isinstance(url, Endpoint):
         return url
-    if not isinstance(url, str) or "://" not in url:
+    if not isinstance(url, str):
         raise ConfigError(f"{url!r} is no endpoint; write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0")
-    scheme = url.split("://", 1)[0].lower()
+    if "://" not in url:
+        url = _with_scheme(url)
+    scheme, _, rest = url.partition("://")
+    scheme = scheme.lower()
     if scheme not in SCHEMES:
-        raise ConfigError(f"{url}: unknown scheme {scheme!r}; there are {', '.join(SCHEMES)}")
+        raise ConfigError(f"{url}: unknown scheme {scheme!r}; {_hint_of_scheme(scheme, rest)}")
     try:
         parts = urlsplit(url)
         port = parts.port
@@ -109,11 +135,17 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     options = _options(url, parts.query)
     rule = SCHEMES[scheme]
     if rule.carrier == "serial":
-        if parts.netloc:
-            raise ConfigError(f"{url}: a serial line is {scheme}:///dev/… with three slashes")
-        if len(parts.path) < 2:
+        path = parts.path
+        if re.fullmatch(_PORT_NAME, parts.netloc) and path in ("", "/"):
+            path = f"/{parts.netloc}"
+        elif parts.netloc:
+            meant = rest if rest.startswith("dev/") else f"dev/{rest}"
+            raise ConfigError(
+                f"{url}: a serial line is {scheme}:///dev/… with three slashes; is it {scheme}:///{meant}?"
+            )
+        if len(path) < 2:
             raise ConfigError(f"{url}: the path of the serial port is missing, as in {scheme}:///dev/ttyUSB0")
-        return Endpoint(scheme, path=unquote(parts.path), options=options)
+        return Endpoint(scheme, path=unquote(path), options=options)
     if parts.path not in ("", "/"):
         raise ConfigError(f"{url}: a network endpoint has no path {parts.path}")
     netloc = parts.netloc.rsplit(":", 1)[0] if port is not None or parts.netloc.endswith(":") else parts.netloc
@@ -123,6 +155,36 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     if port is None:
         raise ConfigError(f"{url}: the port is missing; {scheme} has no usual one")
     return Endpoint(scheme, host=parts.hostname or "", port=port, options=options)
+
+
+def _with_scheme(text: str) -> str:
+    """The URL of a text without one, where it can mean only that. Raises `ConfigError` with what it may mean."""
+    place, mark, query = text.strip().partition("?")
+    if re.fullmatch(_ADDRESS, place):
+        return f"tcp://{place}{mark}{query}"
+    if re.fullmatch(_BARE_IPV6, place):
+        return f"tcp://[{place}]{mark}{query}"
+    if re.fullmatch(_PORT_NAME, place):
+        return f"rtu:///{place.lstrip('/')}{mark}{query}"
+    raise ConfigError(f"{text!r} is no endpoint; {_hint_of_text(place)}")
+
+
+def _hint_of_text(place: str) -> str:
+    if (half := re.fullmatch(_HALF_A_SCHEME, place)) and (scheme := half["scheme"].lower()) in SCHEMES:
+        slashes = ":///" if SCHEMES[scheme].carrier == "serial" else "://"
+        return f"is it {scheme}{slashes}{half['rest']}?"
+    if place.lower().startswith("usb:"):
+        return f"is it rtu:///{place}?"
+    if re.fullmatch(_HOST_NAME, place):
+        return f"is it tcp://{place}? A serial port is written rtu:///dev/ttyUSB0"
+    return "write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0"
+
+
+def _hint_of_scheme(scheme: str, rest: str) -> str:
+    from difflib import get_close_matches  # here: it is needed for this sentence alone
+
+    near = [_OTHER_NAMES[scheme]] if scheme in _OTHER_NAMES else get_close_matches(scheme, SCHEMES, 1)
+    return f"is it {near[0]}://{rest}?" if near else f"there are {', '.join(SCHEMES)}"
 
 
 def _options(url: str, query: str) -> dict[str, str]:
