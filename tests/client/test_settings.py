@@ -3,6 +3,8 @@
 import pytest
 
 from busway.client.settings import link_settings
+from busway.errors import ConfigError
+from busway.framing.timing import Parity
 
 
 @pytest.mark.parametrize(
@@ -23,3 +25,55 @@ def test_a_client_waits_for_a_gateway_longer_than_for_a_unit_on_a_line(url: str,
 
 def test_an_option_goes_before_the_default_of_the_scheme() -> None:
     assert link_settings("tcp://10.0.0.5", {"timeout": 0.5}).parameters.timeout == 0.5
+
+
+@pytest.mark.parametrize(
+    ("url", "options"),
+    [
+        ("rtu:///dev/ttyX", {"baudrate": 9600, "bytesize": 8, "parity": "N", "stopbits": 1}),
+        ("rtu:///dev/ttyX?baudrate=9600&bytesize=8&parity=n&stopbits=1", {}),
+        ("rtu:///dev/ttyX?baudrate=2400", {"baud": 9600, "data_bits": 8, "parity": "none", "stop_bits": 1}),
+    ],
+)
+def test_a_line_is_set_by_the_words_of_pyserial_too(url: str, options: dict[str, object]) -> None:
+    line = link_settings(url, options).line
+    assert line is not None
+    assert line.port is not None
+    assert str(line.port) == "9600 8N1"
+
+
+@pytest.mark.parametrize(("letter", "parity"), [("N", Parity.NONE), ("E", Parity.EVEN), ("o", Parity.ODD)])
+def test_a_letter_stands_for_a_parity(letter: str, parity: Parity) -> None:
+    line = link_settings("rtu:///dev/ttyX", {"parity": letter}).line
+    assert line is not None
+    assert line.port is not None
+    assert line.port.parity is parity
+
+
+@pytest.mark.parametrize(
+    ("url", "option", "sentence"),
+    [
+        ("tcp://h", "timout", "timout: unknown option of tcp://h:502; is it timeout?"),
+        ("tcp://h", "Retries", "Retries: unknown option of tcp://h:502; is it retries?"),
+        ("tcp://h", "retry", "retry: unknown option of tcp://h:502; is it retries?"),
+        ("rtu:///dev/ttyX", "stopbit", "stopbit: unknown option of rtu:///dev/ttyX; is it stop_bits?"),
+        ("rtu:///dev/ttyX", "speed", "speed: unknown option of rtu:///dev/ttyX; is it baud?"),
+        ("tcp://h", "slave", "slave: unknown option of tcp://h:502; a unit is named where it is asked: link.unit(1)"),
+    ],
+)
+def test_the_option_that_is_meant_is_named_and_not_all_there_are(url: str, option: str, sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        link_settings(url, {option: 1})
+    assert str(caught.value) == sentence
+
+
+def test_an_option_like_no_other_is_answered_with_all_there_are() -> None:
+    with pytest.raises(
+        ConfigError, match="colour: unknown option of tcp://h:502; there are .*connect_timeout, deadline, "
+    ):
+        link_settings("tcp://h", {"colour": "red"})
+
+
+def test_an_option_under_both_of_its_names_is_refused() -> None:
+    with pytest.raises(ConfigError, match="baudrate: is another name of baud, which is given too"):
+        link_settings("rtu:///dev/ttyX", {"baud": 9600, "baudrate": 9600})

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, option_names
+from ..config.options import build_parameters, canonical, option_names, unknown_option
 from ..config.profiles import OPTION, STRICT_LINKS, with_profile
-from ..errors import ConfigError
 from ..session.breaker import OPEN_AFTER_BY_FRAMING, BreakerParameters
 from ..session.line_framing import FramingParameters
 from ..session.parameters import TIMEOUT_BY_FRAMING, ClientParameters
@@ -115,11 +114,11 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
     endpoint = parse_endpoint(url)
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
-    for name, value in with_profile({**endpoint.options, **options}, STRICT_LINKS, takes=_names_of(offered)).items():
+    given = {**canonical(endpoint.options), **canonical(options)}
+    for name, value in with_profile(given, STRICT_LINKS, takes=_names_of(offered)).items():
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:
-            known = sorted(options_of(endpoint))
-            raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
+            raise unknown_option(name, options_of(endpoint), of=endpoint.url)
         chosen[kind][name] = value
     chosen[ClientParameters].setdefault("timeout", TIMEOUT_BY_FRAMING[endpoint.framing])
     parameters = build_parameters(ClientParameters, chosen[ClientParameters])

@@ -4,11 +4,11 @@ Knows the types that parameter classes use; knows no particular parameter. A typ
 from a list of texts.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from enum import Enum
 from types import NoneType, UnionType
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, Final, TypeVar, get_args, get_type_hints
 
 from ..errors import ConfigError
 
@@ -16,6 +16,13 @@ Parameters = TypeVar("Parameters")
 
 NONE = "none"
 """The text for no value, where an option may have none: files and URLs have no other word for it."""
+ALIASES: Final = {"baudrate": "baud", "bytesize": "data_bits", "stopbits": "stop_bits"}
+"""Other names of options: those that pyserial gave them, by which most programs know them."""
+_OTHER_WORDS: Final = {"retry": "retries", "speed": "baud", "rate": "baud"}
+"""Words for an option that are too far from its name to be taken for a slip of the pen."""
+_WORDS_FOR_UNIT: Final = frozenset({"unit", "unit_id", "slave", "slave_id", "device_id", "station"})
+_NEAR: Final = 0.75
+"""How alike a name and an option are, of 1, for the option to be what was meant."""
 _TRUE = frozenset({"1", "true", "yes", "on"})
 _FALSE = frozenset({"0", "false", "no", "off"})
 
@@ -23,6 +30,43 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 def option_names(kind: type[Any]) -> tuple[str, ...]:  # any parameter class, which share no base
     """The options that a parameter class takes."""
     return tuple(field.name for field in fields(kind))
+
+
+def canonical(options: Mapping[str, object]) -> dict[str, object]:
+    """Options by their own names, where some stand under another (`ALIASES`).
+
+    Raises:
+        ConfigError: one stands there under both of its names.
+    """
+    found: dict[str, object] = {}
+    for given, value in options.items():
+        name = ALIASES.get(given, given)
+        if name in found:
+            raise ConfigError(f"is another name of {name}, which is given too", key=given if given != name else name)
+        found[name] = value
+    return found
+
+
+def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
+    """The error for an option that a component does not have: with the one that may be meant, else with all there are.
+
+    Args:
+        name: the option.
+        known: those that the component has.
+        of: what has them, if it needs a name.
+    """
+    from difflib import get_close_matches  # here: it is needed for this sentence alone
+
+    there = sorted(known)
+    near = get_close_matches(name.lower(), there, 1, _NEAR)
+    other = _OTHER_WORDS.get(name)
+    if near or other in there:
+        hint = f"is it {near[0] if near else other}?"
+    elif name in _WORDS_FOR_UNIT:
+        hint = "a unit is named where it is asked: link.unit(1)"
+    else:
+        hint = f"there are {', '.join(there) or 'none'}"
+    return ConfigError(f"unknown option{of and f' of {of}'}; {hint}", key=name)
 
 
 def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> Parameters:
@@ -35,7 +79,7 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> P
     values: dict[str, object] = {}
     for name, value in options.items():
         if name not in known:
-            raise ConfigError(f"unknown option; there are {', '.join(sorted(known))}", key=name)
+            raise unknown_option(name, known)
         values[name] = converted(name, value, hints[name])
     return kind(**values)
 

@@ -9,7 +9,7 @@ Knows bits and seconds; knows no port.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 from .word import Word
 
@@ -21,11 +21,17 @@ NETWORK_SILENCE: Final = 0.020
 
 
 class Parity(Word):
-    """The parity bit of each character."""
+    """The parity bit of each character; its first letter stands for it too, as on data sheets: ``N``, ``E``, ``O``."""
 
     EVEN = "even"
     ODD = "odd"
     NONE = "none"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Self | None:
+        if isinstance(value, str) and len(value) == 1:
+            return next((one for one in cls if one.value[0] == value.lower()), None)
+        return super()._missing_(value)
 
 
 def stop_bits_for(parity: Parity) -> int:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol, Self
 
 from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, option_names
+from ..config.options import build_parameters, canonical, option_names, unknown_option
 from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, with_profile
 from ..errors import ConfigError, LinkDown
 from ..framing.conversation import Role
@@ -199,11 +199,10 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
     takes = {name for names in offered.values() for name in names}
-    for name, value in with_profile(endpoint.options, STRICT_LINE_LISTENERS, takes=takes).items():
+    for name, value in with_profile(canonical(endpoint.options), STRICT_LINE_LISTENERS, takes=takes).items():
         owner = next((kind for kind, names in offered.items() if name in names), None)
         if owner is None:
-            known = sorted({*takes, OPTION})
-            raise ConfigError(f"unknown option of {endpoint.url}; there are {', '.join(known)}", key=name)
+            raise unknown_option(name, {*takes, OPTION}, of=endpoint.url)
         chosen[owner][name] = value
     port = None
     if endpoint.carrier == "serial":

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, option_names
+from ..config.options import build_parameters, canonical, option_names, unknown_option
 from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, STRICT_TLS_LISTENERS, with_profile
-from ..errors import ConfigError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import SerialTiming
@@ -83,7 +82,7 @@ def listener_settings(
     endpoint = parse_endpoint(listener.endpoint)
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
-    given: Mapping[str, object] = endpoint.options
+    given: Mapping[str, object] = canonical(endpoint.options)
     strict = STRICT_TLS_LISTENERS if endpoint.carrier == "tls" else STRICT_LINE_LISTENERS
     if endpoint.carrier == "tls" or endpoint.framing != "mbap":
         given = with_profile(given, strict, takes={name for names in offered.values() for name in names})
@@ -91,8 +90,8 @@ def listener_settings(
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:
             names_there = {name for names in offered.values() for name in names}
-            known = ", ".join(sorted({*names_there, OPTION})) if names_there else "none"
-            raise ConfigError(f"unknown option of a listener on {endpoint.url}; there are {known}", key=name)
+            known = {*names_there, OPTION} if names_there else ()
+            raise unknown_option(name, known, of=f"a listener on {endpoint.url}")
         chosen[kind][name] = value
     port = None
     if endpoint.carrier == "serial":

@@ -8,7 +8,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..config.endpoints import Endpoint
-from ..config.options import build_parameters, converted, option_names
+from ..config.options import build_parameters, converted, option_names, unknown_option
 from ..config.profiles import OPTION
 from ..errors import ConfigError
 from ..pdu.functions import STANDARD, FunctionTable
@@ -102,8 +102,8 @@ def serve(
                 values[name] = value
                 break
         else:
-            known = sorted([OPTION, STANDARD_PORT, *(name for kind in kinds for name in option_names(kind))])
-            raise ConfigError(f"unknown option; there are {', '.join(known)}", key=name)
+            known = [OPTION, STANDARD_PORT, *(name for kind in kinds for name in option_names(kind))]
+            raise unknown_option(name, known)
     return Server(
         places,
         handler,
