@@ -12,9 +12,11 @@ from busway.errors import (
     ConfigError,
     ExceptionReply,
     InvalidRequest,
+    LinkClosed,
     LinkDown,
     MissingExtra,
     ModbusError,
+    NoAnswer,
     NoReply,
     Overloaded,
     UnitSuspended,
@@ -35,6 +37,7 @@ EXAMPLES: list[ModbusError] = [
     Overloaded("64 calls wait on this link already; nothing was sent"),
     WriteOutcomeUnknown("the write was sent and may have been executed"),
     LinkDown("connection refused"),
+    LinkClosed("the link is closed"),
     ConfigError("must be 1…16, not 17", key="max_transactions"),
     MissingExtra("serialx", "serial", purpose="a serial port"),
 ]
@@ -85,7 +88,12 @@ def test_the_builtin_kind_beside_a_name_in_the_tree_is_true() -> None:
 
 
 def test_there_is_an_example_of_every_error() -> None:
-    assert {type(one) for one in EXAMPLES} == {*CLASSES.values()} - {ModbusError}
+    assert {type(one) for one in EXAMPLES} == {*CLASSES.values()} - {ModbusError, NoAnswer}
+
+
+def test_one_class_catches_every_way_of_not_answering_and_nothing_else() -> None:
+    caught = {type(one) for one in EXAMPLES if isinstance(one, NoAnswer)}
+    assert caught == {NoReply, UnitSuspended, WriteOutcomeUnknown, LinkDown, LinkClosed}
 
 
 @pytest.mark.parametrize("error", EXAMPLES, ids=lambda error: type(error).__name__)

@@ -6,11 +6,13 @@
     ├─ InvalidRequest (ValueError)      yours; nothing was sent
     ├─ ExceptionReply                   the device refused, or took it for later (05)
     ├─ BadReply                         the peer broke the protocol
-    ├─ NoReply (TimeoutError)           nothing | partial | late
-    │  └─ UnitSuspended                 not asked: the unit's breaker is open
+    ├─ NoAnswer                         one of those below: the device has not answered
+    │  ├─ NoReply (TimeoutError)        nothing | partial | late
+    │  │  └─ UnitSuspended              not asked: the unit's breaker is open
+    │  ├─ WriteOutcomeUnknown           a write left this host and no answer came
+    │  └─ LinkDown (ConnectionError)    the connection could not be had, or ended
+    │     └─ LinkClosed                 the program itself has closed the link
     ├─ Overloaded                       the queue was full; nothing was sent
-    ├─ WriteOutcomeUnknown              a write left this host and no answer came
-    ├─ LinkDown (ConnectionError)       the connection could not be had, or ended
     └─ ConfigError (ValueError)         a setting, URL or file that can not be
        └─ MissingExtra (ImportError)    a package that this needs is not installed
 
@@ -185,7 +187,18 @@ class BadReply(ModbusError):
         self.reason = reason
 
 
-class NoReply(ModbusError, TimeoutError):
+class NoAnswer(ModbusError):
+    """The device has not answered: silence, no connection, or a write whose outcome is not known.
+
+    The one class to catch where it does not matter which; never raised itself. A device that refuses or breaks the
+    protocol has answered (`ExceptionReply`, `BadReply`), and what was never sent for a reason of this program's own
+    (`InvalidRequest`, `Overloaded`, `ConfigError`) is none of it.
+
+    Whoever repeats a call on it repeats writes too: catch `WriteOutcomeUnknown` before.
+    """
+
+
+class NoReply(NoAnswer, TimeoutError):
     """No usable reply came in time.
 
     Attributes:
@@ -249,14 +262,14 @@ class Overloaded(ModbusError):
     """A bounded queue was full. Nothing was sent."""
 
 
-class WriteOutcomeUnknown(ModbusError):
+class WriteOutcomeUnknown(NoAnswer):
     """A write left this host and no valid answer came: it may have been executed or not. Never repeated by itself.
 
     ``__cause__`` holds what happened (`NoReply`, `LinkDown`, `BadReply`, or `ExceptionReply` 0B of a gateway).
     """
 
 
-class LinkDown(ModbusError, ConnectionError):
+class LinkDown(NoAnswer, ConnectionError):
     """The connection could not be opened, or it ended before the reply.
 
     Attributes:
@@ -287,6 +300,10 @@ class LinkDown(ModbusError, ConnectionError):
             raw=raw,
         )
         self.sent = sent
+
+
+class LinkClosed(LinkDown):
+    """The program has closed the link that it uses. Nothing was sent, and no attempt would help: open another link."""
 
 
 class ConfigError(ModbusError, ValueError):

@@ -281,7 +281,7 @@ def test_link_that_was_closed_says_so(skin: Skin) -> None:
     with faulty_server(known_device()) as server, skin.link(server.endpoint) as link:
         link.unit(1).read_holding_registers(0, count=1)
         link.call(link.real.close)
-        with pytest.raises(busway.InvalidRequest, match="closed by its user"):
+        with pytest.raises(busway.LinkClosed, match="closed by its user"):
             link.unit(1).read_holding_registers(0, count=1)
         link.call(link.real.close)
 

@@ -120,7 +120,7 @@ def test_where_no_connection_stands_the_first_link_makes_one_and_without_a_link_
             assert chooser.unit(1).read_holding_registers(9, count=1) == [9]
             assert link.counters.requests == 1
         chooser.close()
-        with pytest.raises(busway.InvalidRequest, match="closed by its user"):
+        with pytest.raises(busway.LinkClosed, match="closed by its user"):
             chooser.unit(1).read_holding_registers(0, count=1)
 
 

@@ -69,7 +69,7 @@ def test_the_option_that_is_meant_is_named_and_not_all_there_are(url: str, optio
 
 def test_an_option_like_no_other_is_answered_with_all_there_are() -> None:
     with pytest.raises(
-        ConfigError, match="colour: unknown option of tcp://h:502; there are .*connect_timeout, deadline, "
+        ConfigError, match=r"colour: unknown option of tcp://h:502; there are .*connect_timeout, deadline, "
     ):
         link_settings("tcp://h", {"colour": "red"})
 

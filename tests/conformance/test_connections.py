@@ -53,7 +53,7 @@ async def test_automatic_management_connects_at_the_first_need_and_closes_with_t
             assert peer.ended == 0
         await until(lambda: peer.ended == 1)
         assert len(peer.writers) == 1
-        with pytest.raises(busway.InvalidRequest, match="closed"):
+        with pytest.raises(busway.LinkClosed, match="closed"):
             await first.unit(1).read_holding_registers(0, count=1)
     assert len(peer.frames) == 2
 

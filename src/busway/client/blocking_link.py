@@ -22,7 +22,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Final
 
-from ..errors import LinkDown
+from ..errors import LinkClosed, LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
@@ -461,7 +461,7 @@ class BlockingLink:
     def _refuse_while_down(self, demand: Demand, now: float) -> None:
         """Fail fast while the peer is known to be unreachable."""
         if self._closed:
-            raise LinkDown("the link is closed", endpoint=self.name, unit=demand.unit)
+            raise LinkClosed("the link is closed", endpoint=self.name, unit=demand.unit)
         failure = self._last_failure
         if self._connection is None and failure is not None and not self._leading and not self.reconnect.may_dial(now):
             pause = self.reconnect.not_before - now

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..config.endpoints import Endpoint
-from ..errors import ConfigError, ExceptionReply, InvalidRequest, ModbusError, NoReply, WriteOutcomeUnknown
+from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkClosed, ModbusError, NoReply, WriteOutcomeUnknown
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
 from ..session.demand import Demand
@@ -116,9 +116,9 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
     return errors
 
 
-def closed_error(settings: LinkSettings) -> InvalidRequest:
+def closed_error(settings: LinkSettings) -> LinkClosed:
     """The error of a call on a link that its user has closed."""
-    return InvalidRequest("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
+    return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 
 def check_same(held: LinkSettings, wanted: LinkSettings) -> None:

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from ..errors import LinkDown
+from ..errors import LinkClosed, LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
@@ -548,7 +548,7 @@ class Link:
     def _refuse_while_down(self, demand: Demand, now: float) -> None:
         """Fail fast while the peer is known to be unreachable."""
         if self._closed:
-            raise LinkDown("the link is closed", endpoint=self.name, unit=demand.unit)
+            raise LinkClosed("the link is closed", endpoint=self.name, unit=demand.unit)
         if self._last_failure is not None and not self.reconnect.may_dial(now) and self._connecting is None:
             pause = self.reconnect.not_before - now
             raise LinkDown(
