@@ -60,11 +60,8 @@ def test_a_serial_endpoint(url: str, path: str, framing: str, name: str) -> None
         ("10.0.0.5?timeout=2", "tcp://10.0.0.5:502?timeout=2"),
         ("[::1]:5020", "tcp://[::1]:5020"),
         ("fe80::1", "tcp://[fe80::1]:502"),
-        ("COM3", "rtu:///COM3"),
-        ("com12?baud=9600", "rtu:///com12?baud=9600"),
         ("rtu://COM3", "rtu:///COM3"),
         ("ascii://COM3?baud=9600", "ascii:///COM3?baud=9600"),
-        ("/dev/ttyUSB0?parity=none", "rtu:///dev/ttyUSB0?parity=none"),
     ],
 )
 def test_a_text_that_can_mean_one_endpoint_only_is_that_endpoint(text: str, url: str) -> None:
@@ -91,7 +88,10 @@ def test_an_endpoint_is_given_back_as_it_is() -> None:
         ("plc:5020", "'plc:5020' is no endpoint; is it tcp://plc:5020?"),
         ("tcp:10.0.0.5", "'tcp:10.0.0.5' is no endpoint; is it tcp://10.0.0.5?"),
         ("rtu:/dev/ttyUSB0", "'rtu:/dev/ttyUSB0' is no endpoint; is it rtu:///dev/ttyUSB0?"),
-        ("usb:0403:6001", "'usb:0403:6001' is no endpoint; is it rtu:///usb:0403:6001?"),
+        ("usb:0403:6001", "'usb:0403:6001' is no endpoint; is it rtu:///usb:0403:6001, or ascii:///usb:0403:6001?"),
+        ("COM3", "'COM3' is no endpoint; is it rtu:///COM3, or ascii:///COM3?"),
+        ("com12?baud=9600", "'com12?baud=9600' is no endpoint; is it rtu:///com12, or ascii:///com12?"),
+        ("/dev/ttyUSB0", "'/dev/ttyUSB0' is no endpoint; is it rtu:///dev/ttyUSB0, or ascii:///dev/ttyUSB0?"),
         ("a b", "'a b' is no endpoint; write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0"),
         ("tpc://10.0.0.5", "tpc://10.0.0.5: unknown scheme 'tpc'; is it tcp://10.0.0.5?"),
         ("modbus://10.0.0.5", "modbus://10.0.0.5: unknown scheme 'modbus'; is it tcp://10.0.0.5?"),

@@ -11,8 +11,8 @@ component that takes it; an option that nobody takes is an error there.
 
 An empty host is every interface for a listener and 127.0.0.1 for a client.
 
-Without a scheme an IP address is tcp, and the name of a serial port (``/dev/ttyUSB0``, ``COM3``) is rtu, the default of
-a line (Serial Line V1.02 §2.5). Any other text is refused with the URL that may be meant.
+Without a scheme an IP address is tcp. Any other text is refused with the URL that may be meant: the name of a serial
+port does not say whether RTU or ASCII is spoken there.
 """
 
 import re
@@ -111,7 +111,7 @@ class Endpoint:
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     """The endpoint of a URL; an `Endpoint` is returned as it is. Raises `ConfigError` that names what is wrong.
 
-    An IP address alone is ``tcp://``, the name of a serial port alone ``rtu://``.
+    An IP address alone is ``tcp://``.
     """
     if isinstance(url, Endpoint):
         return url
@@ -164,8 +164,6 @@ def _with_scheme(text: str) -> str:
         return f"tcp://{place}{mark}{query}"
     if re.fullmatch(_BARE_IPV6, place):
         return f"tcp://[{place}]{mark}{query}"
-    if re.fullmatch(_PORT_NAME, place):
-        return f"rtu:///{place.lstrip('/')}{mark}{query}"
     raise ConfigError(f"{text!r} is no endpoint; {_hint_of_text(place)}")
 
 
@@ -173,8 +171,9 @@ def _hint_of_text(place: str) -> str:
     if (half := re.fullmatch(_HALF_A_SCHEME, place)) and (scheme := half["scheme"].lower()) in SCHEMES:
         slashes = ":///" if SCHEMES[scheme].carrier == "serial" else "://"
         return f"is it {scheme}{slashes}{half['rest']}?"
-    if place.lower().startswith("usb:"):
-        return f"is it rtu:///{place}?"
+    if re.fullmatch(_PORT_NAME, place) or place.lower().startswith("usb:"):
+        path = place.lstrip("/")
+        return f"is it rtu:///{path}, or ascii:///{path}?"
     if re.fullmatch(_HOST_NAME, place):
         return f"is it tcp://{place}? A serial port is written rtu:///dev/ttyUSB0"
     return "write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0"
