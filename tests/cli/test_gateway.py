@@ -127,6 +127,11 @@ def test_urls_are_enough_for_the_common_case() -> None:
         (["/not/there.toml"], "/not/there.toml: can not be read: no such file"),
         (["tcp://127.0.0.1:0", "tcp://10.0.0.5?speed=3"], "speed: unknown option"),
         (["check"], "check needs one file"),
+        (
+            ["tcp://127.0.0.1:0", "tcp://10.0.0.5", "--client-deadline", "0"],
+            "--client-deadline: a time of 0.001…3600 s",
+        ),
+        (["plant.toml", "--client-deadline", "2s"], "--client-deadline: goes with URLs"),
         (["tcp://127.0.0.1:0", "tcp://10.0.0.5", "--allow", "x"], "--allow"),
     ],
 )

@@ -207,6 +207,17 @@ async def test_a_client_on_defaults_hears_0b_of_a_dead_unit_and_no_timeout_of_it
                 assert link.counters.timeouts == 0
 
 
+async def test_what_waits_for_a_connection_is_0a_at_the_deadline() -> None:
+    async with (
+        ScriptedPeer(first_address) as peer,
+        gateway(peer.endpoint, deadlines=(0.2,), connect_delay=30.0) as made,
+        client(made) as link,
+    ):
+        assert await code_of(link.unit(1).read_holding_registers(0, count=1)) == 0x0A
+        assert peer.frames == []
+        assert made.open_requests == 0
+
+
 @pytest.mark.real_time
 async def test_the_deadline_holds_whatever_the_timeouts_of_the_line_add_up_to() -> None:
     async with (
