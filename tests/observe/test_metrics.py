@@ -76,6 +76,26 @@ async def test_a_scrape_is_understood_by_the_official_parsers_of_both_formats(de
             assert families["busway_up"].samples[0].value == 1
 
 
+@pytest.mark.parametrize(
+    "accept",
+    [
+        "application/openmetrics-text; version=abc",
+        "application/openmetrics-text; version=1.0.0; version=;;;=",
+        "application/openmetrics-text; version=1.x; escaping=\x7f",
+        "text/plain; version=..",
+        "=;,;=" * 200,
+    ],
+)
+async def test_odd_accept_header_is_answered_with_a_format_and_no_traceback(
+    device: busway.Device, accept: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    server = busway.serve(FREE_TCP, units={1: device})
+    async with start_metrics(server, FREE) as endpoint, server:
+        text, _ = await asyncio.to_thread(get, endpoint.url, accept)
+        assert "busway_up" in text
+    assert not caplog.records
+
+
 async def test_requests_connections_bytes_and_time_are_told(device: busway.Device) -> None:
     server = busway.serve(FREE_TCP, units={1: device})
     async with start_metrics(server, FREE) as endpoint, server, busway.open(server.endpoints[0]) as link:

@@ -1,5 +1,6 @@
 """The WebSocket: a snapshot of what was asked for, then what changes, never more than a client can take."""
 
+import contextlib
 import json
 
 import pytest
@@ -117,6 +118,16 @@ def test_a_wish_that_can_not_be_ends_with_a_reason(plant, wish):
         with pytest.raises(ConnectionClosed) as closed:
             collect(socket, lambda found: False)
     assert closed.value.rcvd.reason
+
+
+def test_message_that_is_no_text_ends_with_1003_and_without_a_traceback(plant, caplog):
+    with stream_of(plant) as socket:
+        socket.send(b"\x00\x01")
+        with contextlib.suppress(ConnectionClosed):
+            for _ in socket:  # what was on its way, until it is closed
+                pass
+        assert socket.close_code == 1003
+    assert "Traceback" not in caplog.text
 
 
 def test_no_more_than_so_many_streams_are_served(plant):

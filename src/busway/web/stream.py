@@ -217,7 +217,13 @@ class Streams:
 
     async def _receive(self, socket: WebSocket, client: Client) -> None:
         while True:
-            text = await socket.receive_text()
+            message = await socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            text = message.get("text")
+            if text is None:
+                await socket.close(_UNSUPPORTED, "what was sent is no text")
+                return
             try:
                 problem = client.wish(Wish.model_validate_json(text))
             except ValidationError:

@@ -172,7 +172,10 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
     """All metrics of a registry, in the format that an ``Accept`` header prefers."""
     from prometheus_client.exposition import choose_encoder
 
-    encode, content_type = choose_encoder(accept)
+    try:
+        encode, content_type = choose_encoder(accept)
+    except Exception:  # of a header that the library can not read: it raises whatever it stumbles over
+        encode, content_type = choose_encoder("")
     return HttpResponse(encode(registry), content_type)
 
 
