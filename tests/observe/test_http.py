@@ -1,8 +1,10 @@
 """The small HTTP service: over real sockets, with clients that keep to nothing."""
 
 import asyncio
+import resource
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -24,12 +26,16 @@ from busway.observe.http import (
     parse_host_port,
 )
 
+hanging: list[HttpRequest] = []
+"""Requests that are never answered, once they are there."""
+
 
 async def echo(request: HttpRequest) -> HttpResponse:
     """Answers with what was asked."""
     if request.path == "/broken":
         raise ValueError("a bug")
     if request.path == "/hang":
+        hanging.append(request)
         await asyncio.get_running_loop().create_future()
     return HttpResponse(f"{request.method} {request.path} {request.headers.get('x-one')} ".encode() + request.body)
 
@@ -114,10 +120,30 @@ def test_a_client_that_goes_away_leaves_nothing() -> None:
 
 
 def test_more_connections_than_allowed_are_refused_at_once() -> None:
+    hanging.clear()
     with serving(HttpLimits(seconds=30, connections=2)) as address, ExitStack() as stack:
         for _ in range(2):
             stack.enter_context(connected(address)).sendall(b"GET /hang HTTP/1.1\r\n\r\n")
+        limit = time.monotonic() + 10
+        while len(hanging) < 2:
+            assert time.monotonic() < limit
+            time.sleep(0.01)
         assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 503
+
+
+def test_those_who_say_nothing_make_room_for_whoever_does() -> None:
+    with serving() as address, ExitStack() as stack:
+        silent = [stack.enter_context(connected(address)) for _ in range(40)]
+        silent[-1].sendall(b"GET /half HTTP/1.1\r\n")
+        assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 200
+        assert received(silent[0]) == b""
+
+
+def test_last_descriptors_of_the_process_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    with serving() as address:
+        assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 200
+        monkeypatch.setattr(resource, "getrlimit", lambda kind: (8, 8))  # from 4 on they are Modbus'
+        assert exchange(address, b"GET / HTTP/1.1\r\n\r\n") == b""
 
 
 def test_a_connection_that_is_not_admitted_is_closed_unread() -> None:

@@ -3,8 +3,9 @@
 Knows requests and answers of HTTP/1.1; knows nothing of what is asked. Who owns it says what is answered.
 
 1. One request per connection; then it is closed. Nothing is kept alive, chunked, compressed or redirected.
-2. Everything is bounded: bytes of head and body, seconds of the whole exchange, connections at once (one more is
-   answered 503). Whoever sends or reads slowly keeps nobody else from being answered.
+2. Everything is bounded: bytes of head and body, seconds of the whole exchange, connections at once: one more takes the
+   place of the oldest whose request is not there yet, or is answered 503. Whoever sends or reads slowly keeps nobody
+   else from being answered. The last descriptors of the process are not taken: they are for Modbus.
 3. It has an event loop of its own, so that a large answer, or many questions, never stand in the way of the owner's.
 """
 
@@ -14,12 +15,14 @@ import logging
 import os
 import socket
 import threading
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from http import HTTPStatus
 from typing import Final
 
 from ..errors import ConfigError, LinkDown
+from ..transport.descriptors import is_reserved
 
 _log = logging.getLogger("busway.http")
 
@@ -28,6 +31,8 @@ HEAD_LIMIT: Final = 8192
 BODY_LIMIT: Final = 4096
 """Bytes of a request's body; nothing that is asked here has one of any size."""
 _BACKLOG: Final = 16
+_PAUSE: Final = 60.0
+"""Seconds between two lines about requests that could not be answered."""
 _TURNS_TO_SETTLE: Final = 4
 """Turns of the loop until a connection that is being accepted stands, and until one that was closed has gone."""
 _SINGLE: Final = frozenset({"host", "content-length", "authorization"})
@@ -113,6 +118,10 @@ class HttpService:
         self._admit = admit
         self._limits = limits or HttpLimits()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._unheard: dict[
+            asyncio.Task[None], asyncio.WriteTransport
+        ] = {}  # without a whole request, the oldest first
+        self._told = -_PAUSE
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopping: asyncio.Event | None = None
         self._started = threading.Event()
@@ -164,11 +173,14 @@ class HttpService:
         task = asyncio.current_task()
         assert task is not None
         self._tasks.add(task)
+        self._make_room()
+        self._unheard[task] = writer.transport
         try:
             async with asyncio.timeout(self._limits.seconds):
-                if not self._admit(writer.get_extra_info("socket")):
+                accepted = writer.get_extra_info("socket")
+                if is_reserved(accepted.fileno()) or not self._admit(accepted):
                     return
-                writer.write(encode_response(await self._respond(reader)))
+                writer.write(encode_response(await self._respond(reader, task)))
                 await writer.drain()
                 writer.close()
                 await writer.wait_closed()
@@ -176,21 +188,33 @@ class HttpService:
             pass  # whoever asked has gone, or is too slow to be waited for
         finally:
             self._tasks.discard(task)
+            self._unheard.pop(task, None)
             writer.transport.abort()
 
-    async def _respond(self, reader: asyncio.StreamReader) -> HttpResponse:
+    def _make_room(self) -> None:
+        """Where one is there too many, end the oldest whose request is not there yet."""
+        if len(self._tasks) > self._limits.connections and self._unheard:
+            oldest = next(iter(self._unheard))
+            self._tasks.discard(oldest)
+            self._unheard.pop(oldest).abort()
+
+    async def _respond(self, reader: asyncio.StreamReader, task: "asyncio.Task[None]") -> HttpResponse:
         try:
             if len(self._tasks) > self._limits.connections:
                 raise HttpError(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections at once")
             async with asyncio.timeout(self._limits.request_seconds):
                 request = await read_request(reader)
+            self._unheard.pop(task, None)
             return await self._answer(request)
         except HttpError as error:
             return HttpResponse(f"{error}\n".encode(), status=error.status)
         except (OSError, EOFError):  # TimeoutError is one of them
             raise
         except Exception:
-            _log.exception("a request could not be answered")
+            now = time.monotonic()
+            if now >= self._told + _PAUSE:
+                self._told = now
+                _log.exception("a request could not be answered; what follows within a minute is not said")
             return HttpResponse(b"it could not be answered\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from importlib.resources import files
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self, cast
 
 import uvicorn
 from starlette.applications import Starlette
@@ -36,19 +36,21 @@ from ..observe.http import bind_tcp, bound_name, parse_host_port
 from ..version import __version__
 from .access import Access, AccessRules, Application, Message, Receive, Refused, Scope, Send
 from .api import Api
+from .connections import Doors, Throttle
 from .operations import failed, openapi
 from .stream import Streams
 from .subject import Subject
 from .traffic import Traffic
 
-_log = logging.getLogger("busway.web")
+_errors = logging.getLogger("busway.web.errors")
+"""Once a minute: whoever has found how to make one, makes many."""
+_errors.addFilter(Throttle())
 
 DEFAULT_ADDRESS: Final = "127.0.0.1:8502"
 KEY: Final = "api"
 SHORTEST_TOKEN: Final = 16
 """Characters of a token that somebody chose."""
 _TOKEN_BYTES: Final = 24
-_CONNECTIONS: Final = 100
 _WISH_LIMIT: Final = 256 * 1024
 """Bytes of a message by WebSocket from a browser."""
 _KEEP_ALIVE: Final = 15
@@ -248,10 +250,9 @@ def _configured(application: Application) -> uvicorn.Config:
         log_level="warning",
         proxy_headers=False,
         server_header=False,
-        http="h11",
+        http=cast("Any", Doors().protocols()),  # a class is asked for, and called like any callable
         ws="websockets-sansio",
         ws_max_size=_WISH_LIMIT,
-        limit_concurrency=_CONNECTIONS,
         timeout_keep_alive=_KEEP_ALIVE,
         timeout_graceful_shutdown=_STOP_SECONDS,
     )
@@ -297,7 +298,7 @@ async def _refused(request: Request, error: Exception) -> Response:
 
 
 async def _failed(request: Request, error: Exception) -> Response:
-    _log.error("a request could not be answered", exc_info=error)
+    _errors.error("a request could not be answered", exc_info=error)
     return failed(HTTPStatus.INTERNAL_SERVER_ERROR, "it could not be answered; the log says why")
 
 

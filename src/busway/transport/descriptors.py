@@ -1,0 +1,21 @@
+"""The file descriptors of the process, of which the last ones belong to Modbus.
+
+Knows the system's limit; knows no socket. Page, status and metrics ask here before they keep a connection: the system
+gives the lowest free number, so a high one says that few are left.
+"""
+
+import sys
+from typing import Final
+
+RESERVED: Final = 128
+"""Descriptors that are for Modbus alone; where the limit is low, half of all."""
+
+
+def is_reserved(descriptor: int) -> bool:
+    """Whether a descriptor that was just given is among the last of this process, and is to be given back."""
+    if sys.platform == "win32":
+        return False
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return limit != resource.RLIM_INFINITY and descriptor >= limit - min(RESERVED, limit // 2)
