@@ -273,3 +273,10 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 def say(sentence: str) -> None:
     """One sentence on stderr."""
     print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)
+
+
+def say_problems(sentence: str, problems: str) -> None:
+    """One sentence on stderr, and below it a line for each problem."""
+    say(sentence)
+    for line in problems.split("\n"):
+        print(printable(line), file=sys.stderr, flush=True)

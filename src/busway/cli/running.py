@@ -15,7 +15,7 @@ import typer
 
 from ..errors import ModbusError
 from .files import read_text
-from .output import say
+from .output import say, say_problems
 from .signals import on_hangup
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ async def read_again_on_hangup(
         try:
             done = await service.reload()
         except ModbusError as error:
-            say(f"read again, nothing was changed:\n{error}")
+            say_problems("read again, nothing was changed:", str(error))
         else:
             say(f"read again: {'; '.join(done)}")
         told(True)
