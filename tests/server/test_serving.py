@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -78,3 +79,18 @@ def test_serve_forever_serves_until_it_is_interrupted() -> None:
             program.send_signal(signal.SIGINT)
             assert program.stdout.readline() == "ended\n"
         assert program.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    ("units", "sentence"),
+    [
+        ({1: "x"}, "units: unit 1 must be a busway.Device, not 'x'"),
+        ({1: None}, "units: unit 1 must be a busway.Device, not None"),
+        ("x", "units: must be a device, or devices by unit as in {1: device}, not 'x'"),
+        ([], "units: must be a device, or devices by unit as in {1: device}, not []"),
+    ],
+)
+def test_units_that_are_no_devices_are_refused(units: Any, sentence: str) -> None:
+    with pytest.raises(busway.ConfigError) as caught:
+        busway.serve("tcp://127.0.0.1:0", units=units)
+    assert str(caught.value) == sentence

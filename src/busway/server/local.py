@@ -57,9 +57,13 @@ class LocalHandler:
         unlisted: UnlistedUnit = UnlistedUnit.EXCEPTION,
         functions: FunctionTable = STANDARD,
     ) -> None:
-        for unit in units:
+        if not isinstance(units, Mapping):
+            raise ConfigError(f"must be a device, or devices by unit as in {{1: device}}, not {units!r}", key="units")
+        for unit, device in units.items():
             if not isinstance(unit, int) or not 0 <= unit <= 255:
                 raise ConfigError(f"a unit is 0…255, not {unit!r}", key="units")
+            if not isinstance(device, Device):
+                raise ConfigError(f"unit {unit} must be a busway.Device, not {device!r}", key="units")
         if not units:
             raise ConfigError("at least one unit is needed", key="units")
         distinct = {id(device): device for device in units.values()}
