@@ -7,10 +7,15 @@ Python, and switch on what its author wanted off.
 """
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
+from itertools import islice
+from typing import Final, TypeVar
 
 from ..errors import InvalidRequest
 
+Value = TypeVar("Value")
+
+_MOST: Final = 65_536
 _SHOWN_CHARACTERS = 60
 _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte in range(256))
 
@@ -38,18 +43,41 @@ def as_state(name: str, value: object) -> bool:
     raise InvalidRequest(f"{name} must be True or False, not {_shown(value)}")
 
 
-def as_states(values: Sequence[object]) -> list[bool]:
-    """The states of a sequence. `InvalidRequest` says which value is none; nothing was sent."""
-    if isinstance(values, str):
-        raise InvalidRequest(f"the states must be a sequence of True and False, not {_shown(values)}")
-    try:
-        listed = list(values)
-    except TypeError:
-        raise InvalidRequest(f"the states must be a sequence of True and False, not {_shown(values)}") from None
-    for position, value in enumerate(listed):
+def as_states(values: Iterable[object]) -> list[bool]:
+    """The states of an iterable. `InvalidRequest` says which value is none; nothing was sent."""
+    states = listed(values, "states", "True and False")
+    for position, value in enumerate(states):
         if value.__class__ is not bool:
-            listed[position] = as_state(f"value {position + 1}", value)
-    return listed  # type: ignore[return-value]  # each is a bool now
+            states[position] = as_state(f"value {position + 1}", value)
+    return states  # type: ignore[return-value]  # each is a bool now
+
+
+def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value]:
+    """The values of an iterable, in their order.
+
+    Args:
+        values: anything that has an order: a list, a range, a generator, an array. At most 65536 are looked at.
+        what, of: what they are, in the plural, and what can stand there, for the error.
+
+    Raises:
+        InvalidRequest: it is no such iterable (a text, bytes, a set or a mapping), or never ends. Nothing was sent.
+    """
+    if not is_several(values):
+        raise InvalidRequest(f"the {what} must be a sequence of {of}, not {_shown(values)}")
+    try:
+        found = list(islice(values, _MOST + 1))
+    except TypeError as error:
+        raise InvalidRequest(f"the {what} must be a sequence of {of}, not {_shown(values)}") from error
+    if len(found) > _MOST:
+        raise InvalidRequest(f"the {what} are more than the {_MOST} that a device has")
+    return found
+
+
+def is_several(values: object) -> bool:
+    """Whether these are values in an order, and not one: texts, bytes, sets and mappings are not."""
+    if isinstance(values, list | tuple):
+        return True
+    return isinstance(values, Iterable) and not isinstance(values, str | bytes | bytearray | memoryview | Set | Mapping)
 
 
 def _shown(value: object) -> str:

@@ -4,7 +4,7 @@ A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Applica
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -197,7 +197,7 @@ class WriteFileRecord(Request):
     groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
 
     @classmethod
-    def of(cls, file: int, record: int, values: Sequence[int]) -> Self:
+    def of(cls, file: int, record: int, values: Iterable[int]) -> Self:
         """The request that writes ``values`` (each 0…65535) to one file."""
         problem = _check_reference(file, record)
         if problem is not None:

@@ -1,7 +1,7 @@
 """Functions 05, 06, 15, 16, 22 and 23: writing coils and holding registers."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Self
 
 from ..codes import (
@@ -9,11 +9,12 @@ from ..codes import (
     MAX_READ_WRITE_WRITE_REGISTERS,
     MAX_WRITE_BITS,
     MAX_WRITE_REGISTERS,
+    TABLE_SIZE,
     FunctionCode,
     Table,
 )
 from ..errors import InvalidRequest
-from .bits import as_state, as_states, pack_bits
+from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
 from .direct import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
 from .fields import rest, rest_length, u16
@@ -94,7 +95,7 @@ class WriteMultipleCoils(Request):
         count: int = u16(1, MAX_WRITE_BITS)
 
     @classmethod
-    def of(cls, address: int, values: Sequence[bool]) -> Self:
+    def of(cls, address: int, values: Iterable[bool]) -> Self:
         """The request that writes ``values`` from ``address`` on.
 
         Raises:
@@ -140,9 +141,10 @@ class WriteMultipleRegisters(Request):
         count: int = u16(1, MAX_WRITE_REGISTERS)
 
     @classmethod
-    def of(cls, address: int, values: Sequence[int]) -> Self:
+    def of(cls, address: int, values: Iterable[int]) -> Self:
         """The request that writes ``values`` (each 0…65535) from ``address`` on."""
-        return cls(address, len(values), pack_registers(values))
+        data = pack_registers(values)
+        return cls(address, len(data) // 2, data)
 
     def validate(self) -> str | None:
         if 2 * self.count != len(self.data):
@@ -212,9 +214,10 @@ class ReadWriteMultipleRegisters(Request):
             return unpack_registers(self.data)
 
     @classmethod
-    def of(cls, read_address: int, read_count: int, write_address: int, values: Sequence[int]) -> Self:
+    def of(cls, read_address: int, read_count: int, write_address: int, values: Iterable[int]) -> Self:
         """The request that writes ``values`` (each 0…65535) and then reads."""
-        return cls(read_address, read_count, write_address, len(values), pack_registers(values))
+        data = pack_registers(values)
+        return cls(read_address, read_count, write_address, len(data) // 2, data)
 
     def validate(self) -> str | None:
         if 2 * self.write_count != len(self.data):
@@ -231,8 +234,10 @@ class ReadWriteMultipleRegisters(Request):
         return self.Reply(model.read(Table.HOLDING_REGISTERS, self.read_address, self.read_count, context))
 
 
-def pack_registers(values: Sequence[int]) -> bytes:
+def pack_registers(values: Iterable[int]) -> bytes:
     """Numbers 0…65535 as big-endian registers; `InvalidRequest` names the first that is none."""
+    if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
+        values = listed(values, "registers")
     try:
         return struct.pack(f">{len(values)}H", *values)
     except struct.error:
