@@ -5,7 +5,7 @@ and docstrings are those of the blocking interface (``blocking``); a test holds 
 """
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import Any, Literal, Self, TypeVar, Unpack
 
@@ -35,7 +35,15 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking import Link as BlockingLink
 from .blocking import Unit
-from .calls import check_selected, closed_error, default_unit, demand_for, refused, with_assumed_unit
+from .calls import (
+    SHOWN_STATE,
+    check_selected,
+    closed_error,
+    default_unit,
+    demand_for,
+    refused,
+    with_assumed_unit,
+)
 from .link import Link
 from .management import Selection, selection
 from .operations import (
@@ -78,6 +86,9 @@ class AsyncUnit:
         self._width = link.register_width
         self._holding = wide(ReadHoldingRegisters, self._width)
         self._input = wide(ReadInputRegisters, self._width)
+
+    def __repr__(self) -> str:
+        return f"<AsyncUnit {self._number} of {self._link.endpoint.url}>"
 
     @property
     @documented_by(Unit.number)
@@ -204,11 +215,11 @@ class AsyncUnit:
         await self._ask(WriteSingleRegister(address, value), call)
 
     @documented_by(Unit.write_multiple_coils)
-    async def write_multiple_coils(self, address: int, values: Sequence[bool], **call: Unpack[CallOptions]) -> None:
+    async def write_multiple_coils(self, address: int, values: Iterable[bool], **call: Unpack[CallOptions]) -> None:
         await self._ask(WriteMultipleCoils.of(address, values), call)
 
     @documented_by(Unit.write_multiple_registers)
-    async def write_multiple_registers(self, address: int, values: Sequence[int], **call: Unpack[CallOptions]) -> None:
+    async def write_multiple_registers(self, address: int, values: Iterable[int], **call: Unpack[CallOptions]) -> None:
         await self._ask(WriteMultipleRegisters.of(address, values), call)
 
     @documented_by(Unit.mask_write_register)
@@ -219,7 +230,7 @@ class AsyncUnit:
 
     @documented_by(Unit.read_write_multiple_registers)
     async def read_write_multiple_registers(
-        self, read_address: int, *, count: int, write_address: int, values: Sequence[int], **call: Unpack[CallOptions]
+        self, read_address: int, *, count: int, write_address: int, values: Iterable[int], **call: Unpack[CallOptions]
     ) -> list[int]:
         reply = await self._ask(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), call)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
@@ -239,7 +250,7 @@ class AsyncUnit:
 
     @documented_by(Unit.write_file_record)
     async def write_file_record(
-        self, file: int, record: int, values: Sequence[int], **call: Unpack[CallOptions]
+        self, file: int, record: int, values: Iterable[int], **call: Unpack[CallOptions]
     ) -> None:
         await self._ask(WriteFileRecord.of(file, record, values), call)
 
@@ -320,6 +331,9 @@ class AsyncLink:
             return self._bound()
         except ModbusError:
             return None
+
+    def __repr__(self) -> str:
+        return f"<AsyncLink {self._settings.endpoint.url} {'closed' if self._closed else SHOWN_STATE[self.state]}>"
 
     @property
     @documented_by(BlockingLink.endpoint)

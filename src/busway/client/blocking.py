@@ -5,7 +5,7 @@ asynchronous interface (``aio``) has the same names, arguments and docstrings; a
 """
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Any, Literal, Self, Unpack
 
@@ -35,7 +35,15 @@ from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
-from .calls import check_selected, closed_error, default_unit, demand_for, refused, with_assumed_unit
+from .calls import (
+    SHOWN_STATE,
+    check_selected,
+    closed_error,
+    default_unit,
+    demand_for,
+    refused,
+    with_assumed_unit,
+)
 from .management import Selection, selection
 from .operations import (
     CallOptions,
@@ -75,6 +83,9 @@ class Unit:
         self._width = link.register_width
         self._holding = wide(ReadHoldingRegisters, self._width)
         self._input = wide(ReadInputRegisters, self._width)
+
+    def __repr__(self) -> str:
+        return f"<Unit {self._number} of {self._link.endpoint.url}>"
 
     @property
     def number(self) -> int:
@@ -162,7 +173,7 @@ class Unit:
 
         Args:
             address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
-            value: one value, or a list of values for consecutive places.
+            value: one value, or any iterable of values for consecutive places.
             type: type of the values in registers (``uint16`` by default).
             order: order of bytes and registers.
             function: ``single`` (05, 06) or ``multiple`` (15, 16) for devices that have only one of them.
@@ -260,7 +271,7 @@ class Unit:
         """
         self.execute(WriteSingleRegister(address, value), **call)
 
-    def write_multiple_coils(self, address: int, values: Sequence[bool], **call: Unpack[CallOptions]) -> None:
+    def write_multiple_coils(self, address: int, values: Iterable[bool], **call: Unpack[CallOptions]) -> None:
         """Write coils, function 15 (MODBUS Application Protocol V1.1b3 §6.11).
 
         Args:
@@ -273,7 +284,7 @@ class Unit:
         """
         self.execute(WriteMultipleCoils.of(address, values), **call)
 
-    def write_multiple_registers(self, address: int, values: Sequence[int], **call: Unpack[CallOptions]) -> None:
+    def write_multiple_registers(self, address: int, values: Iterable[int], **call: Unpack[CallOptions]) -> None:
         """Write holding registers, function 16 (MODBUS Application Protocol V1.1b3 §6.12).
 
         Args:
@@ -301,7 +312,7 @@ class Unit:
         self.execute(MaskWriteRegister(address, and_mask, or_mask), **call)
 
     def read_write_multiple_registers(
-        self, read_address: int, *, count: int, write_address: int, values: Sequence[int], **call: Unpack[CallOptions]
+        self, read_address: int, *, count: int, write_address: int, values: Iterable[int], **call: Unpack[CallOptions]
     ) -> list[int]:
         """Write holding registers, then read some, in one request, function 23 (§6.17).
 
@@ -343,7 +354,7 @@ class Unit:
         assert isinstance(reply, ReadFileRecord.Reply)
         return reply.contents[0].registers
 
-    def write_file_record(self, file: int, record: int, values: Sequence[int], **call: Unpack[CallOptions]) -> None:
+    def write_file_record(self, file: int, record: int, values: Iterable[int], **call: Unpack[CallOptions]) -> None:
         """Write registers of a file, function 21 with one group (§6.15).
 
         Args:
@@ -429,6 +440,9 @@ class Link:
             return self._link or self._bound()
         except ModbusError:
             return None
+
+    def __repr__(self) -> str:
+        return f"<Link {self._settings.endpoint.url} {'closed' if self._closed else SHOWN_STATE[self.state]}>"
 
     @property
     def endpoint(self) -> Endpoint:

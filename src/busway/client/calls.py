@@ -15,10 +15,16 @@ from ..pdu.message import Request
 from ..session.demand import Demand
 from ..session.ledger import function_of
 from ..session.parameters import ClientParameters
+from ..session.reconnect import ConnectionState
 from .operations import CallOptions
 from .settings import CALL_DEFAULTS, LinkSettings
 
 _IS_WRITE = attrgetter("is_write")
+SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
+    ConnectionState.UP.value: "connected",
+    ConnectionState.DOWN.value: "not connected",
+}
+"""The states of a connection as the ``repr`` of a link says them."""
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:

@@ -4,13 +4,14 @@ Knows which requests an operation needs and what its result is made of; knows no
 operation is a generator that yields requests (one, or several to send together) and is sent their replies.
 """
 
+import contextlib
 from collections.abc import Callable, Generator, Sequence
 from functools import lru_cache
 from typing import Any, Literal, TypedDict
 
 from ..codes import MAX_READ_BITS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
 from ..errors import BadReply, InvalidRequest
-from ..pdu.bits import as_state, as_states
+from ..pdu.bits import as_state, as_states, is_several, listed
 from ..pdu.compiler import as_integer
 from ..pdu.encapsulated import EXTENDED, INDIVIDUAL, ReadDeviceIdentification
 from ..pdu.functions import STANDARD
@@ -110,8 +111,8 @@ def write_values(
     place = _place(address)
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: a {place.table.label if place.table else 'table'} can not be written")
-    several = isinstance(values, list | tuple)
-    items = list(values) if several else [values]
+    several = is_several(values)
+    items = listed(values, "values") if several else [values]
     if not items:
         raise InvalidRequest(f"{place}: no value to write")
     request: Request
@@ -165,10 +166,18 @@ def read_identification(level: str, object_id: int | None) -> Operation:
 def _place(address: int | str | Address) -> Address:
     place = parse_address(address)
     if place.table is None:
-        raise InvalidRequest(
-            f"address {address} names no table; write for example '4x{place.offset + 1}' or 'holding:{place.offset}'"
-        )
+        raise InvalidRequest(f"address {address} names no table; {_hint_of_number(place)}")
     return place
+
+
+def _hint_of_number(place: Address) -> str:
+    """How to write what a number may mean: 40001 is how manuals call the first holding register."""
+    offset = place.offset
+    with contextlib.suppress(InvalidRequest):
+        meant = parse_address(str(offset))
+        assert meant.table is not None
+        return f"write '{offset}' for {meant.table.label} {meant.number}, or 'holding:{offset}' for offset {offset}"
+    return f"write for example '4x{offset + 1}' or 'holding:{offset}'"
 
 
 _READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
