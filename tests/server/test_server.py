@@ -265,3 +265,34 @@ def test_server_needs_an_endpoint_and_either_units_or_a_handler() -> None:
         busway.serve(ANY_PORT)
     with pytest.raises(busway.ConfigError, match="units or a handler"):
         busway.serve(ANY_PORT, units=_device(), handler=ScriptedHandler(later))
+
+
+@pytest.mark.clause("S16")
+@pytest.mark.clause("S17")
+@pytest.mark.parametrize("endpoint", ["tcp://127.0.0.1:0", "udp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0"])
+async def test_units_of_a_network_listener_have_counters_and_modes_of_their_own(endpoint: str) -> None:
+    units = {1: busway.Device(holding_registers=4), 3: busway.Device(holding_registers=4)}
+    async with (
+        busway.serve(endpoint, units=units, diagnostics_changes=True) as server,
+        busway.open(server.endpoints[0], timeout=2.0) as link,
+    ):
+        for unit in (1, 3, 3):
+            await link.unit(unit).read_holding_registers(0, count=1)
+        assert await link.unit(3).diagnostics(0x0A) == b"\x00\x00"
+        await link.unit(3).read_holding_registers(0, count=1)
+        assert await link.unit(3).diagnostics(0x0E) == b"\x00\x02"
+        assert await link.unit(1).diagnostics(0x0E) == b"\x00\x02"
+        (status,) = server.status().listeners
+        assert (status.requests, status.counters.bus_message_count, status.listen_only_units) == (7, 7, ())
+
+
+@pytest.mark.clause("S16")
+async def test_device_that_also_answers_as_0_and_255_has_one_set_of_counters() -> None:
+    async with (
+        busway.serve("tcp://127.0.0.1:0", units={7: busway.Device(holding_registers=4)}) as server,
+        busway.open(server.endpoints[0]) as link,
+    ):
+        for unit in (7, 255, 255):
+            await link.unit(unit).read_holding_registers(0, count=1)
+        assert await link.unit(255).diagnostics(0x0E) == b"\x00\x04"
+        assert await link.unit(7).diagnostics(0x0E) == b"\x00\x05"
