@@ -97,6 +97,7 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
             (status,) = gateway.status().lines
             assert (status.links[0].reason, status.links[0].next_attempt) == ("", None)
             assert status.lamps.error.value == "off"
+        assert len(told(caplog)) == 2  # that the gateway ends is no news of its line
 
 
 async def test_a_port_that_is_busy_is_told_with_its_holder_and_0a_says_the_same(

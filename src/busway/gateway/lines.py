@@ -268,6 +268,7 @@ class Line:
         self._link_of.clear()
         self._users.clear()
         for link in links:
+            link.told = None  # that we close it is no news
             await link.close()
 
     async def wait_until_answered(self) -> None:
