@@ -137,3 +137,10 @@ def test_any_text_is_an_endpoint_or_a_configuration_error(text: str, scheme: str
         except ConfigError:
             continue
         assert parse_endpoint(str(endpoint)) == endpoint
+
+
+def test_port_of_thousands_of_digits_is_refused_in_a_sentence_of_ours() -> None:
+    with pytest.raises(ConfigError) as refused:
+        parse_endpoint("tcp://127.0.0.1:" + "9" * 5000)
+    assert str(refused.value).endswith("…: the port must be 0…65535")
+    assert len(str(refused.value)) < 200

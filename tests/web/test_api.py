@@ -295,3 +295,34 @@ def test_every_route_of_the_application_is_one_of_the_page_the_stream_or_the_doc
         described = document["paths"][operation.path][operation.method.lower()]
         assert ("requestBody" in described) == (operation.body is not None)
         assert str(int(operation.status)) in described["responses"]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        b"[" * 500 + b"]" * 500,
+        b'{"a":' * 500 + b"1" + b"}" * 500,
+        b"[" * 100_000,
+        b'"\\u0000"',
+        b'"\\ud800"',
+        b"9" * 4200,
+        b"9" * 5000,
+        b'"' + b"9" * 5000 + b'"',
+        b'"${' + b"9" * 4300 + b'}"',
+        b"1e400",
+    ],
+    ids=["lists", "objects", "endless", "nul", "surrogate", "many digits", "too many", "in text", "parameter", "inf"],
+)
+def test_odd_values_are_refused_in_a_sentence_wherever_they_stand(still, value, caplog):
+    for method, path, key in (
+        ("PUT", "/api/units/1/points/tank.target", "value"),
+        ("PUT", "/api/units/1/points/meter.energy", "value"),
+        ("PATCH", "/api/simulation", "speed"),
+        ("POST", "/api/faults", "personality"),
+        ("POST", "/api/faults", "units"),
+    ):
+        status, content = still.ask(method, path, b'{"' + key.encode() + b'":' + value + b"}")
+        assert 400 <= status < 500, (path, content)
+        assert content["error"]
+        assert "set_int_max_str_digits" not in content["error"]
+    assert not caplog.records

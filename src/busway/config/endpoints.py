@@ -108,6 +108,10 @@ class Endpoint:
         return f"{self.url}?{query}"
 
 
+_LONGEST = 4096
+"""Characters of a URL that is shown whole where it can not be read."""
+
+
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     """The endpoint of a URL; an `Endpoint` is returned as it is. Raises `ConfigError` that names what is wrong.
 
@@ -127,7 +131,9 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
         parts = urlsplit(url)
         port = parts.port
     except ValueError as error:
-        raise ConfigError(f"{url}: {error}") from None
+        # A port of thousands of digits, which Python does not even convert: it would say how to let it.
+        sentence = f"{url[:60]}…: the port must be 0…65535" if len(url) > _LONGEST else f"{url}: {error}"
+        raise ConfigError(sentence) from None
     if parts.fragment:
         raise ConfigError(f"{url}: an endpoint has no #{parts.fragment}")
     if parts.username is not None:

@@ -111,7 +111,8 @@ class Operation:
 
 
 def failed(status: int, sentence: str) -> Response:
-    """A `Failure`."""
+    """A `Failure`. What a client wrote may stand in it, and may be no text: half of a surrogate pair."""
+    sentence = sentence.encode("utf-8", "backslashreplace").decode()
     return Response(Failure(error=sentence).model_dump_json(), status, media_type=_JSON)
 
 

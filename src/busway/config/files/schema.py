@@ -79,8 +79,7 @@ def read_source(text: str, name: str) -> Source:
     except tomllib.TOMLDecodeError as error:
         raise FileError([_syntax_problem(text, error, name)]) from error
     except (ValueError, RecursionError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else f"it can not be read: {error}"
-        raise FileError([ConfigError(reason, file=name, line=_densest_line(text))]) from error
+        raise FileError([_exhausting_problem(text, error, name)]) from error
 
 
 def parse_file(text: str, schema: type[File], name: str) -> File:
@@ -113,6 +112,21 @@ def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> Con
     place = f" (column {match[2]})" if match[2] else " (at the end of the file)"
     said = message[: match.start()]
     return ConfigError(f"{said[:1].lower()}{said[1:]}{place}", file=name, line=line)
+
+
+def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
+    """What a text is that exhausts the reader: nested too deeply, or with a number that Python does not convert."""
+    if isinstance(error, RecursionError):
+        return ConfigError("it is nested too deeply", file=name, line=_densest_line(text))
+    longest = _LONG_NUMBER.search(text)
+    if longest is None:
+        return ConfigError(f"it can not be read: {error}", file=name, line=_densest_line(text))
+    sentence = f"a whole number of {len(longest[0].replace('_', ''))} digits stands there; no value has so many"
+    return ConfigError(sentence, file=name, line=1 + text.count("\n", 0, longest.start()))
+
+
+_LONG_NUMBER = re.compile(r"(?<![\w.])[0-9][0-9_]{4299,}")
+"""More digits than Python converts (sys.get_int_max_str_digits)."""
 
 
 def _densest_line(text: str) -> int:
