@@ -216,11 +216,13 @@ class TcpServerSession:
             direct = len(out)
             at = READ_SIZE * direct
             if at == size:
-                if direct == 1:
-                    self.requests += 1
-                    diagnostics.exchanged[buffer[_UNIT]] += 1
-                elif direct:
-                    self._count(buffer[_UNIT:size:READ_SIZE])
+                if direct:
+                    units = buffer[_UNIT:size:READ_SIZE]
+                    if direct == 1 or units.count(units[0]) == direct:
+                        self.requests += direct
+                        diagnostics.exchanged[units[0]] += direct
+                    else:
+                        self._count(units)
                 return out
         reads = self._reads if not muted else None
         if reads is not None and not (direct or size % READ_SIZE):
