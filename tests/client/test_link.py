@@ -251,7 +251,7 @@ async def test_links_of_one_loop_to_one_endpoint_share_a_connection_until_the_la
         assert server.accepted == 1
         await first.close()
         assert await second.unit(1).read_holding_registers(3, count=1) == [3]
-        with pytest.raises(busway.InvalidRequest):
+        with pytest.raises(busway.LinkClosed):
             await first.unit(1).read_holding_registers(3, count=1)
         assert server.connections == 1
         await second.close()

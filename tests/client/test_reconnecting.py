@@ -260,3 +260,25 @@ def test_threads_that_wait_on_a_flapping_peer_all_get_an_end() -> None:
             thread.join(10)
             assert not thread.is_alive()
         assert outcomes == [busway.LinkDown] * 6
+
+
+def test_connecting_by_name_while_the_next_attempt_is_not_due_fails_at_once_and_later_succeeds(skin: Skin) -> None:
+    with faulty_server(known_device()) as server:
+        endpoint = server.endpoint
+    port = endpoint.rsplit(":", 1)[1]
+    with skin.link(endpoint, reconnect_first=0.2, reconnect_most=0.2, timeout=AMPLE) as link:
+        with pytest.raises(busway.LinkDown):
+            link.connect()
+        assert link.state == "backing off"
+        with busway.serve_in_thread(f"tcp://127.0.0.1:{port}", units=known_device()):
+            end = time.monotonic() + AMPLE
+            while True:
+                try:
+                    link.connect()
+                    break
+                except busway.LinkDown:
+                    assert time.monotonic() < end
+                    time.sleep(0.01)
+            assert link.state == "up"
+            assert read(link) == [5]
+            assert link.state == "up"

@@ -26,6 +26,7 @@ from ..errors import LinkClosed, LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
+from ..session.connection import ConnectionLife
 from ..session.demand import Demand
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
@@ -81,17 +82,16 @@ class BlockingLink:
         self.session: Conversation = session
         self._line = session if isinstance(session, SerialClientSession) else None
         management = settings.management
-        self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+        reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
         self.shared = shared
         self.opened = self.last_used = 0.0
         self.sent_bytes = self.received_bytes = 0
-        self._asked_before = 0  # requests before this connection
         self._hold = management.hold_seconds
         self._scope = scope
         self._spin = 0.0
         if settings.line is not None and settings.line.port is not None:
             opening = settings.line.opening
-            self.reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
+            reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
             self._spin = _SPIN if opening.precise_timing else 0.0
         self._turn = threading.Condition(threading.Lock() if scope is None else scope.lock)
         self._leading = False
@@ -99,7 +99,8 @@ class BlockingLink:
         self._connection: BlockingConnection | None = None
         self._buffer = bytearray(RECEIVE_SIZE)
         self._closed = False
-        self._last_failure: LinkDown | None = None
+        self.reconnect = reconnect
+        self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         self._trace: Trace | None = None
         LOCAL.add(self)
 
@@ -159,8 +160,14 @@ class BlockingLink:
                 self._waiting -= 1
             if self._connection is not None or self._closed:
                 return
+            refusal = self._life.refusal(time.monotonic())
+            if refusal is not None:
+                raise refusal
             self._leading = True
         try:
+            with self._turn:
+                while not self._closed and (pause := self._pause(time.monotonic())):  # the first one was lost just now
+                    self._turn.wait(pause)
             failure = self._make_connection()
             if failure is not None:
                 raise failure
@@ -178,7 +185,7 @@ class BlockingLink:
             if self._connection is not None:
                 self._release(now, "the link was closed")
             self._connector.release()
-            self.session.unreachable(now, LinkDown("the link was closed"))
+            self._life.ended(now)
             self._done()
             if self._line is not None:
                 KEPT.keep(self.name, self._line.doubts)
@@ -204,7 +211,7 @@ class BlockingLink:
             local=local,
             traffic=(self.sent_bytes, self.received_bytes),
             waiting=(self.session.in_flight, self.session.queued),
-            reason="" if self._last_failure is None else self._last_failure.message,
+            reason=self._life.down_because,
             in_doubt=() if self._line is None else self._line.doubts.in_doubt(),
         )
 
@@ -273,7 +280,7 @@ class BlockingLink:
         """Seconds until something is due; the lock is held."""
         deadline = self.session.deadline()
         if self._connection is None:
-            if self.reconnect.may_dial(now):
+            if self._life.may_dial(now):
                 return 0.0
             due = self.reconnect.not_before
             return max(min(due, deadline) if deadline is not None else due, now) - now or 0.001
@@ -297,8 +304,10 @@ class BlockingLink:
 
     def _let_go(self, now: float) -> None:
         """Close a connection that was held long enough."""
-        if self._connection is not None and now - self.last_used >= self._hold and not self._is_used():
-            self._release(now, f"unused for {self._hold:g} s" if self._hold else "nothing more is asked")
+        if self._connection is not None and not self._is_used():
+            reason = self._life.spent(now, self.last_used)
+            if reason:
+                self._release(now, reason)
 
     def _transmit(self, now: float) -> None:
         """Send what may be sent now; or, with ``precise_timing``, some moments ahead, at that time."""
@@ -366,8 +375,9 @@ class BlockingLink:
             self._traced().received(bytes(self._buffer[:size]))
         session = self.session
         session.receive(self._buffer, size, now)
-        if session.valid_reply and (self.reconnect.state is not ConnectionState.UP or self.reconnect.failures):
-            self._move(ConnectionEvent.VALID_REPLY, now)
+        reconnect = self.reconnect
+        if reconnect.state is not ConnectionState.UP or reconnect.failures:
+            self._life.replied(now)
         self._done()
         if self._scope is not None:
             self._scope.serve(now)
@@ -376,19 +386,17 @@ class BlockingLink:
 
     def _tick(self, now: float) -> None:
         connection, session = self._connection, self.session
-        timeouts = session.counters.timeouts
         if connection is not None:
             if connection.frame_leaves is not None and session.in_flight:
                 connection.frame_leaves()
             if connection.unsent:
                 self._flush(now)
-        session.tick(now)
-        if session.counters.timeouts != timeouts:
+        timed_out = self._life.tick(now)
+        if timed_out:
             self.last_used = now
-            self._move(ConnectionEvent.TIMEOUT, now)
-        if session.finished or session.counters.timeouts != timeouts:
+        if timed_out or session.finished:
             self._end_if_stuck(now)
-        if self.session.recycle or self.session.has_demands:
+        if session.recycle or session.has_demands:
             self._transmit(now)
         self._done()
 
@@ -427,28 +435,17 @@ class BlockingLink:
     def _drop(self, now: float, reason: str) -> None:
         """The connection has ended, or has to end."""
         self._close_connection()
-        session = self.session
-        if session.has_demands or session.counters.requests != self._asked_before:
-            self._move(ConnectionEvent.LOST, now, reason, had_reply=session.valid_reply)
-        else:
-            self._move(ConnectionEvent.RELEASED, now, reason)
-        by_peer = not session.recycle
-        session.disconnected(now, reason)
-        if by_peer and self.reconnect.is_flapping:
-            self._last_failure = LinkDown(f"no connection: {reason}, before any reply")
-            session.unreachable(now, self._last_failure, keep_repeated=True)
+        self._life.lost(now, reason)
         self._done()
 
     def _release(self, now: float, reason: str) -> None:
         """Close a connection that is not needed; the next need makes another one."""
         self._close_connection()
-        self._move(ConnectionEvent.RELEASED, now, reason)
-        self.session.disconnected(now, reason, lost=False)
+        self._life.released(now, reason)
         self._done()
 
-    def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:
-        """Follow an event, and tell what is new about it."""
-        news = self.reconnect.move(event, now, reason=reason, had_reply=had_reply)
+    def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
+        """Tell what is new about the connection."""
         if news:
             # Where each request has a connection of its own, its beginning and its end are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -462,14 +459,10 @@ class BlockingLink:
         """Fail fast while the peer is known to be unreachable."""
         if self._closed:
             raise LinkClosed("the link is closed", endpoint=self.name, unit=demand.unit)
-        failure = self._last_failure
-        if self._connection is None and failure is not None and not self._leading and not self.reconnect.may_dial(now):
-            pause = self.reconnect.not_before - now
-            raise LinkDown(
-                f"{failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
-                endpoint=self.name,
-                unit=demand.unit,
-            ) from failure
+        if self._connection is None and not self._leading:
+            refusal = self._life.refusal(now, demand.unit)
+            if refusal is not None:
+                raise refusal
 
     def _tell_notes(self, notes: list[str]) -> None:
         if TRACE.level:
@@ -488,38 +481,31 @@ class BlockingLink:
     def _make_connection(self) -> LinkDown | None:
         """Connect; the failure, which has ended everything that waited, or None."""
         with self._turn:
-            self.reconnect.may_dial(time.monotonic())
-            self._move(ConnectionEvent.DIALLED, time.monotonic())
+            self._life.dialled(time.monotonic())
         try:
             LOCAL.make_room(self, self.name)
             connection = self._new_connection()
         except (OSError, ValueError) as error:  # a `LinkDown`, as a rule
             failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
             with self._turn:
-                now = time.monotonic()
-                self._last_failure = failure
-                self._move(ConnectionEvent.FAILED, now, failure.message)
-                self.session.unreachable(now, failure)
+                self._life.failed(time.monotonic(), failure)
                 self._done()
             return failure
         except BaseException:  # an interrupt of the program: the next caller dials again
             with self._turn:
-                self._move(ConnectionEvent.FAILED, time.monotonic(), "interrupted")
+                self._life.interrupted(time.monotonic())
             raise
         with self._turn:
             now = time.monotonic()
-            self._last_failure = None
             if self._closed:
                 connection.close()
                 return LinkDown("the link was closed", endpoint=self.name)
             self._connection = connection
             self.opened = self.last_used = now
-            self._asked_before = self.session.counters.requests
             self._trace = None
-            self._move(ConnectionEvent.CONNECTED, now)
             if self._line is not None:
                 KEPT.hand_over(self.name, self._line.doubts)
-            self.session.connected(now)
+            self._life.connected(now)
             self._transmit(now)
             if self._waiting:
                 self._turn.notify_all()  # for those that wait for the connection, and for what could not leave at once

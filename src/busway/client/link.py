@@ -24,6 +24,7 @@ from ..errors import LinkClosed, LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..session.client import TcpClientSession
+from ..session.connection import ConnectionLife
 from ..session.demand import Demand
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
@@ -101,7 +102,6 @@ class Link:
     __slots__ = (
         "__weakref__",
         "_alarm",
-        "_asked_before",
         "_clock",
         "_closed",
         "_connecting",
@@ -111,7 +111,7 @@ class Link:
         "_framing",
         "_held",
         "_hold",
-        "_last_failure",
+        "_life",
         "_line",
         "_loop",
         "_minds",
@@ -159,14 +159,13 @@ class Link:
         self._clock = _clock_of(self._loop) if self._line is None else time.monotonic
         self.now = self._clock
         management = settings.management
-        self.reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+        reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
         self.shared = shared
         self.home: asyncio.AbstractEventLoop | None = self._loop
         self.watch: Callable[[], None] | None = None
         self.told: Callable[[ConnectionEvent, str], None] | None = None
         self.opened = self.last_used = 0.0
         self.sent_bytes = self.received_bytes = 0
-        self._asked_before = 0  # requests before this connection
         self._hold = management.hold_seconds
         self._scope = scope
         self._minds = scope is not None or self._hold < math.inf  # whether there is something to do after each use
@@ -174,7 +173,7 @@ class Link:
         self._alarm: Alarm | None = None  # where a silence before each frame is kept: on a serial port
         if settings.line is not None and settings.line.port is not None:
             opening = settings.line.opening
-            self.reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
+            reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
             self._alarm = _new_alarm(self._on_timer)
             if opening.precise_timing:
                 self._spin = SPIN if self._alarm.exact else COARSE_SPIN
@@ -191,7 +190,8 @@ class Link:
         self._outgoing: list[bytes] = []
         self._trace: Trace | None = None
         self._closed = False
-        self._last_failure: LinkDown | None = None
+        self.reconnect = reconnect
+        self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         LOCAL.add(self)
 
     # What the interface asks.
@@ -275,10 +275,8 @@ class Link:
         transport = self._transport
         now = self._clock()
         if transport is not None:
-            self._close_transport()
-            self._move(ConnectionEvent.RELEASED, now, "the link was closed")
-            self.session.disconnected(now, "the link was closed", lost=False)
-        self.session.unreachable(now, LinkDown("the link was closed"))
+            self._release(now, "the link was closed")
+        self._life.ended(now)
         self._wake()
         if self._scope is not None:
             self._scope.leave(self)
@@ -307,7 +305,7 @@ class Link:
     @property
     def down_because(self) -> str:
         """Why no connection could be had; empty while one stands, and before the first attempt."""
-        return "" if self._last_failure is None else self._last_failure.message
+        return self._life.down_because
 
     @property
     def next_attempt(self) -> float | None:
@@ -368,7 +366,7 @@ class Link:
         session, reconnect = self.session, self.reconnect
         session.receive(buffer, size, now)
         if reconnect.state is not ConnectionState.UP or reconnect.failures:
-            self._note_life(now)
+            self._life.replied(now)
         if session.finished or self.watch is not None:
             self._wake()
         if session.recycle or (session.has_demands and self._scope is None):
@@ -399,15 +397,7 @@ class Link:
         self._forget_connection()
         now = self._clock()
         session = self.session
-        if session.has_demands or session.counters.requests != self._asked_before:
-            self._move(ConnectionEvent.LOST, now, reason, had_reply=session.valid_reply)
-        else:
-            self._move(ConnectionEvent.RELEASED, now, reason)
-        by_peer = not session.recycle
-        session.disconnected(now, reason)
-        if by_peer and self.reconnect.is_flapping:
-            self._last_failure = LinkDown(f"no connection: {reason}, before any reply")
-            session.unreachable(now, self._last_failure, keep_repeated=True)
+        self._life.lost(now, reason)
         self._wake()
         if session.has_demands:
             self._pump(now)
@@ -513,8 +503,9 @@ class Link:
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
             return
         until = self.last_used + self._hold
-        if now >= until:
-            self._release(now, f"unused for {self._hold:g} s" if self._hold else "nothing more is asked")
+        reason = self._life.spent(now, self.last_used)
+        if reason:
+            self._release(now, reason)
         elif self._timer is None or until < self._timer_at:
             self._arm(until)
 
@@ -524,12 +515,10 @@ class Link:
     def _release(self, now: float, reason: str) -> None:
         """Close a connection that nobody uses; the next need makes another one."""
         self._close_transport()
-        self._move(ConnectionEvent.RELEASED, now, reason)
-        self.session.disconnected(now, reason, lost=False)
+        self._life.released(now, reason)
 
-    def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:
-        """Follow an event, and tell what is new about it."""
-        news = self.reconnect.move(event, now, reason=reason, had_reply=had_reply)
+    def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
+        """Tell what is new about the connection."""
         if news:
             # Where each request has a connection of its own, its beginning and its end are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -539,8 +528,8 @@ class Link:
     def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:
             return
-        if self.reconnect.may_dial(now):
-            self._move(ConnectionEvent.DIALLED, now)
+        if self._life.may_dial(now):
+            self._life.dialled(now)
             self._connecting = self._loop.create_task(self._connect(by_name=by_name))
         elif self.reconnect.state is ConnectionState.BACKING_OFF:
             self._arm(self.reconnect.not_before)
@@ -549,16 +538,12 @@ class Link:
         """Fail fast while the peer is known to be unreachable."""
         if self._closed:
             raise LinkClosed("the link is closed", endpoint=self.name, unit=demand.unit)
-        if self._last_failure is not None and not self.reconnect.may_dial(now) and self._connecting is None:
-            pause = self.reconnect.not_before - now
-            raise LinkDown(
-                f"{self._last_failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
-                endpoint=self.name,
-                unit=demand.unit,
-            ) from self._last_failure
+        refusal = self._life.refusal(now, demand.unit)
+        if refusal is not None:
+            raise refusal
 
     def _failure(self) -> LinkDown:
-        failure = self._last_failure
+        failure = self._life.failure
         again = LinkDown(failure.message if failure else "no connection", endpoint=self.name)
         again.__cause__ = failure
         return again
@@ -577,17 +562,14 @@ class Link:
             raise
         self._connecting = None
         now = self._clock()
-        self._last_failure = None
         self._protocol, self._transport = protocol, transport
         self._frame_leaves = getattr(transport, "still_sending", None)
         self._held = getattr(transport, "get_write_buffer_size", None)
         self._trace = None
         self.opened = self.last_used = now
-        self._asked_before = self.session.counters.requests
-        self._move(ConnectionEvent.CONNECTED, now)
         if self._line is not None:
             KEPT.hand_over(self.name, self._line.doubts)
-        self.session.connected(now)
+        self._life.connected(now)
         if transport.is_closing():
             self.lost(protocol, "the peer closed it at once")
         self._pump(now)
@@ -598,15 +580,8 @@ class Link:
     def _not_connected(self, failure: LinkDown) -> None:
         """The attempt to connect came to nothing, and with it everything that waited for it."""
         self._connecting = None
-        self._last_failure = failure
-        now = self._clock()
-        self._move(ConnectionEvent.FAILED, now, failure.message)
-        self.session.unreachable(now, failure)
+        self._life.failed(self._clock(), failure)
         self._wake()
-
-    def _note_life(self, now: float) -> None:
-        if self.session.valid_reply:
-            self._move(ConnectionEvent.VALID_REPLY, now)
 
     def _wake(self) -> None:
         """Tell the callers whose demands are complete."""
@@ -653,16 +628,13 @@ class Link:
 
     def _on_timer(self) -> None:
         self._timer = None
-        timeouts = self.session.counters.timeouts
         now = self._clock()
         if self._line is not None:
             now = self._on_line_timer(now)
-        session = self.session
-        session.tick(now)
-        if session.counters.timeouts != timeouts:
+        timed_out = self._life.tick(now)
+        if timed_out:
             self.last_used = now
-            self._move(ConnectionEvent.TIMEOUT, now)
-        if session.finished or session.counters.timeouts != timeouts:
+        if timed_out or self.session.finished:
             self._end_if_stuck()
         self._wake()
         self._pump(now)
