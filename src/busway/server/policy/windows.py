@@ -44,6 +44,7 @@ def permitted_answers(
         audited: whether every write has to be seen, so that none takes the short road.
         listed: the unit as which the device is listed, where that is another one.
     """
+    policy = _about_unit(policy, unit, listed)
     found = {}
     for code, answer in answers.items():
         kind = functions.find(bytes((code,)), 0, 1)
@@ -68,6 +69,7 @@ def noted_writes(
     """
     if not isinstance(answers, DeviceAnswers):
         return None
+    policy = _about_unit(policy, unit, listed)
     found = {}
     for code in answers:
         kind = functions.find(bytes((code,)), 0, 1)
@@ -76,6 +78,12 @@ def noted_writes(
             if zones:
                 found[code] = kind, zones
     return NotedWrites(answers.model, found) if found else None
+
+
+def _about_unit(policy: Policy, unit: int, listed: int | None) -> Policy:
+    """The policy with only the rules about a unit: of many thousand rules, looked at once and not for each function."""
+    rules = tuple(rule for rule in policy.rules if rule.units is None or unit in rule.units or listed in rule.units)
+    return policy if len(rules) == len(policy.rules) else Policy(rules, policy.default)
 
 
 def _zones(policy: Policy, unit: int, listed: int | None, kind: type[Request]) -> tuple[Zone, ...]:
