@@ -9,7 +9,7 @@ import inspect
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, is_typeddict
 
 import busway
 from busway.pdu.compiler import attribute_names
@@ -61,6 +61,9 @@ def described() -> Iterator[str]:
 def described_class(name: str, kind: Any) -> Iterator[str]:
     if issubclass(kind, Enum):
         yield f"{name}: {', '.join(f'{one.name}={one.value!r}' for one in kind)}"
+        return
+    if is_typeddict(kind):
+        yield f"{name}: {', '.join(sorted(kind.__annotations__))}"
         return
     if issubclass(kind, Message):
         yield f"{name}({message_arguments(kind)})"

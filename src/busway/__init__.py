@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import Link, Unit, connect
+    from .client.option_types import LinkOptions
     from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
     from .config.access.addresses import AddressList
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
     from .server.device import Device
     from .server.hooks import Access, Change
     from .server.listener import Listener
+    from .server.option_types import ServerOptions
     from .server.parameters import ListenerParameters
     from .server.policy.audit import AuditLog
     from .server.policy.handler import PolicyHandler
@@ -88,12 +90,29 @@ if TYPE_CHECKING:
     from .session.handler import LATER, SILENCE, RequestContext
     from .transport.tls import TlsParameters
     from .values import Address, ValueType, parse_address, value_type
+    from .values.constants import (
+        BCD16,
+        BCD32,
+        BCD64,
+        BITS,
+        FLOAT16,
+        FLOAT32,
+        FLOAT64,
+        INT16,
+        INT32,
+        INT64,
+        UINT16,
+        UINT32,
+        UINT64,
+        string,
+    )
 
 _HOME = {
     "assembly.configuration": ("Configuration", "load_configuration"),
     "assembly.gateway": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("Link", "Unit", "connect"),
+    "client.option_types": ("LinkOptions",),
     "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
     "config.access.addresses": ("AddressList",),
@@ -152,6 +171,7 @@ _HOME = {
     "server.hooks": ("Access", "Change"),
     "server.policy.audit": ("AuditLog",),
     "server.listener": ("Listener",),
+    "server.option_types": ("ServerOptions",),
     "server.parameters": ("ListenerParameters",),
     "server.policy.handler": ("PolicyHandler",),
     "server.server": ("Server",),
@@ -159,16 +179,45 @@ _HOME = {
     "server.single_block": ("SingleBlock",),
     "session.handler": ("LATER", "SILENCE", "RequestContext"),
     "transport.tls": ("TlsParameters",),
+    "values.constants": (
+        "BCD16",
+        "BCD32",
+        "BCD64",
+        "BITS",
+        "FLOAT16",
+        "FLOAT32",
+        "FLOAT64",
+        "INT16",
+        "INT32",
+        "INT64",
+        "UINT16",
+        "UINT32",
+        "UINT64",
+        "string",
+    ),
     "values": ("Address", "ValueType", "parse_address", "value_type"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 _REAL_NAME = {"open": "open_link"}
 
 __all__ = [
+    "BCD16",
+    "BCD32",
+    "BCD64",
+    "BITS",
+    "FLOAT16",
+    "FLOAT32",
+    "FLOAT64",
+    "INT16",
+    "INT32",
+    "INT64",
     "LATER",
     "SILENCE",
     "STANDARD",
     "TRACE",
+    "UINT16",
+    "UINT32",
+    "UINT64",
     "Access",
     "Address",
     "AddressList",
@@ -197,6 +246,7 @@ __all__ = [
     "Link",
     "LinkClosed",
     "LinkDown",
+    "LinkOptions",
     "Listener",
     "ListenerParameters",
     "LocalConnectionStatus",
@@ -227,6 +277,7 @@ __all__ = [
     "ReturnQueryData",
     "Rule",
     "Server",
+    "ServerOptions",
     "ServerThread",
     "SingleBlock",
     "Table",
@@ -259,6 +310,7 @@ __all__ = [
     "serve_in_thread",
     "simple_gateway",
     "start_metrics",
+    "string",
     "u8",
     "u16",
     "value_type",

@@ -7,7 +7,7 @@
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
 from .arguments import CAPTURE, CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
@@ -27,7 +27,7 @@ Examples:
 Fact = tuple[str, str, bytes]
 """Function, name, value."""
 
-LEVELS = ("extended", "regular", "basic")
+LEVELS: Final = ("extended", "regular", "basic")
 
 
 def identify(

@@ -56,7 +56,7 @@ class Row:
         return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
 
 
-def value_rows(place: Address, form: ValueType | None, values: Sequence[Any], raw: bytes) -> list[Row]:
+def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[Row]:
     """The rows of consecutive values from ``place`` on; ``form`` is None for coils and discrete inputs."""
     step = 1 if form is None else form.registers
     size = 1 if form is None else 2 * step

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -58,7 +58,7 @@ class Wanted:
     """What is read from one address."""
 
     place: Address
-    form: ValueType | None
+    form: ValueType[Any] | None
     """None for coils and discrete inputs."""
     order: str
     count: int

@@ -127,7 +127,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
         return None
 
 
-def _held(unit: "Unit", place: Address, form: ValueType | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
+def _held(unit: "Unit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
     """Values and bytes of the places where ``raw`` was written."""
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
@@ -191,7 +191,7 @@ def _write_mask(
 
 def _parsed(
     place: Address, texts: list[str], kind: str | None, order: str
-) -> tuple[ValueType | None, list[Any], bytes]:  # Any: what the type says
+) -> tuple[ValueType[Any] | None, list[Any], bytes]:  # Any: what the type says
     """Type (None for bits), values and their bytes."""
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: a {place.table.label if place.table else 'table'} can not be written")

@@ -7,13 +7,13 @@ asynchronous interface (``aio``) has the same names, arguments and docstrings; a
 import threading
 from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import Any, Literal, Self, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Self, SupportsFloat, SupportsIndex, TypeVar, Unpack, overload
 
 from ..config.endpoints import Endpoint
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded
 from ..pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ..pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
-from ..pdu.message import Message, Request
+from ..pdu.message import Message, Request, TypedRequest
 from ..pdu.read_items import (
     ReadCoils,
     ReadDiscreteInputs,
@@ -33,6 +33,7 @@ from ..pdu.write_items import (
 from ..session.ledger import ClientCounters
 from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
+from ..values.names import FloatName, IntegerName, Level, Order
 from .blocking_link import BlockingLink
 from .blocking_pool import BLOCKING_POOL
 from .calls import (
@@ -57,6 +58,12 @@ from .operations import (
     write_values,
 )
 from .settings import LinkSettings, link_settings
+
+if TYPE_CHECKING:
+    from .option_types import LinkOptions
+
+Reply = TypeVar("Reply", bound=Message)
+Value = TypeVar("Value")
 
 
 class Unit:
@@ -92,20 +99,22 @@ class Unit:
         """The unit identifier, 0…255."""
         return self._number
 
-    def execute(self, request: Request, **call: Unpack[CallOptions]) -> Message:
+    def execute(self, request: TypedRequest[Reply], **call: Unpack[CallOptions]) -> Reply:
         """Send any request and give its reply, for functions that have no method of their own.
 
         Args:
             request: a request, also of a function of yours.
             call: `CallOptions`.
         """
-        (outcome,) = self._link.run(self._number, (request,), call)
+        requests: tuple[Any] = (request,)  # requests in full; the protocol is what a type checker needs of them
+        outcome: Any
+        (outcome,) = self._link.run(self._number, requests, call)
         if isinstance(outcome, ModbusError):
             if self._is_assumed:
                 with_assumed_unit(outcome, self._number)
             raise outcome
-        assert isinstance(outcome, Message)
-        return outcome
+        reply: Reply = outcome
+        return reply
 
     def execute_many(
         self, requests: Sequence[Request], *, return_errors: bool = False, **call: Unpack[CallOptions]
@@ -137,12 +146,108 @@ class Unit:
                     raise outcome
         return outcomes
 
+    @overload
     def read(
         self,
         address: int | str | Address,
-        type: str | ValueType | None = None,
+        type: IntegerName,
         *,
-        order: str = "ABCD",
+        order: Order = "ABCD",
+        count: None = None,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> int: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: IntegerName,
+        *,
+        order: Order = "ABCD",
+        count: int,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> list[int]: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: FloatName,
+        *,
+        order: Order = "ABCD",
+        count: None = None,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> float: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: FloatName,
+        *,
+        order: Order = "ABCD",
+        count: int,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> list[float]: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: ValueType[Value],
+        *,
+        order: Order = "ABCD",
+        count: None = None,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> Value: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: ValueType[Value],
+        *,
+        order: Order = "ABCD",
+        count: int,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> list[Value]: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: str | None = None,
+        *,
+        order: Order = "ABCD",
+        count: None = None,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> Any: ...
+
+    @overload
+    def read(
+        self,
+        address: int | str | Address,
+        type: str | None = None,
+        *,
+        order: Order = "ABCD",
+        count: int,
+        split: bool = False,
+        **call: Unpack[CallOptions],
+    ) -> list[Any]: ...
+
+    def read(
+        self,
+        address: int | str | Address,
+        type: str | ValueType[Any] | None = None,
+        *,
+        order: Order = "ABCD",
         count: int | None = None,
         split: bool = False,
         **call: Unpack[CallOptions],
@@ -159,13 +264,61 @@ class Unit:
         """
         return self._perform(read_values(address, type, order, count, split, self._width), call)
 
+    @overload
+    def write(
+        self,
+        address: int | str | Address,
+        value: SupportsIndex | Iterable[SupportsIndex],
+        type: IntegerName | None = None,
+        *,
+        order: Order = "ABCD",
+        function: WriteFunction = "auto",
+        **call: Unpack[CallOptions],
+    ) -> None: ...
+
+    @overload
+    def write(
+        self,
+        address: int | str | Address,
+        value: SupportsFloat | Iterable[SupportsFloat],
+        type: FloatName,
+        *,
+        order: Order = "ABCD",
+        function: WriteFunction = "auto",
+        **call: Unpack[CallOptions],
+    ) -> None: ...
+
+    @overload
+    def write(
+        self,
+        address: int | str | Address,
+        value: Value | Iterable[Value],
+        type: ValueType[Value],
+        *,
+        order: Order = "ABCD",
+        function: WriteFunction = "auto",
+        **call: Unpack[CallOptions],
+    ) -> None: ...
+
+    @overload
     def write(
         self,
         address: int | str | Address,
         value: Any,
-        type: str | ValueType | None = None,
+        type: str,
         *,
-        order: str = "ABCD",
+        order: Order = "ABCD",
+        function: WriteFunction = "auto",
+        **call: Unpack[CallOptions],
+    ) -> None: ...
+
+    def write(
+        self,
+        address: int | str | Address,
+        value: Any,
+        type: str | ValueType[Any] | None = None,
+        *,
+        order: Order = "ABCD",
         function: WriteFunction = "auto",
         **call: Unpack[CallOptions],
     ) -> None:
@@ -185,7 +338,7 @@ class Unit:
         self._perform(write_values(address, value, type, order, function), call)
 
     def read_device_identification(
-        self, level: str = "basic", *, object_id: int | None = None, **call: Unpack[CallOptions]
+        self, level: Level = "basic", *, object_id: int | None = None, **call: Unpack[CallOptions]
     ) -> dict[int, bytes]:
         """Identification objects by number, function 43/14 (§6.21); as many requests as they need.
 
@@ -525,7 +678,7 @@ def connect(
     *,
     shared: bool = True,
     select: Literal["first", "oldest"] | Selection | None = None,
-    **options: Any,
+    **options: "Unpack[LinkOptions]",
 ) -> Link:
     """A link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
 

@@ -63,7 +63,7 @@ class CallOptions(TypedDict, total=False):
 
 def read_values(
     address: int | str | Address,
-    kind: str | ValueType | None,
+    kind: str | ValueType[Any] | None,
     order: str,
     count: int | None,
     split: bool,
@@ -105,7 +105,7 @@ def read_values(
 
 
 def write_values(
-    address: int | str | Address, values: Any, kind: str | ValueType | None, order: str, function: WriteFunction
+    address: int | str | Address, values: Any, kind: str | ValueType[Any] | None, order: str, function: WriteFunction
 ) -> Operation:
     """One value or a sequence of values to an address."""
     place = _place(address)

@@ -4,7 +4,7 @@
 §6.13).
 """
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from ..codes import DiagnosticCode, FunctionCode
 from .fields import rest, rest_length, u8, u16
@@ -111,6 +111,13 @@ class ReturnQueryData(Request):
     sub_width = 2
     echoes = True
     data: bytes = rest(2, 250, 2, default=b"\x00\x00")
+
+    if TYPE_CHECKING:  # made of the fields above when the class is
+
+        class Reply(ReplyMessage):
+            """Repeats the fields of the request."""
+
+            data: bytes = rest(2, 250, 2)
 
     @classmethod
     def wire_length(cls, data: bytes, at: int, end: int) -> int:

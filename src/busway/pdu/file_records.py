@@ -6,7 +6,7 @@ A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Applica
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from ..codes import MAX_FILE_RECORD_NUMBER, PDU_LIMIT, ExceptionCode, FunctionCode
 from ..errors import InvalidRequest
@@ -195,6 +195,13 @@ class WriteFileRecord(Request):
     echoes = True
     byte_count = rest_length(1, 0x09, 0xFB)
     groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
+
+    if TYPE_CHECKING:  # made of the fields above when the class is
+
+        class Reply(ReplyMessage):
+            """Repeats the fields of the request."""
+
+            groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
 
     @classmethod
     def of(cls, file: int, record: int, values: Iterable[int]) -> Self:

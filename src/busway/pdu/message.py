@@ -12,7 +12,7 @@ Knows how declared fields become bytes and back; knows no particular function, n
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol, Self, TypeVar, dataclass_transform
 
 from ..codes import Table
 from .compiler import Layout, attribute_names, compile_message, compile_taker
@@ -86,6 +86,9 @@ def _complete(cls: Any, reply: Any) -> None:
     compile_message(cls)
     if reply is not None and cls.check_reply is Request.check_reply:
         cls.take = compile_taker(reply)
+
+
+Reply_co = TypeVar("Reply_co", bound="Message", covariant=True)
 
 
 @dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
@@ -287,6 +290,17 @@ class Request(Message):
     def check_reply(self, reply: Any) -> str | None:
         """What does not fit between this request and a decoded reply of its class, or None."""
         return None
+
+
+class TypedRequest(Protocol[Reply_co]):
+    """A request as far as type checkers need one: `Unit.execute` gives an instance of its ``Reply``."""
+
+    @property
+    def Reply(self) -> type[Reply_co]:  # noqa: N802
+        """The class of its positive answer."""
+
+    def encode(self) -> bytes:
+        """The PDU, function code first."""
 
 
 def _rebuild(cls: type[Message], pdu: bytes) -> Message:

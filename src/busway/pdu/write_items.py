@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterable, Sequence
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from ..codes import (
     MAX_READ_REGISTERS,
@@ -36,6 +36,14 @@ class WriteSingleCoil(Request):
     address: int = u16()
     value: int = u16(values=(COIL_OFF, COIL_ON))
 
+    if TYPE_CHECKING:  # made of the fields above when the class is
+
+        class Reply(ReplyMessage):
+            """Repeats the fields of the request."""
+
+            address: int = u16()
+            value: int = u16()
+
     @classmethod
     def of(cls, address: int, value: bool) -> Self:
         """The request that switches the coil at ``address`` (0…65535) on (True or 1) or off (False or 0).
@@ -65,6 +73,14 @@ class WriteSingleRegister(Request):
     echoes = True
     address: int = u16()
     value: int = u16()
+
+    if TYPE_CHECKING:  # made of the fields above when the class is
+
+        class Reply(ReplyMessage):
+            """Repeats the fields of the request."""
+
+            address: int = u16()
+            value: int = u16()
 
     def apply(self, model: DataModel, context: Context) -> Message:
         model.check(Table.HOLDING_REGISTERS, self.address, 1, True)
@@ -180,6 +196,15 @@ class MaskWriteRegister(Request):
     address: int = u16()
     and_mask: int = u16()
     or_mask: int = u16()
+
+    if TYPE_CHECKING:  # made of the fields above when the class is
+
+        class Reply(ReplyMessage):
+            """Repeats the fields of the request."""
+
+            address: int = u16()
+            and_mask: int = u16()
+            or_mask: int = u16()
 
     def apply(self, model: DataModel, context: Context) -> Message:
         model.check(Table.HOLDING_REGISTERS, self.address, 1, True)

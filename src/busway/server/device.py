@@ -143,7 +143,7 @@ class Device:
     def read(
         self,
         address: str | Address,
-        type: str | ValueType | None = None,
+        type: str | ValueType[Any] | None = None,
         *,
         order: str = "ABCD",
         count: int | None = None,
@@ -176,7 +176,7 @@ class Device:
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None: ...
     @overload
     def write(
-        self, address: str | Address, value: object, type: str | ValueType | None = None, *, order: str = "ABCD"
+        self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
     ) -> None: ...
 
     def write(self, *arguments: Any, **options: Any) -> None:  # Any: as the two signatures above

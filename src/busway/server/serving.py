@@ -5,7 +5,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack
 
 from ..config.endpoints import Endpoint
 from ..config.options import build_parameters, converted, option_names, unknown_option
@@ -27,7 +27,23 @@ from .strict import STANDARD_PORT, with_server_profile
 if TYPE_CHECKING:
     from ..config.access.rules import Policy
     from ..transport.tls import TlsParameters
+    from .option_types import ServerOptions
     from .policy.audit import AuditLog
+
+    class ServeArguments(ServerOptions, total=False):
+        """What the other two take by name: the arguments of `serve` and its options."""
+
+        units: Mapping[int, Device] | Device | None
+        handler: Handler | None
+        unit_policy: UnitPolicy | Literal["listed", "any"]
+        unlisted: UnlistedUnit | Literal["exception", "silence"] | None
+        functions: FunctionTable
+        authorise: Authorise
+        tls: "TlsParameters | None"
+        policy: "Policy | None"
+        audit: "AuditLog | None"
+        local_connections: Callable[[], int] | None
+
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
 
@@ -38,15 +54,15 @@ def serve(
     *endpoints: str | Endpoint | Listener,
     units: Mapping[int, Device] | Device | None = None,
     handler: Handler | None = None,
-    unit_policy: UnitPolicy | str = UnitPolicy.LISTED,
-    unlisted: UnlistedUnit | str | None = None,
+    unit_policy: UnitPolicy | Literal["listed", "any"] = UnitPolicy.LISTED,
+    unlisted: UnlistedUnit | Literal["exception", "silence"] | None = None,
     functions: FunctionTable = STANDARD,
     authorise: Authorise = everybody,
     tls: "TlsParameters | None" = None,
     policy: "Policy | None" = None,
     audit: "AuditLog | None" = None,
     local_connections: Callable[[], int] | None = None,
-    **options: Any,  # fields of the three parameter classes, checked by them
+    **options: "Unpack[ServerOptions]",
 ) -> Server:
     """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
 
@@ -77,12 +93,13 @@ def serve(
     """
     kinds = (ServerParameters, ListenerParameters, SocketParameters)
     beside = options.get(STANDARD_PORT)
-    places, options = with_server_profile(
+    given: dict[str, Any] = {**options} if unlisted is None else {**options, "unlisted": unlisted}
+    places, given = with_server_profile(
         endpoints or (DEFAULT_ENDPOINT,),
-        options if unlisted is None else {**options, "unlisted": unlisted},
+        given,
         takes=["unlisted", *(name for kind in kinds for name in option_names(kind))],
     )
-    of_unlisted = options.pop("unlisted", UnlistedUnit.EXCEPTION)
+    of_unlisted = given.pop("unlisted", UnlistedUnit.EXCEPTION)
     if (units is None) == (handler is None):
         raise ConfigError("either units or a handler is needed", key="units")
     if handler is None:
@@ -96,7 +113,7 @@ def serve(
             functions=functions,
         )
     chosen: list[dict[str, object]] = [{}, {}, {}]
-    for name, value in options.items():
+    for name, value in given.items():
         for kind, values in zip(kinds, chosen, strict=True):
             if name in option_names(kind):
                 values[name] = value
@@ -128,8 +145,10 @@ def _chosen(kind: type[Choice], key: str, value: Choice | str) -> Choice:
 
 
 def serve_forever(
-    *endpoints: str | Endpoint | Listener, started: Callable[[Server], None] | None = None, **options: Any
-) -> None:  # Any: see serve
+    *endpoints: str | Endpoint | Listener,
+    started: Callable[[Server], None] | None = None,
+    **options: "Unpack[ServeArguments]",
+) -> None:
     """Serve from a blocking program until it is interrupted (Ctrl-C).
 
     Args:
@@ -190,7 +209,9 @@ class ServerThread:
 
 
 @contextlib.contextmanager
-def serve_in_thread(*endpoints: str | Endpoint | Listener, **options: Any) -> Iterator[ServerThread]:  # Any: see serve
+def serve_in_thread(
+    *endpoints: str | Endpoint | Listener, **options: "Unpack[ServeArguments]"
+) -> Iterator[ServerThread]:
     """Serve in a thread beside a blocking program: ``with busway.serve_in_thread(units={1: device}) as server: …``.
 
     Devices may be read and written from any thread. Leaving the block stops the server within a second.

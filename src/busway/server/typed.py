@@ -32,7 +32,7 @@ class TypedAccess:
     def read(
         self,
         address: str | Address,
-        type: str | ValueType | None = None,
+        type: str | ValueType[Any] | None = None,
         *,
         order: str = "ABCD",
         count: int | None = None,
@@ -55,7 +55,7 @@ class TypedAccess:
         return values[0] if count is None else values
 
     def write(
-        self, address: str | Address, value: object, type: str | ValueType | None = None, *, order: str = "ABCD"
+        self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
     ) -> None:
         """Set the value, or the values of a list, in one step."""
         where, view = self._located(address)
@@ -84,7 +84,7 @@ class TypedAccess:
         return where, self._views[where.table]
 
 
-def _item_type(where: Address, type: str | ValueType | None, order: str) -> ValueType | None:
+def _item_type(where: Address, type: str | ValueType[Any] | None, order: str) -> ValueType[Any] | None:
     """The type of the values at an address; None where they are the items themselves."""
     if type is None:
         return None

@@ -281,7 +281,7 @@ class _Recorder:
                     yield SimulatedPointSection.model_validate({"name": address, "address": address, "value": True})
 
 
-def _valued(point: SimulatedPointSection, form: ValueType, data: bytes) -> SimulatedPointSection:
+def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> SimulatedPointSection:
     """The point with the value that its registers mean, its range and names made wide enough for it.
 
     Raises:

@@ -58,7 +58,7 @@ class PointForm:
     table: Table
     address: int
     bit: int | None
-    form: ValueType | None
+    form: ValueType[Any] | None
     size: int
     put: Put
     quantise: Quantise
@@ -106,7 +106,7 @@ def _put_bit(data: bytearray, offset: int, on: bool) -> None:
         data[offset >> 3] &= 255 - mask
 
 
-def _putter(form: ValueType) -> Put:
+def _putter(form: ValueType[Any]) -> Put:
     """What packs a number of a type; those of everyday orders by ``struct`` alone."""
     letter = _LETTERS.get(form.name)
     if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
@@ -137,7 +137,7 @@ def _quantise_bit(value: float) -> bool | None:
     return None if value != value else value >= 0.5
 
 
-def _quantiser(section: SimulatedPointSection, form: ValueType) -> Quantise:
+def _quantiser(section: SimulatedPointSection, form: ValueType[Any]) -> Quantise:
     scale = section.scale
     low, high = _range_of_type(form)
     ends = [end / scale for end in (section.minimum, section.maximum) if end is not None]
@@ -186,7 +186,7 @@ def _float_quantiser(section: SimulatedPointSection, scale: float, low: float, h
     return quantise
 
 
-def _range_of_type(form: ValueType) -> tuple[float, float]:
+def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
     """The smallest and the largest number of a type."""
     if form.name in _LARGEST:
         return -_LARGEST[form.name], _LARGEST[form.name]

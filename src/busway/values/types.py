@@ -30,11 +30,12 @@ Rules:
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Final, Protocol
+from typing import Any, Final, Generic, Protocol, TypeVar, overload
 
 from ..codes import MAX_READ_REGISTERS
 from ..errors import InvalidRequest
 from .bits import BitCodec, BitsCodec
+from .names import FloatName, IntegerName, Order
 from .numbers import BcdCodec, FloatCodec, IntegerCodec
 from .orders import ByteOrder, Wire, byte_order
 from .refusal import shown
@@ -61,8 +62,11 @@ class Codec(Protocol):
         """The value that a person wrote; ``ValueError`` if it is none."""
 
 
+Value = TypeVar("Value")
+
+
 @dataclass(frozen=True, slots=True)
-class ValueType:
+class ValueType(Generic[Value]):
     """A type in an order, ready to convert; got from `value_type`. Two are equal if name and order are.
 
     Attributes:
@@ -94,7 +98,7 @@ class ValueType:
             raise InvalidRequest(f"count is {shown(count)}, but it is a number of {self.name} values, 1 or more")
         return count * self.registers
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: Wire) -> list[Value]:
         """The values in some registers.
 
         Args:
@@ -129,7 +133,7 @@ class ValueType:
             )
         return self._codec.encode(list(values))
 
-    def parse(self, text: str) -> Any:  # as in Codec
+    def parse(self, text: str) -> Value:
         """The value that a person wrote.
 
         Args:
@@ -141,19 +145,36 @@ class ValueType:
             InvalidRequest: the text is no value of this type; names text, type and range. Nothing was sent.
         """
         try:
-            return self._codec.parse(text if self.name.startswith("string") else text.strip())
+            value: Value = self._codec.parse(text if self.name.startswith("string") else text.strip())
+            return value
         except InvalidRequest:
             raise
         except ValueError as error:
             raise InvalidRequest(f"{shown(text)} does not fit {self.name}, which takes {self.expects}") from error
 
 
-def value_type(name: str | ValueType, order: str = "ABCD") -> ValueType:
+@overload
+def value_type(name: ValueType[Value], order: Order = "ABCD") -> ValueType[Value]: ...
+
+
+@overload
+def value_type(name: IntegerName, order: Order = "ABCD") -> ValueType[int]: ...
+
+
+@overload
+def value_type(name: FloatName, order: Order = "ABCD") -> ValueType[float]: ...
+
+
+@overload
+def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any]: ...
+
+
+def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any]:
     """The type of a name and an order, compiled once.
 
     Args:
-        name: a name of the table in this file, capitals do not matter; a `ValueType` is given back as it is, with its
-            own order.
+        name: a name of the table in this file, capitals do not matter; a `ValueType` keeps its own order where
+            none is named beside it.
         order: byte and register order, ``ABCD`` is the specification's; for what else there is, and for orders
             of another length than the type's, see `busway.values.orders`.
 
@@ -161,18 +182,18 @@ def value_type(name: str | ValueType, order: str = "ABCD") -> ValueType:
         InvalidRequest: there is no such type or order. Nothing was sent.
     """
     if isinstance(name, ValueType):
-        return name
+        return name if order == "ABCD" else _compiled(name.name, order)
     if not isinstance(name, str) or not isinstance(order, str):
         raise InvalidRequest(f"a type and an order are names, not {shown(name)} and {shown(order)}")
     return _compiled(name, order)
 
 
-def decode(data: Wire, type: str | ValueType, order: str = "ABCD", count: int | None = None) -> list[Any]:
+def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
     """The values in some registers; as `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
-        type: a name such as ``float32``, or a `ValueType`, whose own order then holds.
+        type: a name such as ``float32``, or a `ValueType`, whose own order holds where none is named.
         order: byte and register order.
         count: number of values that the bytes have to hold; None for as many as there are.
 
@@ -188,12 +209,12 @@ def decode(data: Wire, type: str | ValueType, order: str = "ABCD", count: int | 
     return wanted.decode(data)
 
 
-def encode(values: Iterable[object], type: str | ValueType, order: str = "ABCD") -> bytes:
+def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "ABCD") -> bytes:
     """The registers that hold some values, as bytes in wire order; as `ValueType.encode`.
 
     Args:
         values: values of the type, in a sequence.
-        type: a name such as ``float32``, or a `ValueType`, whose own order then holds.
+        type: a name such as ``float32``, or a `ValueType`, whose own order holds where none is named.
         order: byte and register order.
 
     Raises:
@@ -202,7 +223,7 @@ def encode(values: Iterable[object], type: str | ValueType, order: str = "ABCD")
     return value_type(type, order).encode(values)
 
 
-def parse_value(text: str, type: str | ValueType) -> Any:
+def parse_value(text: str, type: str | ValueType[Any]) -> Any:
     """The value that a person wrote, on a command line or in a file; as `ValueType.parse`.
 
     Raises:
@@ -232,7 +253,7 @@ _SHORT: Final = {
 
 
 @lru_cache(maxsize=512)
-def _compiled(name: str, order: str) -> ValueType:
+def _compiled(name: str, order: str) -> ValueType[Any]:
     key = name.strip().lower()
     key = _SHORT.get(key, key)
     kind, *words = key.split(":")
@@ -252,13 +273,13 @@ def _compiled(name: str, order: str) -> ValueType:
     raise InvalidRequest(f"unknown type {shown(name)}; there are {', '.join(TYPE_NAMES)}")
 
 
-def _number(name: str, order: str, codec: Callable[[ByteOrder], Codec]) -> ValueType:
+def _number(name: str, order: str, codec: Callable[[ByteOrder], Codec]) -> ValueType[Any]:
     size = int(name[-2:]) // 8
     layout = byte_order(order, size)
     return ValueType(name, layout.text, size // 2, codec(layout))
 
 
-def _bit(name: str, words: list[str], order: ByteOrder) -> ValueType:
+def _bit(name: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
     bit = _ascii_number(words[0]) if len(words) == 1 else None
     if bit is None or bit > 15:
         raise InvalidRequest(f"type {shown(name)} does not say which bit of the register: bit:0 … bit:15")
@@ -266,7 +287,7 @@ def _bit(name: str, words: list[str], order: ByteOrder) -> ValueType:
     return ValueType(canonical, order.text, 1, BitCodec(canonical, bit, order))
 
 
-def _string(name: str, words: list[str], order: ByteOrder) -> ValueType:
+def _string(name: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
     length = _ascii_number(words[0]) if words else None
     if length is None or not 1 <= length <= _LONGEST_STRING:
         raise InvalidRequest(f"type {shown(name)} needs a length in bytes, string:1 … string:{_LONGEST_STRING}")

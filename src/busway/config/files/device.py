@@ -224,7 +224,7 @@ class PointSection(Section):
         return table
 
     @cached_property
-    def form(self) -> ValueType | None:
+    def form(self) -> ValueType[Any] | None:
         """The type of its registers; None for one bit."""
         if self.table.holds_bits or self.place.bit is not None:
             return None

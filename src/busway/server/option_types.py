@@ -1,0 +1,46 @@
+"""The options of `busway.serve`, for type checkers.
+
+Written by ``scripts/option_types.py`` from the parameter classes, which say what each option means.
+"""
+
+from typing import Literal, TypedDict
+
+from ..config.access.networks import Networks
+from ..config.profiles import Profile
+from ..session.parameters import Scope
+
+
+class ServerOptions(TypedDict, total=False):
+    """What `busway.serve` takes by name beside its own arguments."""
+
+    max_transactions: int
+    scope: Scope | Literal["connection", "server"]
+    diagnostics_changes: bool | None
+    backlog: int
+    priority: Networks | list[str] | tuple[str, ...] | str
+    max_priority_connections: int
+    max_priority_per_remote: int | None
+    max_connections: int
+    max_per_remote: int | None
+    shared_places: bool
+    write_buffer: int
+    write_timeout: float | None
+    single_adu_segments: bool
+    header_timeout: float | None
+    frame_timeout: float | None
+    idle_timeout: float | None
+    request_rate: float | None
+    answer_half_closed: bool
+    interface: str | None
+    connect_timeout: float
+    keepalive: bool
+    keepalive_idle: int
+    keepalive_interval: int
+    keepalive_count: int
+    user_timeout: float | None
+    no_delay: bool
+    receive_buffer: int | None
+    send_buffer: int | None
+    local_address: str | None
+    profile: Profile | Literal["standard", "strict"]
+    standard_port: bool

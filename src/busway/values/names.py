@@ -1,0 +1,26 @@
+"""Names of types and orders as type checkers know them, so that a wrong one is found before the program runs.
+
+Knows texts only; `types` and `orders` say what they mean, and a test holds the lists together.
+"""
+
+from typing import Literal, TypeAlias
+
+IntegerName: TypeAlias = Literal[
+    "int16", "uint16", "int32", "uint32", "int64", "uint64", "bcd16", "bcd32", "bcd64", "i16", "u16", "i32", "u32",
+    "i64", "u64",
+]  # fmt: skip
+"""Types whose values are of ``int``."""
+
+FloatName: TypeAlias = Literal["float16", "float32", "float64", "f16", "f32", "f64"]
+"""Types whose values are of ``float``."""
+
+Order: TypeAlias = Literal[
+    "AB", "BA",
+    "ABCD", "BADC", "CDAB", "DCBA",
+    "ABCDEFGH", "BADCFEHG", "CDABGHEF", "DCBAHGFE", "EFGHABCD", "FEHGBADC", "GHEFCDAB", "HGFEDCBA",
+    "big", "little", "word-swapped", "byte-swapped",
+]  # fmt: skip
+"""Orders of bytes and registers (`busway.values.orders`)."""
+
+Level: TypeAlias = Literal["basic", "regular", "extended"]
+"""Levels of device identification."""

@@ -1,0 +1,90 @@
+"""What type checkers say of uses of the public interface: right ones pass, and every wrong one is refused.
+
+``right.py`` and ``wrong.py`` are read and never run. Each line of ``wrong.py`` with a comment ``# wrong`` must be
+refused, and no other line.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from itertools import chain
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from busway.client.operations import LEVELS
+from busway.errors import InvalidRequest
+from busway.values import ORDERS, TYPE_NAMES, value_type
+from busway.values.names import FloatName, IntegerName, Level, Order
+
+ROOT = Path(__file__).parents[2]
+HERE = Path(__file__).parent
+RIGHT, WRONG = HERE / "right.py", HERE / "wrong.py"
+
+
+def refused_by_mypy(file: Path) -> set[int]:
+    """The lines that ``mypy --strict`` refuses."""
+    words = [sys.executable, "-m", "mypy", "--strict", "--no-error-summary", "--hide-error-context", str(file)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=110)
+    assert done.returncode in (0, 1), done.stdout + done.stderr
+    found = {int(line) for line in re.findall(rf"{file.name}:(\d+): error", done.stdout)}
+    assert found or not done.returncode, done.stdout
+    return found
+
+
+def refused_by_pyright(file: Path) -> set[int]:
+    """The lines that pyright refuses; the test is left out where neither it nor basedpyright is installed."""
+    beside = Path(sys.executable).parent
+    program = next((found for name in ("basedpyright", "pyright") if (found := shutil.which(name, path=beside))), None)
+    if program is None:
+        pytest.skip("neither basedpyright nor pyright is installed")
+    words = [program, "--outputjson", "--level", "error", "--pythonpath", sys.executable, str(file)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=110)
+    told = json.loads(done.stdout)["generalDiagnostics"]
+    return {one["range"]["start"]["line"] + 1 for one in told if one["severity"] == "error"}
+
+
+CHECKERS = pytest.mark.parametrize("refused", [refused_by_mypy, refused_by_pyright], ids=["mypy", "pyright"])
+
+
+@CHECKERS
+def test_right_uses_are_accepted(refused: object) -> None:
+    assert callable(refused)
+    assert refused(RIGHT) == set()
+
+
+@CHECKERS
+def test_every_wrong_use_is_refused_and_nothing_else(refused: object) -> None:
+    assert callable(refused)
+    lines = WRONG.read_text("utf-8").splitlines()
+    marked = {number for number, line in enumerate(lines, 1) if "# wrong: " in line}
+    assert len(marked) >= 37
+    assert refused(WRONG) == marked
+
+
+def test_the_names_of_types_are_those_that_exist() -> None:
+    names = {*get_args(IntegerName), *get_args(FloatName)}
+    assert {value_type(name).name for name in names} == {name for name in TYPE_NAMES if ":" not in name} - {"bits"}
+    for name in get_args(FloatName):
+        assert isinstance(value_type(name).parse("1"), float)
+    for name in get_args(IntegerName):
+        assert isinstance(value_type(name).parse("1"), int)
+
+
+def test_the_names_of_orders_and_levels_are_those_that_exist() -> None:
+    letters = {name for name in get_args(Order) if name.isupper()}
+    assert letters == {*chain.from_iterable(ORDERS.values())}
+    for word in get_args(Order):
+        assert value_type("uint64", word).registers == 4
+    with pytest.raises(InvalidRequest, match="words big, little, word-swapped, byte-swapped"):
+        value_type("uint64", "middle")
+    assert get_args(Level) == (*LEVELS,)
+
+
+def test_the_types_of_options_are_those_of_the_parameter_classes() -> None:
+    words = [sys.executable, "scripts/option_types.py", "--check"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
