@@ -206,7 +206,9 @@ async def rtu_client(loop: MemoryLoop) -> AsyncIterator[Turn]:
     """A master in RTU, lock-step."""
     request = encode_rtu(1, read(0, 0)[7:])
     reply = encode_rtu(1, bytes((3, 2 * REGISTERS)) + NUMBERS[: 2 * REGISTERS])
-    loop.listeners[1] = lambda: Canned({request: reply})
+    marker = encode_rtu(1, read(0, 0, REGISTERS - 1)[7:])  # now and then the master checks the unit
+    marked = encode_rtu(1, bytes((3, 2 * REGISTERS - 2)) + NUMBERS[: 2 * REGISTERS - 2])
+    loop.listeners[1] = lambda: Canned({request: reply, marker: marked})
     async with busway.open("rtu+tcp://127.0.0.1:1") as link:
         unit = link.unit(1)
 

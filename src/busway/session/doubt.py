@@ -109,7 +109,7 @@ class UnitDoubt:
         unasked: the function under which it spoke unasked; None where it did not.
         delay: seconds that its last late reply had taken; None before the first, and after a reply in time.
         last: the request that it answered last; None before the first.
-        alike: replies in a row that could not be told from the one before by their shape.
+        alike: replies in a row that could not be told from the one before by their shape (rule 7).
         silent: kinds of markers that it did not answer.
         works: the kind that it answered last.
         good: a read that it answered.
@@ -194,14 +194,14 @@ class UnitDoubt:
         return max((owed.until for owed in others), default=now)
 
     @property
-    def needs_check(self) -> bool:
-        """Whether it answered so often alike that a shift would not show (rule 7)."""
-        return self.alike >= CHECK_EVERY
+    def is_owed(self) -> bool:
+        """Whether replies are owed, or it spoke unasked."""
+        return bool(self.owed or self.older or self.unasked is not None)
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is owed, and nothing has to be proved."""
-        return not self.owed and not self.older and not self.pending and self.unasked is None
+        """Whether nothing is owed, and no time has to pass."""
+        return not self.is_owed and not self.pending
 
     # Markers.
 
@@ -265,14 +265,17 @@ class UnitDoubt:
     def heard(self, request: Request, *, is_exception: bool) -> None:
         """It answered a request in time; follow how often its replies looked alike."""
         last, self.last = self.last, request
-        if last is None or request.wire[0] != last.wire[0]:
-            self.alike = 0
-        elif is_exception or _same_shape(request, last):
+        if request is last or (
+            last is not None and self._is_alike(request, last, is_exception=is_exception)
+        ):  # as a rule
             self.alike += 1
         else:
             self.alike = 0
-        if not is_exception and type(request) in _READS:
+        if not is_exception and request is not self.good and type(request) in _READS:
             self.good = request
+
+    def _is_alike(self, request: Request, last: Request, *, is_exception: bool) -> bool:
+        return request.wire[0] == last.wire[0] and (is_exception or _same_shape(request, last))
 
 
 _READS: Final = (ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters)

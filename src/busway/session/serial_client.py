@@ -41,7 +41,7 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .breaker import BreakerParameters, Breakers
 from .demand import Demand
-from .doubt import Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
+from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
 from .ledger import Ledger, function_of
 from .line_framing import LineFraming
 from .parameters import ClientParameters
@@ -381,8 +381,8 @@ class SerialClientSession:
         marker = self._marker_before(demand)
         if marker is not None:
             return [self._send_marker(marker, demand, now)]
-        chosen = queue.pick(lambda one: self._may_ask(one, now))
-        return [] if chosen is None else [self._send(chosen, now)]
+        queue.pick(lambda one: one is demand)
+        return [self._send(demand, now)]
 
     def _may_ask(self, demand: Demand, now: float) -> bool:
         return self.breakers.suspended_for(demand.unit, now) is None and self._askable_at(demand, now) <= now
@@ -408,14 +408,14 @@ class SerialClientSession:
         doubt = self.doubts.units.get(unit)
         if doubt is None or unit == BROADCAST_UNIT:
             return None
-        request = demand.requests[demand.next_position]
-        if not self._is_in_doubt(doubt, demand):
-            if not doubt.needs_check:
+        if not (doubt.owed or doubt.unasked is not None or doubt.older) or not self._is_in_doubt(doubt, demand):
+            if doubt.alike < CHECK_EVERY:
                 return None
             marker = self.doubts.marker(unit, is_check=True)
             if marker is None:
                 doubt.alike = 0  # it answers no request of ours: a shift cannot be seen
             return marker
+        request = demand.requests[demand.next_position]
         if isinstance(request, RestartCommunications):
             return None
         marker = self.doubts.marker(unit)
@@ -452,9 +452,9 @@ class SerialClientSession:
         frame = self._framing.encode(unit, wire)
         if unit == BROADCAST_UNIT:
             self.state = MasterState.WAITING_TURNAROUND
-            self._begin(_Flight(demand, request, position, unit, frame, now, now, 0.0, 0.0))
         else:
-            self._ask(_Flight(demand, request, position, unit, frame, now, now, 0.0, demand.timeout))
+            self.state = MasterState.WAITING_FOR_REPLY
+        self._begin(_Flight(demand, request, position, unit, frame, now, now, 0.0, demand.timeout))
         return frame
 
     def _send_marker(self, marker: Marker, demand: Demand, now: float) -> bytes:
@@ -464,15 +464,9 @@ class SerialClientSession:
         doubt = self.doubts.of(demand.unit)
         why = "a check" if doubt.is_empty else f"it owes {len(doubt.owed) + sum(doubt.older.values())}"
         self._note(f"unit {demand.unit}: that was a request of the link's own, a marker ({why})")
-        self._ask(
-            _Flight(None, marker.request, 0, demand.unit, frame, now, now, 0.0, demand.timeout, marker),
-        )
-        return frame
-
-    def _ask(self, flight: _Flight) -> None:
-        """A request to one unit goes out; its reply is due."""
         self.state = MasterState.WAITING_FOR_REPLY
-        self._begin(flight)
+        self._begin(_Flight(None, marker.request, 0, demand.unit, frame, now, now, 0.0, demand.timeout, marker))
+        return frame
 
     def _begin(self, flight: _Flight) -> None:
         unit, frame, now = flight.unit, flight.frame, flight.begun
@@ -518,12 +512,11 @@ class SerialClientSession:
                 flight.damage = found.raw
             return
         self._timeouts_in_row = 0
-        waiting = flight is not None and self.state is MasterState.WAITING_FOR_REPLY
-        if flight is None or not waiting or found.unit != flight.unit:
+        if flight is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != flight.unit:
             self._not_awaited(found)  # late, or of somebody else; in a turnaround somebody answers a broadcast
         elif found.direction is Direction.REQUEST and found.raw == flight.frame:
             self.counters.foreign_replies += 1  # our own frame, on a line that is not known to echo
-        elif self._is_early(flight, found):
+        elif found.began < flight.sent + self._framing.send_gap and self._is_early(flight, found):
             flight.early = True
             self._not_awaited(found)
         else:
@@ -542,6 +535,12 @@ class SerialClientSession:
     def _of_awaited_unit(self, flight: _Flight, frame: SerialFrame, now: float) -> None:
         """The unit that was asked speaks: in reply to the request in flight, or to an earlier one (see `doubt`)."""
         doubt = self.doubts.of(flight.unit)
+        if not doubt.owed and not doubt.older:  # as a rule
+            if frame.pdu[0] & 0x7F == flight.request.wire[0]:
+                self._reply(flight, frame, now, doubt)
+            else:
+                self._not_awaited(frame)
+            return
         owed = doubt.candidates(frame.pdu)
         if doubt.is_older(frame.pdu) or not all(one.is_of(flight.demand, flight.position) for one in owed):
             self._late(doubt, owed, frame)
@@ -550,11 +549,10 @@ class SerialClientSession:
             # As far as can be known it answers an earlier attempt of the call: the one in flight is owed its own reply.
             doubt.came(owed[0])
             self._owe(flight)
-            self._reply(flight, frame, now, doubt)
-        elif frame.pdu[0] & 0x7F != flight.request.wire[0] or self._is_of_another(flight, doubt, frame.pdu):
+            self._reply(flight, frame, now, doubt, owes_own=True)
+        elif frame.pdu[0] & 0x7F != flight.request.wire[0]:
             self._not_awaited(frame)
         else:
-            doubt.answered(flight.request)
             self._reply(flight, frame, now, doubt)
 
     def _is_of_another(self, flight: _Flight, doubt: UnitDoubt, pdu: bytes) -> bool:
@@ -562,8 +560,6 @@ class SerialClientSession:
 
         Otherwise it is a broken one.
         """
-        if _fits(flight.request, pdu):
-            return False
         last = doubt.last
         return (
             flight.marker is not None
@@ -624,7 +620,10 @@ class SerialClientSession:
             OwedReply(flight.request, function, flight.sent, until, flight.demand, flight.position)
         )
 
-    def _reply(self, flight: _Flight, frame: SerialFrame, now: float, doubt: UnitDoubt) -> None:
+    def _reply(
+        self, flight: _Flight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
+    ) -> None:
+        """End the request in flight; ``owes_own``: by what may answer an earlier attempt of it."""
         pdu = frame.pdu
         outcome: Message | ModbusError
         try:
@@ -633,9 +632,14 @@ class SerialClientSession:
             else:
                 outcome = flight.request.accept(pdu)
         except MalformedPdu as error:
+            if self._is_of_another(flight, doubt, pdu):
+                self._not_awaited(frame)
+                return
             # The unit speaks, but breaks the protocol: no reason to ask it again, and none to give it up.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, raw=frame.raw)
+        if not owes_own and (doubt.owed or doubt.unasked is not None):
+            doubt.answered(flight.request)
         self.valid_reply = True
         if self.breakers.answered(frame.unit):
             doubt.revived()
@@ -646,10 +650,12 @@ class SerialClientSession:
         if flight.marker is not None:
             self._marked(flight.marker, outcome, doubt)
             return
-        is_exception = isinstance(outcome, ExceptionReply)
-        self.counters.exceptions += is_exception
-        self.counters.replies += isinstance(outcome, Message)
-        doubt.heard(flight.request, is_exception=is_exception)
+        if not isinstance(outcome, ModbusError):
+            self.counters.replies += 1
+            doubt.heard(flight.request, is_exception=False)
+        elif isinstance(outcome, ExceptionReply):
+            self.counters.exceptions += 1
+            doubt.heard(flight.request, is_exception=True)
         self._conclude(flight, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
@@ -663,7 +669,7 @@ class SerialClientSession:
         demand, position = flight.demand, flight.position
         if demand is None:
             return
-        if isinstance(outcome, Message):
+        if not isinstance(outcome, ModbusError):
             self._ledger.conclude(demand, position, outcome)
         elif isinstance(outcome, BadReply) or (
             _exception_code(outcome) == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and flight.request.is_write
@@ -675,7 +681,8 @@ class SerialClientSession:
     def _learn_pace(self, flight: _Flight, frame: SerialFrame, doubt: UnitDoubt) -> None:
         """How long the unit takes; where an earlier attempt may be what was answered, nothing is learnt."""
         unit = frame.unit
-        self._not_asked_before.pop(unit, None)
+        if self._not_asked_before:
+            self._not_asked_before.pop(unit, None)
         if doubt.owed:
             return
         doubt.delay = None
