@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from marked import ROOT, replaced, update
 
-from busway.gateway.own_unit import FIRST_LINE, LINE_REGISTERS, REGISTERS, Entry
+from busway.apps.gateway.own_unit import FIRST_LINE, LINE_REGISTERS, REGISTERS, Entry
 
 
 def render(entries: Sequence[Entry], start: int, label: str) -> str:

@@ -14,9 +14,9 @@ from typing import Any, get_args, get_type_hints
 from marked import ROOT, update
 
 from busway.client.management import ManagementParameters
-from busway.config.options import ALIASES
-from busway.config.profiles import Profile
 from busway.framing.timing import Parity
+from busway.options.presets import Profile
+from busway.options.text import ALIASES
 from busway.server.parameters import ListenerParameters
 from busway.session.breaker import BreakerParameters
 from busway.session.line_framing import FramingParameters
@@ -25,7 +25,7 @@ from busway.session.serial_client import SerialClientParameters
 from busway.transport.serial.opening import OpeningParameters
 from busway.transport.serial.settings import SerialSettings
 from busway.transport.tcp import SocketParameters
-from busway.transport.tls import OF_SERVERS, TlsParameters
+from busway.transport.tls.parameters import OF_SERVERS, TlsParameters
 
 LINKS = (
     ClientParameters,

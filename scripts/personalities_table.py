@@ -5,8 +5,8 @@ Knows the personalities and the page; no word in the table is written by hand.
 
 from marked import ROOT, replaced, update
 
+from busway.faults.profiles.elsewhere import ELSEWHERE
 from busway.testing import PERSONALITIES, Carrier, Parameter, Personality
-from busway.testing.personalities.elsewhere import ELSEWHERE
 
 PAGE = ROOT / "docs" / "simulator.md"
 

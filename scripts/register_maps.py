@@ -8,12 +8,12 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from busway.apps.simulator.devices import DEVICES, ready_made
+from busway.apps.simulator.includes import parse_declaration
+from busway.apps.simulator.register_map import COLUMNS
 from busway.codes import Table
 from busway.config.files.behaviours import described
 from busway.config.files.simulation import SimulatedPointSection, SimulatedUnitSection, ranged
-from busway.simulator.devices import DEVICES, ready_made
-from busway.simulator.includes import parse_declaration
-from busway.simulator.register_map import COLUMNS
 from busway.values import format_address
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,7 +58,7 @@ COLUMNS_PAGE = """\
 {remark}
 
 `busway simulate --map points.csv` serves a register map as a device. `busway simulate --clone URL --map points.csv`
-reads its points from a live device. For programs there is `busway.simulator.register_map.read_register_map(path)`.
+reads its points from a live device. For programs there is `busway.apps.simulator.register_map.read_register_map(path)`.
 
 ```
 name,address,type,scale,unit,access,value

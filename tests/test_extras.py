@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from busway.config.extras import EXTRA_OF, missing_extra
 from busway.errors import ConfigError, MissingExtra
+from busway.extras import EXTRA_OF, missing_extra
 
 BARE = """
 import sys

@@ -16,9 +16,9 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import busway
+from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.routes import AddressRange, Route, RoutingTable
 from busway.codes import Table
-from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
-from busway.gateway.routes import AddressRange, Route, RoutingTable
 from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read
 from offline.timing import quickest
 from offline.wire import Device, MemoryLoop, Wire

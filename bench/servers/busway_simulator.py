@@ -8,8 +8,8 @@ import signal
 import sys
 from urllib.parse import urlsplit
 
-from busway.simulator.includes import parse_declaration
-from busway.simulator.simulation import Simulation
+from busway.apps.simulator.includes import parse_declaration
+from busway.apps.simulator.simulation import Simulation
 
 UNITS = 250  # behind each port
 POINTS = 100

@@ -17,18 +17,20 @@ from .version import __version__
 refuse_free_threading()
 
 if TYPE_CHECKING:
-    from .assembly.configuration import Configuration, load_configuration
-    from .assembly.gateway import load_gateway, simple_gateway
+    from .access.addresses import AddressList
+    from .access.audit import AuditLog
+    from .access.authorizer import PolicyHandler
+    from .access.rules import Policy, Rule
+    from .apps.control.service import Control
+    from .apps.gateway.assembly import load_gateway, simple_gateway
+    from .apps.gateway.gateway import Gateway
+    from .apps.server.configuration import Configuration, load_configuration
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import Link, Unit, connect
     from .client.option_types import LinkOptions
     from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
-    from .config.access.addresses import AddressList
-    from .config.access.rules import Policy, Rule
-    from .config.endpoints import Endpoint, parse_endpoint
-    from .control.service import Control
     from .errors import (
         BadReply,
         ConfigError,
@@ -44,9 +46,9 @@ if TYPE_CHECKING:
         UnitSuspended,
         WriteOutcomeUnknown,
     )
-    from .gateway.gateway import Gateway
     from .observe.metrics.endpoint import start_metrics
     from .observe.trace import TRACE, TraceLevel
+    from .options.endpoints import Endpoint, parse_endpoint
     from .pdu.diagnostics import (
         GetCommEventCounter,
         GetCommEventLog,
@@ -82,13 +84,11 @@ if TYPE_CHECKING:
     from .server.listener import Listener
     from .server.option_types import ServerOptions
     from .server.parameters import ListenerParameters
-    from .server.policy.audit import AuditLog
-    from .server.policy.handler import PolicyHandler
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
     from .session.handler import LATER, SILENCE, RequestContext
-    from .transport.tls import TlsParameters
+    from .transport.tls.parameters import TlsParameters
     from .values import Address, ValueType, parse_address, value_type
     from .values.constants import (
         BCD16,
@@ -108,17 +108,17 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
-    "assembly.configuration": ("Configuration", "load_configuration"),
-    "assembly.gateway": ("load_gateway", "simple_gateway"),
+    "apps.server.configuration": ("Configuration", "load_configuration"),
+    "apps.gateway.assembly": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("Link", "Unit", "connect"),
     "client.option_types": ("LinkOptions",),
     "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
-    "config.access.addresses": ("AddressList",),
-    "config.access.rules": ("Policy", "Rule"),
-    "config.endpoints": ("Endpoint", "parse_endpoint"),
-    "control.service": ("Control",),
+    "access.addresses": ("AddressList",),
+    "access.rules": ("Policy", "Rule"),
+    "options.endpoints": ("Endpoint", "parse_endpoint"),
+    "apps.control.service": ("Control",),
     "errors": (
         "BadReply",
         "ConfigError",
@@ -134,7 +134,7 @@ _HOME = {
         "UnitSuspended",
         "WriteOutcomeUnknown",
     ),
-    "gateway.gateway": ("Gateway",),
+    "apps.gateway.gateway": ("Gateway",),
     "observe.metrics.endpoint": ("start_metrics",),
     "observe.trace": ("TRACE", "TraceLevel"),
     "pdu.diagnostics": (
@@ -169,16 +169,16 @@ _HOME = {
     "server.cells": ("Cells",),
     "server.device": ("Device",),
     "server.hooks": ("Access", "Change"),
-    "server.policy.audit": ("AuditLog",),
+    "access.audit": ("AuditLog",),
     "server.listener": ("Listener",),
     "server.option_types": ("ServerOptions",),
     "server.parameters": ("ListenerParameters",),
-    "server.policy.handler": ("PolicyHandler",),
+    "access.authorizer": ("PolicyHandler",),
     "server.server": ("Server",),
     "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
     "server.single_block": ("SingleBlock",),
     "session.handler": ("LATER", "SILENCE", "RequestContext"),
-    "transport.tls": ("TlsParameters",),
+    "transport.tls.parameters": ("TlsParameters",),
     "values.constants": (
         "BCD16",
         "BCD32",

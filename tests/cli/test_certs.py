@@ -10,7 +10,7 @@ import pytest
 
 import busway
 from busway.testing.certificates import CertificateStore
-from busway.transport.certificates.facts import facts_of_file
+from busway.transport.tls.certificates.facts import facts_of_file
 
 Run = Callable[..., Any]
 

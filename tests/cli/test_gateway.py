@@ -15,7 +15,7 @@ from control_sockets import short_directory
 from program import LIMIT, Busway
 
 import busway
-from busway.control import Running, ask, parse_control_address
+from busway.apps.control import Running, ask, parse_control_address
 from busway.testing.certificates import CertificateStore
 from busway.testing.line import PacedLine
 

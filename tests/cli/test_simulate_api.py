@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from program import Busway
 
+from busway.apps.simulator.includes import load_declaration
+from busway.apps.simulator.simulation import Simulation
 from busway.cli.simulate import _page
 from busway.errors import ConfigError
-from busway.simulator.includes import load_declaration
-from busway.simulator.simulation import Simulation
 
 FILE = """\
 listen = ["tcp://127.0.0.1:0"]
@@ -66,6 +66,6 @@ def test_a_token_of_a_file_is_needed_then(file: Path, tmp_path: Path) -> None:
 
 def test_without_the_extra_it_says_what_to_install(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
-    monkeypatch.delitem(sys.modules, "busway.web.hosting", raising=False)
+    monkeypatch.delitem(sys.modules, "busway.apps.web.hosting", raising=False)
     with pytest.raises(ConfigError, match=r"busway\[web\]"):
         _page(Simulation(load_declaration(file)), "127.0.0.1:0", None, str(file))

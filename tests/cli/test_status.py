@@ -16,7 +16,7 @@ from program import Busway
 from prometheus_client.parser import text_string_to_metric_families
 
 import busway
-from busway.control import Control, ask, control_directories, find_running
+from busway.apps.control import Control, ask, control_directories, find_running
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_several_programs_are_listed(home: Path, run: Callable[..., Any]) -> Non
 def test_a_program_that_does_not_answer_is_said_and_does_not_hide_the_others(
     home: Path, run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("busway.control.service.Control._in_loop.__defaults__", (0.05,))
+    monkeypatch.setattr("busway.apps.control.service.Control._in_loop.__defaults__", (0.05,))
     with serving(home, name="stuck", stuck=True) as address:
         alone = run("status", address)
         assert alone.code == 3

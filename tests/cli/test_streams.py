@@ -15,8 +15,8 @@ import pytest
 from control_sockets import short_directory
 
 import busway
+from busway.apps.control import Control
 from busway.cli.program import COMMANDS, app
-from busway.control import Control
 
 PROGRAM = [sys.executable, "-m", "busway"]
 FILE = '[[unit]]\nunit = 1\nname = "Größe – größer"\n[[unit.point]]\nname = "a"\naddress = "4x1"\nvalue = 1\n'

@@ -12,7 +12,7 @@ import pytest
 from late_unit import LateUnit
 
 import busway
-from busway.gateway.gateway import Gateway, simple_plan
+from busway.apps.gateway.gateway import Gateway, simple_plan
 from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time

@@ -10,8 +10,8 @@ import pytest
 
 import busway
 from busway.client.settings import link_settings
-from busway.config.endpoints import parse_endpoint
 from busway.errors import ConfigError, InvalidRequest, NoReply
+from busway.options.endpoints import parse_endpoint
 from busway.server.listener import Listener
 from busway.server.listener_settings import listener_settings
 from busway.server.parameters import ListenerParameters

@@ -14,15 +14,15 @@ import pytest
 from handlers import ScriptedHandler
 
 import busway
+from busway.access.question import Question
+from busway.access.rates import Rates
 from busway.codes import Table
-from busway.config.access.question import Question
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.server.pools import Pool, PoolLimits, Pools
-from busway.server.rates import Rates
 from busway.session.client import TcpClientSession
 from busway.session.demand import Demand
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
@@ -143,10 +143,10 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
         ("busway.session.client", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.session.server", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.session.handler", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.config.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.config.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.server.pools", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
-        ("busway.server.rates", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
+        ("busway.access.rates", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
         ("busway.server.local", {"busway.client", "busway.server.connections", "socket"}),
         ("busway.transport.tcp", {"busway.client", "busway.server", "busway.session", "asyncio"}),
         ("busway.client.aio", {"busway.server"}),

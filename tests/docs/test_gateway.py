@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from busway.assembly.gateway import parse_gateway
-from busway.assembly.routing_overview import ROUTING_HEADINGS, gateway_rows, routing_rows
+from busway.apps.gateway.assembly import parse_gateway
+from busway.apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 from busway.config.files.gateway import FrontSection, GatewaySection, LineSection, RouteSection
 from busway.config.files.listeners import ListenerSection
 from busway.config.files.system import LinkKeys

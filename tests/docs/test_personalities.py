@@ -5,11 +5,11 @@ import sys
 import tomllib
 from pathlib import Path
 
+from busway.apps.simulator.fault_sections import fault_problems
 from busway.config.files.faults import FaultSection
 from busway.config.files.schema import Section, read_source
-from busway.simulator.faults.reading import fault_problems
+from busway.faults.profiles.elsewhere import ELSEWHERE
 from busway.testing import CLIENT_PERSONALITIES, PERSONALITIES
-from busway.testing.personalities.elsewhere import ELSEWHERE
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "simulator.md"

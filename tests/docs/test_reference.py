@@ -11,7 +11,7 @@ import pytest
 import busway
 from busway import errors
 from busway.codes import EXCEPTION_MEANING
-from busway.config.endpoints import SCHEMES
+from busway.options.endpoints import SCHEMES
 from busway.values import ORDERS, TYPE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]

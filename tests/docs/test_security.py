@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from busway.access.entries import Entry, who_text
 from busway.cli.program import app
 from busway.config.files.policy import PolicySection, RuleSection, parse_policy_file
 from busway.pdu.write_items import WriteSingleRegister
-from busway.server.policy.entries import Entry, who_text
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import RequestContext
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from busway.config.options import option_names
+from busway.options.text import option_names
 from busway.session.breaker import BreakerParameters
 from busway.session.line_framing import FramingParameters
 from busway.session.serial_client import SerialClientParameters

@@ -14,7 +14,7 @@ import foreign
 import pytest
 from played import played
 
-from busway.simulator.faults.board import FaultBoard
+from busway.faults.board import FaultBoard
 from busway.testing import PERSONALITIES, Carrier
 
 TIMEOUT_MS = 700

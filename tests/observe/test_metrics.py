@@ -460,7 +460,7 @@ async def test_refusals_by_rule_are_told_where_a_handler_counts_them(device: bus
 
 
 async def test_what_a_policy_refuses_is_told_by_its_rule(device: busway.Device) -> None:
-    from busway.config.access.rules import Policy
+    from busway.access.rules import Policy
 
     server = busway.serve(FREE_TCP, units={1: device}, policy=Policy.read_only())
     async with start_metrics(server, FREE) as endpoint, server, busway.open(server.endpoints[0]) as link:

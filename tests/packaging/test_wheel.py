@@ -105,7 +105,7 @@ def test_the_source_distribution_holds_what_its_own_tests_need(distribution: Dis
     for needed in ("pyproject.toml", "LICENSE", "README.md", "CHANGELOG.md", "Makefile", "scripts/find-python"):
         assert needed in names
     assert "src/busway/__init__.py" in names
-    assert "tests/test_layers.py" in names
+    assert "tests/test_core_is_pure.py" in names
     assert not [name for name in names if name.startswith((".venv", ".peers", "dist/"))]
 
 

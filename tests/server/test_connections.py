@@ -14,8 +14,8 @@ from waiting import until
 
 import busway
 import busway.server.pools
-from busway.config.access.addresses import AddressList
-from busway.config.access.networks import Networks
+from busway.access.addresses import AddressList
+from busway.access.networks import Networks
 from busway.server.authorisation import Authorise
 from busway.server.listener import Listener
 from busway.server.parameters import ListenerParameters

@@ -5,7 +5,7 @@ import logging
 import pytest
 
 import busway
-from busway.config.access.rules import Policy
+from busway.access.rules import Policy
 from busway.server.exposure import warn_of_exposure
 from busway.server.naming import is_everywhere, is_loopback
 

@@ -21,7 +21,7 @@ from busway.server.listener import Listener
 from busway.server.secure import SecurityStatus
 from busway.server.serving import ServerThread
 from busway.testing.certificates import CertificateFiles, CertificateStore
-from busway.transport.tls import TlsParameters, TlsVersion
+from busway.transport.tls.parameters import TlsParameters, TlsVersion
 
 pytestmark = pytest.mark.usefixtures("road")
 

@@ -17,7 +17,7 @@ from waiting import until
 import busway
 from busway.server.diagnosis import Lamp
 from busway.transport import accepting
-from busway.transport.crowd import Crowd
+from busway.transport.epoll.watcher import Crowd
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 

@@ -9,9 +9,9 @@ from handlers import ScriptedHandler, later, registers
 from waiting import until
 
 import busway
-from busway.config.access.addresses import AddressList
-from busway.config.access.networks import Networks
-from busway.config.access.rules import Policy
+from busway.access.addresses import AddressList
+from busway.access.networks import Networks
+from busway.access.rules import Policy
 from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu

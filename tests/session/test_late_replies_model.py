@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable
 
 import pytest
-from late_replies import BASIC, PROMPT, Breach, Call, UnitModel, World
+from late_reply_world import BASIC, PROMPT, Breach, Call, UnitModel, World
 
 from busway.errors import ModbusError, NoReply
 from busway.pdu.message import Message, Request

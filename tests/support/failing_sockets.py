@@ -20,9 +20,9 @@ import pytest
 
 from busway.client.connector import Connector
 from busway.errors import LinkDown
-from busway.transport.crowd import can_watch
-from busway.transport.crowd_stream import CrowdStream
 from busway.transport.dialling import _crowd_of
+from busway.transport.epoll.stream import CrowdStream
+from busway.transport.epoll.watcher import can_watch
 
 UNANSWERED = 0xFFFF
 """Address that the device does not answer."""

@@ -5,16 +5,16 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 
 import busway
-from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
-from busway.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.routes import Route, RoutingTable
+from busway.faults.connections import FaultyWires
+from busway.faults.fault import AppliedFault, Faults, Selection
+from busway.faults.profiles import PERSONALITIES
+from busway.faults.responder import FaultyHandler
 from busway.server.listener import Listener
 from busway.server.local import LocalHandler
 from busway.server.server import Server
-from busway.simulator.faults.handler import FaultyHandler
-from busway.simulator.faults.wires import FaultyWires
-from busway.testing.faults import AppliedFault, Faults, Selection
 from busway.testing.line import PacedLine
-from busway.testing.personalities import PERSONALITIES
 
 ANY_PORT = "tcp://127.0.0.1:0"
 BAUD = 115_200

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import busway
+from busway.faults.board import FaultBoard
 from busway.server.server import Server
-from busway.simulator.faults.board import FaultBoard
 from busway.testing import known_device
 
 

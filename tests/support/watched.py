@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
-from busway.simulator.includes import parse_declaration
-from busway.simulator.simulation import Simulation
-from busway.web.hosting import ControlPage
+from busway.apps.simulator.includes import parse_declaration
+from busway.apps.simulator.simulation import Simulation
+from busway.apps.web.hosting import ControlPage
 
 PLANT = """\
 [[unit]]

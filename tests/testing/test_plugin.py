@@ -11,8 +11,8 @@ import pytest
 
 import busway
 from busway.errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, NoReply
+from busway.faults.clock import FakeClock
 from busway.testing import simulated_device
-from busway.testing.clock import FakeClock
 
 pytest_plugins = ["pytester"]
 

@@ -14,7 +14,7 @@ from waiting import until
 
 from busway.transport import accepting
 from busway.transport.accepting import NEWCOMERS_OF_A_TURN, CrowdAcceptor, accept_from
-from busway.transport.crowd import READABLE, Crowd, crowd_for
+from busway.transport.epoll.watcher import READABLE, Crowd, crowd_for
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 

@@ -14,7 +14,7 @@ from event_loops import LOOPS, run_on
 from waiting import until
 
 from busway.transport import dialling
-from busway.transport.crowd_stream import CrowdStream
+from busway.transport.epoll.stream import CrowdStream
 
 CROWDED = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 

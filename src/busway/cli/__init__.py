@@ -29,7 +29,7 @@ def main() -> None:
 
 def _refuse(error: ImportError) -> NoReturn:
     """End with code 2 and the command that installs what is missing; anything else is an error of ours."""
-    from ..config.extras import missing_extra
+    from ..extras import missing_extra
 
     missing = missing_extra(error)
     if missing is None:

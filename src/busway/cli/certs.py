@@ -20,8 +20,8 @@ from .exits import ExitCode
 from .output import say
 
 if TYPE_CHECKING:
-    from ..transport.certificates.authority import Issued
-    from ..transport.certificates.facts import CertificateFacts
+    from ..transport.tls.certificates.authority import Issued
+    from ..transport.tls.certificates.facts import CertificateFacts
 
 EXAMPLES = """\b
 Examples:
@@ -69,7 +69,7 @@ def certs(
 def _make(
     directory: Path, hosts: Sequence[str], roles: Sequence[str], *, without_role: bool, days: int, force: bool
 ) -> None:
-    from ..transport.certificates.authority import Authority
+    from ..transport.tls.certificates.authority import Authority
 
     authority = Authority.create(days=days)
     made = {"ca": authority.issued, "server": authority.server(hosts, days=days)}
@@ -124,7 +124,7 @@ def _url(directory: Path, host: str, name: str) -> str:
 
 
 def _show(names: Sequence[str]) -> None:
-    from ..transport.certificates.facts import facts_of_file
+    from ..transport.tls.certificates.facts import facts_of_file
 
     if not names:
         raise ConfigError("name the file with the certificate: busway certs show server.pem", key="FILE")
@@ -137,7 +137,7 @@ def _show(names: Sequence[str]) -> None:
 
 
 def _lines(name: str, facts: "CertificateFacts") -> list[tuple[str, str]]:
-    from ..transport.tls_failures import date_of
+    from ..transport.tls.failures import date_of
 
     role = repr(facts.role) if facts.role is not None else "none"
     if facts.role_problem:

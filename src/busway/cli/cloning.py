@@ -18,8 +18,8 @@ from .exits import ExitCode
 from .output import say
 
 if TYPE_CHECKING:
+    from ..apps.simulator.clone import Clone
     from ..client.blocking import Unit
-    from ..simulator.clone import Clone
 
 BETWEEN_LOOKS = 1.0
 """Seconds between two readings of a device that is being watched."""
@@ -67,7 +67,7 @@ def refuse_without_clone(wishes: CloneWishes) -> None:
 
 def clone_device(wishes: CloneWishes) -> int:
     """Record the device, and write the file."""
-    from ..simulator.device_text import device_text
+    from ..apps.simulator.device_text import device_text
 
     duration = None if wishes.watch is None else seconds(wishes.watch, "--watch")
     if wishes.map is None and duration is not None:
@@ -90,8 +90,8 @@ def clone_device(wishes: CloneWishes) -> int:
 
 
 def _recorded(unit: "Unit", wishes: CloneWishes, duration: float | None) -> "Clone":
-    from ..simulator.clone import RANGES, clone_points, clone_tables, watch_points
-    from ..simulator.register_map import read_register_map
+    from ..apps.simulator.clone import RANGES, clone_points, clone_tables, watch_points
+    from ..apps.simulator.register_map import read_register_map
 
     if wishes.map is None:
         ranges = RANGES if wishes.ranges is None else _ranges(wishes.ranges)
@@ -131,7 +131,7 @@ def _there_already(out: str) -> ConfigError:
 
 
 def _put_out(text: str, wishes: CloneWishes) -> None:
-    from ..config.safe_files import open_to_replace, past_links
+    from ..safe_files import open_to_replace, past_links
 
     out = wishes.out
     if out is None:

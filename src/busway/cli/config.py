@@ -49,8 +49,8 @@ def config(
 
 
 def _check(file: str) -> None:
-    from ..assembly.configuration import load_configuration
-    from ..assembly.overview import overview
+    from ..apps.server.configuration import load_configuration
+    from ..apps.server.overview import overview
 
     configuration = load_configuration(file, examine=True)
     print_aligned(list(overview(configuration)))
@@ -59,8 +59,8 @@ def _check(file: str) -> None:
 
 
 def _show(file: str) -> None:
-    from ..assembly.configuration import load_configuration
-    from ..assembly.effective import effective
+    from ..apps.server.configuration import load_configuration
+    from ..apps.server.effective import effective
 
     for line in effective(load_configuration(file)):
         print(line)

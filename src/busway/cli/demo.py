@@ -26,11 +26,11 @@ from .output import print_aligned, say
 from .signals import stop_event
 
 if TYPE_CHECKING:
+    from ..apps.gateway.gateway import Gateway
+    from ..apps.simulator.plant import Plant
     from ..client.aio import AsyncLink, AsyncUnit
     from ..config.files.device import PointSection
-    from ..gateway.gateway import Gateway
     from ..server.server import Server
-    from ..simulator.plant import Plant
 
     Tags = Mapping[int, Sequence[PointSection]]
 
@@ -93,8 +93,8 @@ def demo(
 
 
 async def _run(port: int, limit: float | None) -> None:
+    from ..apps.simulator.plant import Plant
     from ..client.aio import open_link
-    from ..simulator.plant import Plant
 
     plant = Plant()
     with stop_event() as stop:
@@ -136,10 +136,10 @@ def _line(stack: AsyncExitStack) -> tuple[str, str]:
 
 def _devices(plant: "Plant", url: str) -> "Server":
     """The devices on their line, one of them slow and one that dies and comes back; not started yet."""
+    from ..apps.simulator.plant import METER, THERMOMETER
+    from ..faults.board import FaultBoard
+    from ..faults.fault import Schedule
     from ..server.serving import serve
-    from ..simulator.faults.board import FaultBoard
-    from ..simulator.plant import METER, THERMOMETER
-    from ..testing.faults import Schedule
 
     board = FaultBoard()
     board.add("late", units={METER}, parameters={"delay": METER_DELAY})
@@ -152,7 +152,7 @@ def _devices(plant: "Plant", url: str) -> "Server":
 
 async def _started(line: str, port: int) -> "Gateway":
     """The gateway on the wanted port, or on a free one."""
-    from ..gateway.gateway import Gateway, simple_plan
+    from ..apps.gateway.gateway import Gateway, simple_plan
 
     options = {"timeout": LINE_TIMEOUT, "retries": 0}
     if line.startswith("rtu:"):

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from ..assembly.reading import read_text
+from ..config.reading import read_text
 from ..errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ def open_capture(name: str) -> "Capture":
     Raises:
         ConfigError: it cannot be written, is reached by a link of another user, or holds something else; names it.
     """
-    from ..config.safe_files import open_to_replace
     from ..observe.capture import Capture, is_capture
+    from ..safe_files import open_to_replace
 
     stream = os.fdopen(open_to_replace(name, is_ours=is_capture, kind="capture of busway", mode=PRIVATE), "wb")
     try:

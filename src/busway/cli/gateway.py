@@ -42,9 +42,9 @@ from .running import (
 from .signals import stop_events
 
 if TYPE_CHECKING:
-    from ..assembly.gateway import GatewayConfiguration
-    from ..assembly.service import Service
-    from ..gateway.gateway import Gateway
+    from ..apps.gateway.assembly import GatewayConfiguration
+    from ..apps.gateway.gateway import Gateway
+    from ..apps.server.service import Service
     from .readiness import Manager
 
 EXAMPLES = """\b
@@ -90,7 +90,7 @@ def gateway(
     verbose: int = VERBOSE,
 ) -> int:
     """Stand between clients and lines."""
-    from ..assembly.service import Service, Wishes
+    from ..apps.server.service import Service, Wishes
     from ..server.loops import run
 
     if what[0] == CHECK:
@@ -132,7 +132,7 @@ def _is_url(word: str) -> bool:
 
 def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
     """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
-    from ..assembly.gateway import load_gateway, simple_gateway
+    from ..apps.gateway.assembly import load_gateway, simple_gateway
     from ..session.parameters import CLIENT_DEADLINE
 
     files = [word for word in words if not _is_url(word)]
@@ -152,8 +152,8 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
 def _check(words: list[str]) -> None:
     """Print what a file means; what is odd, or wrong, goes to stderr."""
-    from ..assembly.gateway import load_gateway
-    from ..assembly.routing_overview import ROUTING_HEADINGS, gateway_rows, routing_rows
+    from ..apps.gateway.assembly import load_gateway
+    from ..apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 
     if len(words) != 1:
         raise ConfigError("check needs one file", key="FILE")
@@ -213,7 +213,7 @@ async def _serve(service: "Service", drain: Callable[[], float]) -> None:
 
 
 def _running(service: "Service") -> "Gateway":
-    from ..gateway.gateway import Gateway
+    from ..apps.gateway.gateway import Gateway
 
     assert isinstance(service.server, Gateway)
     return service.server

@@ -20,8 +20,8 @@ from .files import read_text
 from .output import print_aligned, print_json
 
 if TYPE_CHECKING:
-    from ..config.access.question import Question
-    from ..config.access.rules import AccessRules, Decision, Rule
+    from ..access.question import Question
+    from ..access.rules import AccessRules, Decision, Rule
     from ..pdu.functions import AnyRequest
 
 EXAMPLES = """\b
@@ -72,8 +72,8 @@ def policy(
     host = _checked_host(peer)
     asked = [(text, _parsed_request(text)) for text in requests]
     rules = _access_rules(file)
-    from ..config.access.question import Question
-    from ..config.access.rules import listener_name
+    from ..access.question import Question
+    from ..access.rules import listener_name
 
     where = "" if listener is None else listener_name(listener)
     code = ExitCode.DONE
@@ -94,11 +94,11 @@ def _access_rules(file: str) -> "AccessRules":
     if sections <= {"policy"}:
         return parse_policy_file(text, file)
     if "line" in sections:
-        from ..assembly.gateway import parse_gateway
+        from ..apps.gateway.assembly import parse_gateway
 
         access = parse_gateway(text, file).access
     else:
-        from ..assembly.configuration import parse_configuration
+        from ..apps.server.configuration import parse_configuration
 
         access = parse_configuration(text, file).access
     if access is None:
@@ -108,7 +108,7 @@ def _access_rules(file: str) -> "AccessRules":
 
 def _checked_host(text: str) -> str:
     """A numeric address, as a server sees it."""
-    from ..config.access.networks import Networks, host_of_peer
+    from ..access.networks import Networks, host_of_peer
 
     host = host_of_peer(text)
     if "/" in host:
@@ -270,7 +270,7 @@ def _items(prefix: str, first: int, end: int) -> str:
 
 def _numbers(numbers: frozenset[int]) -> str:
     """``1-5, 7``."""
-    from ..config.access.notation import merged
+    from ..access.notation import merged
 
     ranges = merged((number, number + 1) for number in numbers)
     return ", ".join(f"{first}-{end - 1}" if end - first > 1 else f"{first}" for first, end in ranges)

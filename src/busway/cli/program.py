@@ -21,8 +21,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from ..config.extras import missing_extra
 from ..errors import ModbusError
+from ..extras import missing_extra
 from ..values.printable import printable
 from .exits import ExitCode, exit_code_of
 from .streams import OutputLostError, ReaderGoneError, discard, guarded_streams

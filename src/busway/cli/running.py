@@ -19,9 +19,9 @@ from .output import say, say_problems
 from .signals import on_hangup
 
 if TYPE_CHECKING:
-    from ..assembly.service import Declared, Service
-    from ..config.access.addresses import AddressList
-    from ..config.access.rules import AccessRules
+    from ..access.addresses import AddressList
+    from ..access.rules import AccessRules
+    from ..apps.server.service import Declared, Service
 
 NO_STANDARD_PORT = typer.Option(
     False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
@@ -65,8 +65,8 @@ READ_ONLY = "read-only"
 
 def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
     """Who may connect, by ``--allow`` and ``--deny``; None without them. Raises `ConfigError` that names the option."""
-    from ..config.access.addresses import AddressList
-    from ..config.access.networks import Networks
+    from ..access.addresses import AddressList
+    from ..access.networks import Networks
 
     if not allow and not deny:
         return None
@@ -75,21 +75,21 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
     """Options of listeners that go before those of a file. Raises `ConfigError` that names the option."""
-    from ..config.access.networks import Networks
+    from ..access.networks import Networks
 
     return {"priority": Networks(priority, key="--priority")} if priority else {}
 
 
 def access_rules(policy: str | None) -> "Callable[[Declared], AccessRules | None]":
     """What gives the access rules: those of ``--policy``, or else those of the configuration."""
-    from ..assembly.service import declared_rules
+    from ..apps.server.service import declared_rules
 
     if policy is None:
         return declared_rules
 
     def read(configuration: "Declared") -> "AccessRules":
-        from ..config.access.addresses import AddressList
-        from ..config.access.rules import AccessRules, Policy
+        from ..access.addresses import AddressList
+        from ..access.rules import AccessRules, Policy
         from ..config.files.policy import parse_policy_file
 
         if policy == READ_ONLY:

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
-from ..config.endpoints import Endpoint, parse_endpoint
 from ..errors import BadReply, ConfigError, ExceptionReply, LinkDown, ModbusError, NoReply
+from ..options.endpoints import Endpoint, parse_endpoint
 from ..pdu.encapsulated import OBJECT_NAMES
 from ..session.patience import Patience, floor_for
 from .arguments import CAPTURE, JSON, VERBOSE, seconds, show_traffic, whole_number
@@ -145,7 +145,7 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
     """The endpoint without the options that only a conversation has."""
-    from ..config.options import option_names
+    from ..options.text import option_names
     from ..session.line_framing import FramingParameters
     from ..transport.serial.settings import SerialSettings
     from ..transport.tcp import SocketParameters

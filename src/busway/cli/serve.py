@@ -36,8 +36,8 @@ from .running import (
 from .signals import stop_event
 
 if TYPE_CHECKING:
-    from ..assembly.configuration import Configuration
-    from ..assembly.service import Service
+    from ..apps.server.configuration import Configuration
+    from ..apps.server.service import Service
 
 EXAMPLES = """\b
 Examples:
@@ -80,7 +80,7 @@ def serve(
     verbose: int = VERBOSE,
 ) -> int:
     """Be a device."""
-    from ..assembly.service import Service, Wishes
+    from ..apps.server.service import Service, Wishes
     from ..server.loops import run
 
     wishes = Wishes(
@@ -103,7 +103,7 @@ def serve(
 
 def _reader(file: str | None, changes: dict[str, Any]) -> "Callable[[], Configuration]":
     """What reads the configuration, now and whenever it is read again."""
-    from ..assembly.configuration import load_configuration, parse_configuration
+    from ..apps.server.configuration import load_configuration, parse_configuration
 
     if file is None:
         return lambda: parse_configuration(BUILT_IN, "busway serve", changes=changes)

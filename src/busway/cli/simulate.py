@@ -59,9 +59,9 @@ from .sources import (
 )
 
 if TYPE_CHECKING:
-    from ..assembly.service import Declared, Service
-    from ..simulator.simulation import Simulation
-    from ..web.hosting import ControlPage
+    from ..apps.server.service import Declared, Service
+    from ..apps.simulator.simulation import Simulation
+    from ..apps.web.hosting import ControlPage
 
 EXAMPLES = """\b
 Examples:
@@ -85,7 +85,7 @@ _FASTEST = 100_000.0
 
 def _list_faults(wanted: bool) -> None:
     if wanted:
-        from ..simulator.faults.reading import personality_lines
+        from ..apps.simulator.fault_sections import personality_lines
 
         print("\n".join(personality_lines()))
         raise typer.Exit(ExitCode.DONE)
@@ -154,10 +154,10 @@ def simulate(
         "seed": None if seed is None else whole_number(seed, "--seed", 0, 2**31 - 1),
         "speed": _speed(speed),
     }
-    from ..assembly.service import Service, Wishes
+    from ..apps.server.service import Service, Wishes
+    from ..apps.simulator.fault_sections import put_on_by_words
+    from ..apps.simulator.simulation import Simulation
     from ..server.loops import run
-    from ..simulator.faults.reading import put_on_by_words
-    from ..simulator.simulation import Simulation
 
     source = chosen_source(file, device, map_file, unit, listener_changes(priority))
     declaration = source.load()
@@ -202,7 +202,7 @@ def _speed(text: str) -> float:
 
 def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], Declared]":
     """What gives the simulation first, and what its source says whenever it is read again."""
-    from ..simulator.simulation import Simulation
+    from ..apps.simulator.simulation import Simulation
 
     first: list[Declared] = [simulation]
 
@@ -220,7 +220,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
     from ..observe.http import parse_host_port
 
     try:
-        from ..web.hosting import ControlPage
+        from ..apps.web.hosting import ControlPage
     except ImportError as error:
         raise MissingExtra(error.name or "starlette", "web", purpose="the page", key="--api") from error
 

@@ -13,14 +13,14 @@ from ..errors import ConfigError
 from .exits import ExitCode
 
 if TYPE_CHECKING:
-    from ..simulator.includes import SimulationDeclaration
+    from ..apps.simulator.includes import SimulationDeclaration
 
 FILE_HELP = "A simulation file, in TOML; every device file is one."
 
 
 def _list_devices(wanted: bool) -> None:
     if wanted:
-        from ..simulator.devices import DEVICES
+        from ..apps.simulator.devices import DEVICES
         from .output import print_aligned
 
         print_aligned([[name, sentence] for name, sentence in DEVICES.items()])
@@ -80,8 +80,8 @@ def chosen_source(
     Raises:
         ConfigError: none is named, or more than one.
     """
-    from ..simulator.devices import PREFIX, ready_made
-    from ..simulator.includes import load_declaration
+    from ..apps.simulator.devices import PREFIX, ready_made
+    from ..apps.simulator.includes import load_declaration
 
     named = [key for key, value in (("FILE", file), ("--device", device), ("--map", map_file)) if value is not None]
     if len(named) != 1:
@@ -101,10 +101,10 @@ def chosen_source(
 
 
 def _of_map(path: str, unit: str | None, changes: dict[str, Any]) -> "SimulationDeclaration":
+    from ..apps.simulator.device_text import device_text
+    from ..apps.simulator.includes import parse_declaration
+    from ..apps.simulator.register_map import read_register_map
     from ..config.files.simulation import SimulatedUnitSection
-    from ..simulator.device_text import device_text
-    from ..simulator.includes import parse_declaration
-    from ..simulator.register_map import read_register_map
     from .arguments import whole_number
 
     number = 1 if unit is None else whole_number(unit, "--unit", 0, 255)

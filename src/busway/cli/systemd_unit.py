@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from ..config.endpoints import Endpoint, parse_endpoint
-from ..gateway.gateway import GatewayPlan
+from ..apps.gateway.gateway import GatewayPlan
+from ..options.endpoints import Endpoint, parse_endpoint
 from ..server.naming import is_loopback
 
 _LOWEST_FREE_PORT: Final = 1024

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import typer
 
 from ..codes import Table
-from ..config.endpoints import parse_endpoint
 from ..errors import ConfigError, InvalidRequest, ModbusError
+from ..options.endpoints import parse_endpoint
 from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType, format_address, parse_address, parse_bit, value_type
 from .arguments import (

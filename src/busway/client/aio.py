@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, SupportsFloat, SupportsIndex, TypeVar, Unpack, overload
 
-from ..config.endpoints import Endpoint
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded
+from ..options.endpoints import Endpoint
 from ..pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ..pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
 from ..pdu.message import Message, Request, TypedRequest

@@ -8,8 +8,8 @@ from operator import attrgetter
 from typing import Any
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkClosed, ModbusError, NoReply, WriteOutcomeUnknown
+from ..options.endpoints import Endpoint
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
 from ..session.demand import Demand

@@ -8,9 +8,9 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError
 from ..framing.datagram import WHOLE
+from ..options.endpoints import Endpoint
 from ..session.client import TcpClientSession
 from ..session.serial_client import SerialClientSession
 from ..transport.tcp import SocketParameters, link_down

@@ -5,12 +5,12 @@ Written by ``scripts/option_types.py`` from the parameter classes, which say wha
 
 from typing import Literal, TypedDict
 
-from ..config.profiles import Profile
 from ..framing.echo import Echo
 from ..framing.timing import Parity
+from ..options.presets import Profile
 from ..session.parameters import MismatchPolicy, TransactionScope
 from ..transport.serial.settings import Rs485
-from ..transport.tls import Curve, TlsVersion, Verify
+from ..transport.tls.parameters import Curve, TlsVersion, Verify
 from .management import Hold
 
 

@@ -12,8 +12,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown
+from ..options.endpoints import Endpoint
 from ..session.serial_client import SerialClientSession
 from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.opening import Claim, OpeningParameters

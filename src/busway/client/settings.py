@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, canonical, option_names, unknown_option
-from ..config.profiles import OPTION, STRICT_LINKS, with_profile
+from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.presets import OPTION, STRICT_LINKS, with_profile
+from ..options.text import build_parameters, canonical, option_names, unknown_option
 from ..session.breaker import OPEN_AFTER_BY_FRAMING, BreakerParameters
 from ..session.line_framing import FramingParameters
 from ..session.parameters import TIMEOUT_BY_FRAMING, ClientParameters
@@ -20,7 +20,7 @@ from ..session.serial_client import SerialClientParameters
 from ..transport.serial.opening import OpeningParameters
 from ..transport.serial.settings import SerialSettings
 from ..transport.tcp import SocketParameters
-from ..transport.tls import OF_SERVERS, TlsParameters, tls_parameters
+from ..transport.tls.parameters import OF_SERVERS, TlsParameters, tls_parameters
 from .management import ManagementParameters
 
 CALL_DEFAULTS = ("timeout", "retries", "deadline", "register_width")

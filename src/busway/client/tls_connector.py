@@ -20,18 +20,18 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown
+from ..options.endpoints import Endpoint
 from ..transport.tcp import SocketParameters, link_down
-from ..transport.tls import TlsParameters, Verify
-from ..transport.tls_context import WatchedContext, client_context, timeless_context
-from ..transport.tls_failures import FailureKind, TlsFailure, dated
+from ..transport.tls.context import WatchedContext, client_context, timeless_context
+from ..transport.tls.failures import FailureKind, TlsFailure, dated
+from ..transport.tls.parameters import TlsParameters, Verify
 
 if TYPE_CHECKING:
     import asyncio
 
-    from ..transport.tls_layer import TlsLayer
-    from ..transport.tls_socket import TlsSocket
+    from ..transport.tls.layer import TlsLayer
+    from ..transport.tls.socket import TlsSocket
 
 _log = logging.getLogger("busway.client")
 
@@ -73,7 +73,7 @@ class TlsConnector:
         """Raises `TlsFailure`, `OSError`, `ValueError`."""
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
-        from ..transport.tls_layer import TlsLayer
+        from ..transport.tls.layer import TlsLayer
 
         loop = asyncio.get_running_loop()
         agreed: asyncio.Future[None] = loop.create_future()
@@ -132,7 +132,7 @@ class TlsConnector:
 
     def _agree_now(self, context: ssl.SSLContext) -> "TlsSocket":
         """Raises `TlsFailure`, `OSError`, `ValueError`."""
-        from ..transport.tls_socket import TlsSocket
+        from ..transport.tls.socket import TlsSocket
 
         connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
         with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
@@ -168,7 +168,7 @@ class TlsConnector:
         name = self._security.certificate
         if name is None or self._looked_at == self._context.generation:
             return
-        from ..transport.certificates.facts import facts_of_file
+        from ..transport.tls.certificates.facts import facts_of_file
 
         self._looked_at = self._context.generation
         with contextlib.suppress(ConfigError):  # TLS can use it; that nobody can read it out is no failure

@@ -16,13 +16,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Protocol, Self
 
-from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, canonical, option_names, unknown_option
-from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, with_profile
 from ..errors import ConfigError, LinkDown
 from ..framing.conversation import Role
 from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
+from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.presets import OPTION, STRICT_LINE_LISTENERS, with_profile
+from ..options.text import build_parameters, canonical, option_names, unknown_option
 from ..session.line_framing import FramingParameters, line_framing
 from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.opening import Claim, OpeningParameters

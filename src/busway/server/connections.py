@@ -16,6 +16,7 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from ..access.rates import Rates
 from ..transport.tcp import SocketParameters, network_reason
 from .connection import REQUESTS_OF_A_TURN, ServerConnection
 from .counters import ServerCounters
@@ -25,7 +26,6 @@ from .framed import Session
 from .parameters import ListenerParameters
 from .peers import host_of
 from .pools import Pools
-from .rates import Rates
 from .reception import Reception, add_living
 from .status import ConnectionStatus, ListenerStatus
 from .turns import Turns

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from .naming import is_everywhere, is_loopback
 
 if TYPE_CHECKING:
-    from ..config.access.rules import Policy
+    from ..access.rules import Policy
 
 _log = logging.getLogger("busway.server")
 

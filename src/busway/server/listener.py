@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError
+from ..options.endpoints import Endpoint
 from .authorisation import Authorise
 from .parameters import ListenerParameters
 
 if TYPE_CHECKING:
-    from ..transport.tls import TlsParameters
+    from ..transport.tls.parameters import TlsParameters
 
 
 @dataclass(frozen=True, slots=True)

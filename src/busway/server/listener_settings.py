@@ -8,17 +8,17 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import build_parameters, canonical, option_names, unknown_option
-from ..config.profiles import OPTION, STRICT_LINE_LISTENERS, STRICT_TLS_LISTENERS, with_profile
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import SerialTiming
+from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.presets import OPTION, STRICT_LINE_LISTENERS, STRICT_TLS_LISTENERS, with_profile
+from ..options.text import build_parameters, canonical, option_names, unknown_option
 from ..pdu.functions import FunctionTable
 from ..session.line_framing import FramingParameters, LineFraming, line_framing
 from ..transport.serial.opening import OpeningParameters
 from ..transport.serial.settings import SerialSettings
-from ..transport.tls import OF_CLIENTS, TlsParameters, tls_parameters
+from ..transport.tls.parameters import OF_CLIENTS, TlsParameters, tls_parameters
 from .authorisation import Authorise
 from .listener import Listener
 from .parameters import ListenerParameters

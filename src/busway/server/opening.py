@@ -9,12 +9,12 @@ from collections.abc import Container
 from dataclasses import dataclass, field
 
 from ..codes import LAST_SERIAL_UNIT
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError
+from ..options.endpoints import Endpoint
 from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
 from ..session.server import TransactionSlots
-from ..transport.crowd import Crowd, crowd_for
+from ..transport.epoll.watcher import Crowd, crowd_for
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, both
 from .connection import ServerConnection

@@ -5,8 +5,8 @@ Written by ``scripts/option_types.py`` from the parameter classes, which say wha
 
 from typing import Literal, TypedDict
 
-from ..config.access.networks import Networks
-from ..config.profiles import Profile
+from ..access.networks import Networks
+from ..options.presets import Profile
 from ..session.parameters import Scope
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from ..config.access.networks import Networks
+from ..access.networks import Networks
 from ..errors import ConfigError
 from .pools import PoolLimits
 

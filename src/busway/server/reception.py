@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable, Container, Sequence
 from typing import TYPE_CHECKING, Protocol
 
+from ..access.rates import Rates
+from ..access.repeats import Repeats, so_often
 from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler, ListedUnits
 from ..session.parameters import Scope, ServerParameters
@@ -25,8 +27,6 @@ from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .pools import Pool
-from .rates import Rates
-from .repeats import Repeats, so_often
 from .status import ConnectionState, ConnectionStatus, ListenerStatus
 from .wires import Wire, Wires, stay
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
-from ..config.endpoints import Endpoint
 from ..errors import ConfigError, LinkDown, ModbusError
+from ..options.endpoints import Endpoint
 from ..session.handler import Handler
 from ..session.parameters import ServerParameters
 from ..transport.dialled import dialled_connections
@@ -36,9 +36,9 @@ from .udp import UdpListener
 from .wires import Wires
 
 if TYPE_CHECKING:
-    from ..config.access.rules import Policy
-    from ..transport.tls import TlsParameters
-    from .policy.audit import AuditLog
+    from ..access.audit import AuditLog
+    from ..access.rules import Policy
+    from ..transport.tls.parameters import TlsParameters
 
 _STOP_SECONDS: Final = 0.5
 
@@ -328,8 +328,8 @@ class Server:
 
     def _guard_by(self, policy: "Policy | None", audit: "AuditLog | None") -> None:
         """Put a policy around the handler."""
-        from ..config.access.rules import Action, Policy
-        from .policy.handler import PolicyHandler
+        from ..access.authorizer import PolicyHandler
+        from ..access.rules import Action, Policy
 
         everything = Policy(default=Action.ALLOW)
         guard = PolicyHandler(self._handler, everything if policy is None else policy, audit)

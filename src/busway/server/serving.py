@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack
 
-from ..config.endpoints import Endpoint
-from ..config.options import build_parameters, converted, option_names, unknown_option
-from ..config.profiles import OPTION
 from ..errors import ConfigError
+from ..options.endpoints import Endpoint
+from ..options.presets import OPTION
+from ..options.text import build_parameters, converted, option_names, unknown_option
 from ..pdu.functions import STANDARD, FunctionTable
 from ..session.handler import Handler
 from ..session.parameters import ServerParameters
@@ -25,10 +25,10 @@ from .server import Server, ServerStatus
 from .strict import STANDARD_PORT, with_server_profile
 
 if TYPE_CHECKING:
-    from ..config.access.rules import Policy
-    from ..transport.tls import TlsParameters
+    from ..access.audit import AuditLog
+    from ..access.rules import Policy
+    from ..transport.tls.parameters import TlsParameters
     from .option_types import ServerOptions
-    from .policy.audit import AuditLog
 
     class ServeArguments(ServerOptions, total=False):
         """What the other two take by name: the arguments of `serve` and its options."""
@@ -85,7 +85,7 @@ def serve(
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.
         options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name;
-            ``profile="strict"`` sets what `busway.config.profiles` lists; ``standard_port`` says whether 502 is
+            ``profile="strict"`` sets what `busway.options.presets` lists; ``standard_port`` says whether 502 is
             listened on beside other TCP ports (§4.2.1), and without it that is `Server`'s rule.
 
     Raises:

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any, Final
 
 from ..codes import DEFAULT_TCP_PORT
-from ..config.endpoints import Endpoint, parse_endpoint
-from ..config.options import converted
-from ..config.profiles import OPTION, STRICT_SERVERS, Profile, profile_of, with_profile
+from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.presets import OPTION, STRICT_SERVERS, Profile, profile_of, with_profile
+from ..options.text import converted
 from .listener import Listener
 
 STANDARD_PORT: Final = "standard_port"

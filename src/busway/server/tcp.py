@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from ..transport.accepting import Acceptor, accept_from
-from ..transport.crowd import Crowd
+from ..transport.epoll.watcher import Crowd
 from ..transport.tcp import SocketParameters, network_reason
 from .connection import ServerConnection
 from .connections import ConnectionManagement

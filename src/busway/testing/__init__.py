@@ -7,26 +7,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ..faults.clients import CLIENT_PERSONALITIES, SLOW_LORIS, ClientPersonality, misbehaving_client
+    from ..faults.clock import Clock, FakeClock, LoopClock
+    from ..faults.conversation import FaultyConversation
+    from ..faults.fault import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
+    from ..faults.profile import Carrier, Parameter, Personality, PersonalityTable, Says
+    from ..faults.profiles import PERSONALITIES
     from .certificates import CertificateFiles, CertificateStore
-    from .clients import CLIENT_PERSONALITIES, SLOW_LORIS, ClientPersonality, misbehaving_client
-    from .clock import Clock, FakeClock, LoopClock
-    from .conversation import FaultyConversation
     from .device import known_device
-    from .faults import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
     from .golden import GOLDEN_EXCEPTIONS, GOLDEN_EXCHANGES, GoldenExchange, golden_adu
     from .memory import MemoryPair, MemoryTransport, Passage
-    from .personalities import PERSONALITIES
-    from .personality import Carrier, Parameter, Personality, PersonalityTable, Says
     from .server import FaultyServer, faulty_server
     from .simulated import SimulatedDevice, simulated_device
 
 _HOME = {
     "certificates": ("CertificateFiles", "CertificateStore"),
-    "clients": ("CLIENT_PERSONALITIES", "SLOW_LORIS", "ClientPersonality", "misbehaving_client"),
-    "clock": ("Clock", "FakeClock", "LoopClock"),
-    "conversation": ("FaultyConversation",),
+    ".faults.clients": ("CLIENT_PERSONALITIES", "SLOW_LORIS", "ClientPersonality", "misbehaving_client"),
+    ".faults.clock": ("Clock", "FakeClock", "LoopClock"),
+    ".faults.conversation": ("FaultyConversation",),
     "device": ("known_device",),
-    "faults": (
+    ".faults.fault": (
         "SILENCE",
         "AppliedFault",
         "Contact",
@@ -39,8 +39,8 @@ _HOME = {
     ),
     "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
     "memory": ("MemoryPair", "MemoryTransport", "Passage"),
-    "personalities": ("PERSONALITIES",),
-    "personality": ("Carrier", "Parameter", "Personality", "PersonalityTable", "Says"),
+    ".faults.profiles": ("PERSONALITIES",),
+    ".faults.profile": ("Carrier", "Parameter", "Personality", "PersonalityTable", "Says"),
     "server": ("FaultyServer", "faulty_server"),
     "simulated": ("SimulatedDevice", "simulated_device"),
 }

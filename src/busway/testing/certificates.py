@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from ..transport.certificates.authority import Authority, Issued
-from ..transport.roles import ROLE_EXTENSION
+from ..transport.tls.certificates.authority import Authority, Issued
+from ..transport.tls.roles import ROLE_EXTENSION
 
 HOSTS: Final = ("localhost", "127.0.0.1", "::1")
 _EXPIRED_DAYS: Final = -1.0

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import pytest
 
 if TYPE_CHECKING:
-    from .clock import Clock, FakeClock
+    from ..faults.clock import Clock, FakeClock
     from .line import PacedLine
     from .simulated import Content, SimulatedDevice
 
@@ -86,6 +86,6 @@ def paced_line() -> Iterator[MakePacedLine]:
 @pytest.fixture
 def busway_clock() -> "FakeClock":
     """Time that stands still until the test moves it: ``busway_clock.advance(60.0)``."""
-    from .clock import FakeClock
+    from ..faults.clock import FakeClock
 
     return FakeClock()

@@ -1,7 +1,7 @@
 """A server on TCP that misbehaves as it is told: the real server, a real device, and faults between the two.
 
 Knows an event loop and a clock; what goes wrong, and how it gets onto connections, is the simulator's
-(`busway.simulator.faults`).
+(`busway.faults`).
 
 ::
 
@@ -23,15 +23,15 @@ from types import TracebackType
 from typing import Any, Self
 
 from ..errors import ConfigError
+from ..faults.clock import Clock, LoopClock
+from ..faults.connections import FaultyWires
+from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
+from ..faults.profiles import PERSONALITIES
+from ..faults.responder import FaultyHandler
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
 from ..server.local import LocalHandler, UnitPolicy
 from ..server.server import Server
-from ..simulator.faults.handler import FaultyHandler
-from ..simulator.faults.wires import FaultyWires
-from .clock import Clock, LoopClock
-from .faults import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
-from .personalities import PERSONALITIES
 
 REMEMBERED_REQUESTS = 10_000
 """Requests that a server keeps for its test to look at."""

@@ -29,12 +29,12 @@ from ..values import Address, format_address, parse_address, value_type
 from ..values.refusal import shown
 
 if TYPE_CHECKING:
+    from ..apps.simulator.includes import SimulationDeclaration
+    from ..apps.simulator.simulation import Simulation
     from ..config.files.simulation import SimulatedPointSection
+    from ..faults.clock import Clock
+    from ..faults.fault import AppliedFault
     from ..server.hooks import Access, Change
-    from ..simulator.includes import SimulationDeclaration
-    from ..simulator.simulation import Simulation
-    from .clock import Clock
-    from .faults import AppliedFault
 
 FREE_PORT: Final = "tcp://127.0.0.1:0"
 Content = Mapping[str, Any] | str | os.PathLike[str]
@@ -69,7 +69,7 @@ def simulated_device(
         ConfigError: the content, a value or the URL can not be.
         LinkDown: the URL can not be listened on.
     """
-    from ..simulator.simulation import Simulation
+    from ..apps.simulator.simulation import Simulation
 
     simulation = Simulation(_declared(content, unit), clock=clock, seed=seed, speed=speed)
     thread = _Thread(simulation, url)
@@ -111,14 +111,14 @@ class SimulatedDevice:
     @property
     def host(self) -> str:
         """Host of the first listener, for programs that take no URL."""
-        from ..config.endpoints import parse_endpoint
+        from ..options.endpoints import parse_endpoint
 
         return parse_endpoint(self.endpoint).host
 
     @property
     def port(self) -> int:
         """Port of the first listener. Raises `ConfigError` for a serial port, which has none."""
-        from ..config.endpoints import parse_endpoint
+        from ..options.endpoints import parse_endpoint
 
         port = parse_endpoint(self.endpoint).port
         if port is None:
@@ -176,7 +176,7 @@ class SimulatedDevice:
         Raises:
             ConfigError: a name, a parameter or a choice that can not be.
         """
-        from .faults import Schedule
+        from ..faults.fault import Schedule
 
         board = self.simulation.board
         name = board.add(
@@ -295,13 +295,13 @@ class _Thread:
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
     """What a content declares."""
-    from ..simulator.includes import load_declaration, parse_declaration
+    from ..apps.simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
         return parse_declaration(_text(_checked(content), unit), "the values of the device")
     name = os.fspath(content)
     if Path(name).suffix.lower() == ".csv":
-        from ..simulator.register_map import read_register_map
+        from ..apps.simulator.register_map import read_register_map
 
         return parse_declaration(_text(read_register_map(name), unit), name)
     if unit is not None:
@@ -312,8 +312,8 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
 
 def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
     """A device file with one unit. Without a number, the unit answers whatever it is asked."""
+    from ..apps.simulator.device_text import device_text
     from ..config.files.simulation import SimulatedUnitSection
-    from ..simulator.device_text import device_text
 
     if unit is not None and not 0 <= unit <= 255:
         raise ConfigError(f"must be 0…255, not {unit}", key="unit")

@@ -15,8 +15,8 @@ import socket
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from .crowd import READABLE, Crowd
-from .crowd_stream import CrowdStream
+from .epoll.stream import CrowdStream
+from .epoll.watcher import READABLE, Crowd
 
 NEWCOMERS_OF_A_TURN: Final = 64
 PAUSE_SECONDS: Final = 1.0

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 from weakref import WeakValueDictionary
 
-from .crowd import Crowd, can_watch
-from .crowd_stream import CrowdStream
+from .epoll.stream import CrowdStream
+from .epoll.watcher import Crowd, can_watch
 
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 

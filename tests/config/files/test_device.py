@@ -9,6 +9,7 @@ import pytest
 from accidents import after_accidents
 
 from busway.codes import Table
+from busway.config.devices import build_units
 from busway.config.files.device import (
     DeviceFile,
     FifoSection,
@@ -23,7 +24,6 @@ from busway.config.files.problems import FileError
 from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
 from busway.session.parameters import ServerParameters
-from busway.simulator.build import build_units
 
 GOOD = (Path(__file__).parent / "good.toml").read_text(encoding="utf-8")
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "device-file.md"

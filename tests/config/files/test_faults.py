@@ -7,11 +7,11 @@ from accidents import after_accidents
 from pydantic import Field
 
 from busway import ConfigError
+from busway.apps.simulator.fault_sections import fault_problems
 from busway.codes import Table
 from busway.config.files.faults import FaultSection, parse_fault_words
 from busway.config.files.problems import FileError
 from busway.config.files.schema import Section, json_schema, read_source
-from busway.simulator.faults.reading import fault_problems
 
 TEXT = """\
 [[fault]]

@@ -5,9 +5,9 @@ import random
 import pytest
 from accidents import after_accidents
 
+from busway.access.question import Question
+from busway.access.rules import Access, Action, Limits, Policy
 from busway.codes import Table
-from busway.config.access.question import Question
-from busway.config.access.rules import Access, Action, Limits, Policy
 from busway.config.files.policy import PolicySection, parse_policy_file
 from busway.config.files.problems import FileError
 from busway.config.files.schema import Section, parse_file

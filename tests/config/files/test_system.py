@@ -11,9 +11,8 @@ import pytest
 from accidents import after_accidents
 from json_schema import faults
 
-from busway.assembly.configuration import Configuration, parse_configuration
+from busway.apps.server.configuration import Configuration, parse_configuration
 from busway.client.settings import options_of
-from busway.config.endpoints import SCHEMES, parse_endpoint
 from busway.config.files.device import DeviceFile, ServerSection
 from busway.config.files.listeners import OF_CLIENTS, ListenerSection
 from busway.config.files.problems import FileError
@@ -29,11 +28,12 @@ from busway.config.files.system import (
     host_and_port,
 )
 from busway.errors import ConfigError
+from busway.options.endpoints import SCHEMES, parse_endpoint
 from busway.server.parameters import ListenerParameters
 from busway.session.parameters import ServerParameters
 from busway.transport.tcp import SocketParameters
-from busway.transport.tls import OF_CLIENTS as ONLY_LINKS
-from busway.transport.tls import TlsParameters
+from busway.transport.tls.parameters import OF_CLIENTS as ONLY_LINKS
+from busway.transport.tls.parameters import TlsParameters
 
 FOLDER = Path(__file__).parent
 SYSTEM = (FOLDER / "system.toml").read_text(encoding="utf-8")

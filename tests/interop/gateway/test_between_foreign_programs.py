@@ -15,8 +15,8 @@ import foreign
 import pytest
 from serial_peers import UNIT, new_line, start_server, url_of
 
-from busway.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
-from busway.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.routes import Route, RoutingTable
 from busway.server.listener import Listener
 
 SERVERS = {1: "libmodbus-rtu", 2: "pymodbus-rtu", 3: "pymodbus-ascii"}

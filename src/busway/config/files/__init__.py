@@ -1,6 +1,6 @@
 """Files that people write: TOML text → checked, frozen values, with every error at its line.
 
-Knows texts; reads no file itself and builds nothing: `busway.assembly` does both, `busway.simulator.build` makes the
+Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` makes the
 devices. Imported only where a file is used: it loads pydantic.
 
 ==============  =======================================================================
@@ -18,6 +18,6 @@ devices. Imported only where a file is used: it loads pydantic.
 ==============  =======================================================================
 """
 
-from ..extras import require
+from ...extras import require
 
 require("pydantic", "a configuration")

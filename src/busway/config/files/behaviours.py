@@ -1,6 +1,6 @@
 """The schema of behaviours: what makes the value of a simulated point change.
 
-Knows the keys of each kind and what they may be; computes no value (`busway.simulator.behaviours` does) and reads no
+Knows the keys of each kind and what they may be; computes no value (`apps.simulator.behaviours` does) and reads no
 formula (it says where one stands; who knows the points judges it).
 
 ::
@@ -195,7 +195,7 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
     "formula": FormulaSection,
     "replay": ReplaySection,
 }
-"""The kinds by name. To add one: its section here, and what it does in `busway.simulator.behaviours`."""
+"""The kinds by name. To add one: its section here, and what it does in `busway.apps.simulator.behaviours`."""
 
 
 def _as_behaviour(value: object) -> object:

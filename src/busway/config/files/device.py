@@ -1,6 +1,6 @@
 """The schema of device files: units with their tables and typed, named points. One schema for all that play devices.
 
-Knows what can be written and what fits together; knows no device (`busway.simulator.build` makes them).
+Knows what can be written and what fits together; knows no device (`busway.config.devices` makes them).
 
 ::
 

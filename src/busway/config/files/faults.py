@@ -1,7 +1,7 @@
 """The schema of faults that a simulated device has: ``[[fault]]``.
 
 Knows what can be written, and which requests a section chooses; what goes wrong is known by the personalities, which
-are looked up, with their parameters, by who builds the faults (`busway.simulator.faults.reading`).
+are looked up, with their parameters, by who builds the faults (`busway.apps.simulator.fault_sections`).
 
 ::
 
@@ -22,10 +22,10 @@ from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ...access.notation import Range, merged, parse_functions, parse_items, parse_units
 from ...codes import Table
 from ...errors import ConfigError
 from ...values.refusal import shown
-from ..access.notation import Range, merged, parse_functions, parse_items, parse_units
 from .lines import Path
 from .policy import Numbers
 from .schema import Faults, Section, Source

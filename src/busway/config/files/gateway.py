@@ -1,6 +1,6 @@
 """The schema of gateway files: fronts, lines behind, and routes between them.
 
-Knows what can be written; what goes together is judged where the gateway is put together (`busway.assembly.gateway`).
+Knows what can be written; what goes together is judged by `busway.apps.gateway.assembly`.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
 are the same here.
 
@@ -32,11 +32,11 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ...access.notation import parse_functions, parse_items, parse_table, parse_units
 from ...codes import Table
 from ...errors import ConfigError
 from ...session.parameters import CLIENT_DEADLINE
-from ...transport.tls import OF_SERVERS
-from ..access.notation import parse_functions, parse_items, parse_table, parse_units
+from ...transport.tls.parameters import OF_SERVERS
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes

@@ -1,7 +1,7 @@
 """Where a file says to listen: URLs, and what holds for the connections of a listener.
 
 Knows keys and what goes with which scheme; knows no server. What the values of limits must be is judged by the
-server's own class when the configuration is put together (`busway.assembly`).
+server's own class when the configuration is put together (`busway.config`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -9,10 +9,10 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import AfterValidator, Field, model_validator
 
-from ...transport.tls import OF_CLIENTS as ONLY_LINKS
-from ...transport.tls import TlsParameters
-from ..endpoints import parse_endpoint
-from ..options import option_names
+from ...options.endpoints import parse_endpoint
+from ...options.text import option_names
+from ...transport.tls.parameters import OF_CLIENTS as ONLY_LINKS
+from ...transport.tls.parameters import TlsParameters
 from .lines import Path
 from .options import CountOrNone, OptionSection, SecondsOrNone, TextOrNone, with_options_of
 from .schema import Faults, Section

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_typ
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from ...errors import ConfigError
-from ..options import NONE, build_parameters, option_names
+from ...options.text import NONE, build_parameters, option_names
 from .schema import Faults, Section
 
 Kind = TypeVar("Kind", bound="OptionSection")

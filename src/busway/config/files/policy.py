@@ -1,6 +1,6 @@
 """The schema of policies: who may connect, and rules on what may be asked. A file of its own, or a part of another.
 
-Knows what can be written; what it means, and what goes together, is said by `busway.config.access`.
+Knows what can be written; what it means, and what goes together, is said by `busway.access`.
 
 ::
 
@@ -22,10 +22,10 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ...access.addresses import AddressList
+from ...access.rules import AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...values.refusal import shown
-from ..access.addresses import AddressList
-from ..access.rules import AccessRules, Action, Limits, Policy, Rule
 from .lines import Path
 from .schema import Faults, Section, parse_file
 

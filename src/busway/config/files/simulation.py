@@ -1,6 +1,6 @@
 """The schema of simulation files: device files whose points have ranges, names for numbers, and behaviours.
 
-Knows what can be written and what fits together; knows no device that behaves (`busway.simulator`). Every device file
+Knows what can be written and what fits together; knows no device that behaves (`apps.simulator`). Every device file
 and every configuration file is a simulation file too.
 
 ::

@@ -1,6 +1,6 @@
 """The schema of configuration files: server, listeners, client, security, policy and units in one file.
 
-Knows what can be written and what goes together; knows no component (`busway.assembly` makes them). Every device file
+Knows what can be written and what goes together; knows no component (`busway.config` makes them). Every device file
 is a configuration file too.
 
 ::
@@ -48,8 +48,8 @@ from ...session.serial_client import SerialClientParameters
 from ...transport.serial.opening import OpeningParameters
 from ...transport.serial.settings import SerialSettings
 from ...transport.tcp import SocketParameters
-from ...transport.tls import OF_SERVERS as ONLY_LISTENERS
-from ...transport.tls import TlsParameters
+from ...transport.tls.parameters import OF_SERVERS as ONLY_LISTENERS
+from ...transport.tls.parameters import TlsParameters
 from ...values.refusal import shown
 from .device import DeviceFile, UnitSection
 from .lines import Path

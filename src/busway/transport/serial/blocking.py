@@ -10,8 +10,8 @@ import os
 import time
 from typing import TYPE_CHECKING, Self
 
-from ...config.extras import require
 from ...errors import LinkDown
+from ...extras import require
 from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
 from .errors import opening_failed, port_lost

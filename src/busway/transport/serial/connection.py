@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self, cast
 
-from ...config.extras import require
 from ...errors import LinkDown
+from ...extras import require
 from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
 from .errors import opening_failed, port_lost

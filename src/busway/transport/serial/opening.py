@@ -12,8 +12,8 @@ import threading
 import weakref
 from dataclasses import dataclass
 
-from ...config.extras import require
 from ...errors import ConfigError
+from ...extras import require
 from .reopen import ReopenPolicy
 
 

@@ -17,8 +17,8 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from ...config.extras import require
 from ...errors import ConfigError, LinkDown
+from ...extras import require
 
 _USB = re.compile(r"/?(?:usb:)?(?P<vendor>[0-9A-Fa-f]{4}):(?P<product>[0-9A-Fa-f]{4})(?::(?P<serial>[^/]+))?")
 _WINDOWS = re.compile(r"/?(?P<name>COM[0-9]+)", re.IGNORECASE)

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
-from ...config.options import build_parameters
 from ...errors import ConfigError
 from ...framing.echo import Echo
 from ...framing.timing import Parity, SerialTiming, stop_bits_for
 from ...framing.word import Word
+from ...options.text import build_parameters
 
 LOWEST_BAUD = 50
 HIGHEST_BAUD = 12_000_000

@@ -1,0 +1,351 @@
+"""The audit log: an append-only file with one JSON object per line.
+
+Knows a file and lines; knows nothing of what they say (`busway.access.entries`).
+
+1. Lines are kept for at most ``interval`` seconds and then written together. What the process holds when it is killed
+   is lost; ``interval=0`` writes each line before the request is answered.
+2. A file that can not be written (disk full) is tried again and again. Meanwhile lines are kept up to a bound; those
+   beyond it are counted, and the file says how many when it can be written again. Whoever wants no write without a line
+   sets ``on_failure="refuse"``.
+3. A line is whole or is not there at all: what was written of one before a failure is completed before the next.
+4. Denials that a client repeats are counted, and leave a line every ``repeat_interval`` (`RepeatedDenials`).
+5. Denials leave room for writes: where the file system has less than `RESERVED` left, or a quarter of what is kept for
+   a file that cannot be written is taken, they leave no line and are counted. Writes still do.
+"""
+
+import asyncio
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from ..errors import ConfigError
+from ..safe_files import open_to_append
+from ..values.refusal import shown
+from .denials import About, DenialLine, RepeatedDenials
+
+_log = logging.getLogger("busway.audit")
+
+_CHUNK: Final = 64 * 1024
+"""Characters of lines that are written without waiting for the interval: one write of this size takes 50 µs."""
+_KEPT: Final = 4 * 1024 * 1024
+"""Bytes that are kept for a file that can not be written: some 15 000 lines."""
+_KEPT_OF_DENIALS: Final = 0.25
+"""The part of it beyond which denials are not kept."""
+RESERVED: Final = 0.05
+"""The part of a file system that is left to writes, but at most `MOST_RESERVED`."""
+MOST_RESERVED: Final = 256 * 1024 * 1024
+"""Bytes: some 900 000 lines."""
+_RETRY: Final = 1.0
+"""Seconds between two attempts at a file that can not be written."""
+_LOOK_PAUSE: Final = 1.0
+"""Seconds between two looks at the room of the file system."""
+_LATE: Final = 1.0
+"""Seconds by which a timer may be late before it is taken for one whose event loop has gone."""
+
+
+class Schedule(Protocol):
+    """Calls a function some seconds later; False where nobody can."""
+
+    def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
+        """Arrange it."""
+
+
+def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
+    """Let the running event loop call it."""
+    try:
+        asyncio.get_running_loop().call_later(seconds, function)
+    except RuntimeError:
+        return False
+    return True
+
+
+Room = Callable[[int], tuple[int, int]]
+"""Bytes that are free on the file system of an open file, and all that it has."""
+
+
+def room_of_file(file: int) -> tuple[int, int]:
+    """What the system says of it; all of it is free where the system says nothing."""
+    if not hasattr(os, "fstatvfs"):
+        return MOST_RESERVED, MOST_RESERVED
+    facts = os.fstatvfs(file)
+    return facts.f_bavail * facts.f_frsize, facts.f_blocks * facts.f_frsize
+
+
+class AuditLog:
+    """An append-only log of lines. May be used from several threads and by several servers. Close it at the end.
+
+    Args:
+        path: the file; made with rights for its owner alone (0600) if it is not there, never truncated.
+        interval: seconds after which a line stands in the file at the latest, 0…10; 0: at once.
+        on_failure: ``serve`` goes on, counts and logs while the file can not be written; ``refuse`` answers writes
+            with exception 04 then.
+        repeat_interval: seconds after which denials that were repeated leave a line with their number, 0…3600; 0: each
+            leaves its own.
+        schedule: calls a function later; the running event loop by default.
+        clock: seconds, monotonic.
+        room: how much room the file system has.
+
+    Raises:
+        ConfigError: the file cannot be opened or is no regular file, or an argument can not be.
+
+    Attributes:
+        written: lines that stand in the file.
+        lost: lines that could be neither written nor kept.
+        failures: attempts to write that failed.
+        is_failing: whether the last attempt failed.
+        denials_left_out: denials that left no line, to leave room for writes.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        interval: float = 0.2,
+        on_failure: str = "serve",
+        repeat_interval: float = 60.0,
+        schedule: Schedule = by_event_loop,
+        clock: Callable[[], float] = time.monotonic,
+        room: Room = room_of_file,
+    ) -> None:
+        if not 0 <= interval <= 10:
+            raise ConfigError(f"seconds are 0…10, not {shown(interval)}", key="interval")
+        if on_failure not in ("serve", "refuse"):
+            raise ConfigError(f"one of serve, refuse is needed, not {shown(on_failure)}", key="on_failure")
+        if not 0 <= repeat_interval <= 3600:
+            raise ConfigError(f"seconds are 0…3600, not {shown(repeat_interval)}", key="repeat_interval")
+        self.path = Path(path)
+        self.written = 0
+        self.lost = 0
+        self.failures = 0
+        self.is_failing = False
+        self.denials_left_out = 0
+        self._interval = interval
+        self._repeat_interval = repeat_interval
+        self._repeated = RepeatedDenials()
+        self._repeated_due: float | None = None
+        self._room = room
+        self._has_room = True
+        self._looked = -_LOOK_PAUSE
+        self._left_out = 0  # of them, those that no line has told yet
+        self._refuses = on_failure == "refuse"
+        self._schedule = schedule
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._lines: list[str] = []
+        self._size = 0
+        self._begun = b""  # the end of a line whose beginning stands in the file
+        self._untold = 0
+        self._due: float | None = None
+        self._file: int | None = self._open()
+
+    @property
+    def takes_writes(self) -> bool:
+        """Whether a write may be executed now, as far as the log is concerned."""
+        return not (self._refuses and (self.is_failing or self._file is None))
+
+    def append(self, line: str) -> None:
+        """Take a line of ASCII that ends with a line feed."""
+        with self._lock:
+            if self._file is None or self._size >= _KEPT:
+                self._lose(1)
+                return
+            self._lines.append(line)
+            self._size += len(line)
+            if self._due is None:
+                waits = _RETRY if self.is_failing else self._interval
+                if not waits or not self._schedule(waits, self.flush):
+                    self.flush()
+                else:
+                    self._due = self._clock() + waits
+            elif self._size >= _CHUNK and not self.is_failing:
+                self._write_kept()  # the timer stays, for what comes after
+            elif self._clock() > self._due + _LATE:
+                self.flush()
+
+    def append_denied(self, about: About, line: DenialLine) -> None:
+        """Take a denial: its line now, or with its number after the interval.
+
+        Args:
+            about: host, role and rule; those of the same are counted together.
+            line: makes its line.
+        """
+        with self._lock:
+            if self._repeated_due is not None and self._clock() > self._repeated_due + _LATE:
+                self._tell_repeated()  # whose event loop has gone
+            if not self._repeat_interval:
+                self._append_denied(line, 0)
+                return
+            if self._repeated.is_first(about, line):
+                self._append_denied(line, 0)
+            if self._repeated_due is None:
+                self._repeated_due = self._clock() + self._repeat_interval
+                self._schedule(self._repeat_interval, self._tell_repeated)
+
+    def flush(self) -> None:
+        """Write what is kept, as far as the file takes it. Raises nothing: a failure is counted and logged."""
+        with self._lock:
+            self._due = None
+            self._write_kept()
+
+    def reopen(self) -> None:
+        """Go on in the file that now has the name: after a rotation has renamed the old one.
+
+        Raises:
+            ConfigError: it can not be opened; the old one is kept.
+        """
+        with self._lock:
+            self._tell_left_out()
+            self.flush()
+            fresh = self._open()
+            if self._file is not None:
+                os.close(self._file)
+            self._file = fresh
+            if self._begun:  # half a line is none
+                self._begun = b""
+                self._lose(1)
+            self.flush()
+
+    def close(self) -> None:
+        """Write what is kept and close the file. Lines that come later are lost, and counted."""
+        with self._lock:
+            self._tell_repeated()
+            self._tell_left_out()
+            self.flush()
+            file, self._file = self._file, None
+            if file is not None:
+                os.close(file)
+            self._lose(len(self._lines) + bool(self._begun))
+            self._lines, self._size, self._begun = [], 0, b""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self) -> int:
+        try:
+            return open_to_append(self.path)
+        except ConfigError as error:
+            raise ConfigError(f"the audit log {error.message}", file=str(self.path)) from error
+
+    # ---- denials
+
+    def _append_denied(self, line: DenialLine, repeated: int) -> None:
+        """Leave the line of a denial if there is room for denials; ``repeated`` of them, 0 for itself alone."""
+        if self._has_room_for_denials():
+            self._tell_left_out()
+            self.append(line(repeated))
+        else:
+            self.denials_left_out += repeated or 1
+            self._left_out += repeated or 1
+
+    def _tell_repeated(self) -> None:
+        """Leave the lines of denials that were repeated; be back as long as there are such."""
+        with self._lock:
+            self._repeated_due = None
+            for line, count in self._repeated.take():
+                self._append_denied(line, count)
+            others = self._repeated.take_others()
+            if others:
+                self._append_denied(_others_line, others)
+            if self._repeated and self._file is not None:
+                self._repeated_due = self._clock() + self._repeat_interval
+                self._schedule(self._repeat_interval, self._tell_repeated)
+
+    def _tell_left_out(self) -> None:
+        """Say how many denials left no line, if there were any."""
+        if self._left_out:
+            left_out, self._left_out = self._left_out, 0
+            self.append(f'{{"time":"{time_text(time.time())}","outcome":"denials left out","lines":{left_out}}}\n')
+
+    def _has_room_for_denials(self) -> bool:
+        if self._size >= _KEPT * _KEPT_OF_DENIALS:
+            return False
+        now = self._clock()
+        if now - self._looked >= _LOOK_PAUSE and self._file is not None:
+            self._looked = now
+            try:
+                free, whole = self._room(self._file)
+            except OSError:  # a write will say what is wrong
+                return self._has_room
+            self._now_has_room(free >= min(RESERVED * whole, MOST_RESERVED), free)
+        return self._has_room
+
+    def _now_has_room(self, has_room: bool, free: int) -> None:
+        if has_room is not self._has_room:
+            self._has_room = has_room
+            if has_room:
+                _log.warning("%s: denials leave lines again; %d left none", self.path, self._left_out)
+            else:
+                _log.error("%s: denials leave no lines: the %d bytes left are kept for writes", self.path, free)
+
+    # ---- the file
+
+    def _write_kept(self) -> None:
+        data = self._begun + "".join(self._lines).encode("ascii", "backslashreplace")
+        if self._file is None or not data:
+            return
+        at = 0
+        try:
+            while at < len(data):
+                at += os.write(self._file, data[at:] if at else data)
+        except OSError as error:
+            self._keep(data, at)
+            self._failed(error)
+        else:
+            self._keep(data, at)
+            self._recovered()
+
+    def _keep(self, data: bytes, at: int) -> None:
+        """Count the lines that stand in the file before ``at``, and keep what is behind."""
+        if at == len(data):
+            self.written += len(self._lines) + bool(self._begun)
+            self._lines, self._size, self._begun = [], 0, b""
+            return
+        self.written += data.count(b"\n", 0, at)
+        left = data[at:]
+        is_inside = data[at - 1] != ord("\n") if at else bool(self._begun)
+        end = left.index(b"\n") + 1 if is_inside and left else 0
+        self._begun = left[:end]
+        self._lines = left[end:].decode("ascii").splitlines(keepends=True)
+        self._size = len(left)
+
+    def _failed(self, error: OSError) -> None:
+        self.failures += 1
+        if not self.is_failing:
+            self.is_failing = True
+            reason = error.strerror or str(error)
+            _log.error("%s: the audit log can not be written: %s", self.path, reason[:1].lower() + reason[1:])
+        if self._schedule(_RETRY, self.flush):
+            self._due = self._clock() + _RETRY
+
+    def _recovered(self) -> None:
+        if self.is_failing:
+            self.is_failing = False
+            _log.warning("%s: the audit log is written again; %d lines were lost", self.path, self._untold)
+        if self._untold:
+            lost, self._untold = self._untold, 0
+            self.append(f'{{"time":"{time_text(time.time())}","outcome":"lost","lines":{lost}}}\n')
+
+    def _lose(self, lines: int) -> None:
+        self.lost += lines
+        self._untold += lines
+
+
+def _others_line(repeated: int) -> str:
+    """The line of denials that are not told apart."""
+    return f'{{"time":"{time_text(time.time())}","outcome":"denied","repeated":{repeated}}}\n'
+
+
+def time_text(seconds: float) -> str:
+    """UTC with milliseconds, ``2026-03-01T12:00:00.250Z``, of seconds since 1970."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00") + "Z"

@@ -1,0 +1,165 @@
+"""A policy compiled into the short road: the answers that whoever has certain rights is offered.
+
+Knows declarations of functions and where address and count stand on the wire; knows no handler.
+
+1. What is permitted everywhere is offered as it is; what is permitted in some windows of addresses, with one check in
+   front; what a limit is about, with a block that looks at what is written (`busway.access.writes`); what a rate
+   is about, and what is not a plain range, not at all. It then takes the long road.
+2. What the check does not let through takes the long road too, and is decided, counted and logged there. So the short
+   road only ever permits what the long road permits (a property test holds them together).
+"""
+
+import struct
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+
+from ..pdu.direct import Answer, DeviceAnswers
+from ..pdu.fields import FixedField
+from ..pdu.functions import FunctionTable
+from ..pdu.message import Request, Touch
+from .question import counts_as_write
+from .rules import Policy, Window, Zone, zones_of
+from .writes import LOOKED_AT, NotedWrites, looking_answer
+
+_unpack_address = struct.Struct(">H").unpack_from
+_unpack_two = struct.Struct(">HH").unpack_from
+
+
+def permitted_answers(
+    policy: Policy,
+    unit: int,
+    functions: FunctionTable,
+    answers: Mapping[int, Answer],
+    *,
+    audited: bool,
+    listed: int | None = None,
+) -> dict[int, Answer]:
+    """The answers that a policy leaves of those that a handler offers, the same for all who have the same rights.
+
+    Args:
+        policy: the rules that are about whoever asks (`Policy.for_asker`).
+        unit: the unit asked, 0…255.
+        functions: what the handler decodes.
+        answers: what it offers, by function code.
+        audited: whether every write has to be seen, so that none takes the short road.
+        listed: the unit as which the device is listed, where that is another one.
+    """
+    policy = _about_unit(policy, unit, listed)
+    found = {}
+    for code, answer in answers.items():
+        kind = functions.find(bytes((code,)), 0, 1)
+        if kind is None or (audited and counts_as_write(kind)):
+            continue
+        permitted = _permitted(policy, unit, listed, kind, answer)
+        if permitted is not answer and isinstance(answers, DeviceAnswers) and kind in LOOKED_AT:
+            zones = _zones(policy, unit, listed, kind)
+            if any(zone.limits is not None for zone in zones):
+                permitted = looking_answer(kind, answers.model, zones)
+        if permitted is not None:
+            found[code] = permitted
+    return found
+
+
+def noted_writes(
+    policy: Policy, unit: int, functions: FunctionTable, answers: Mapping[int, Answer], *, listed: int | None = None
+) -> NotedWrites | None:
+    """The writes that may take the short road where each has to leave a line; None where none may.
+
+    The arguments are those of `permitted_answers`.
+    """
+    if not isinstance(answers, DeviceAnswers):
+        return None
+    policy = _about_unit(policy, unit, listed)
+    found = {}
+    for code in answers:
+        kind = functions.find(bytes((code,)), 0, 1)
+        if kind in LOOKED_AT:
+            zones = _zones(policy, unit, listed, kind)
+            if zones:
+                found[code] = kind, zones
+    return NotedWrites(answers.model, found) if found else None
+
+
+def _about_unit(policy: Policy, unit: int, listed: int | None) -> Policy:
+    """The policy with only the rules about a unit: of many thousand rules, looked at once and not for each function."""
+    rules = tuple(rule for rule in policy.rules if rule.units is None or unit in rule.units or listed in rule.units)
+    return policy if len(rules) == len(policy.rules) else Policy(rules, policy.default)
+
+
+def _zones(policy: Policy, unit: int, listed: int | None, kind: type[Request]) -> tuple[Zone, ...]:
+    assert kind.writes is not None  # or it would not be among those `LOOKED_AT`
+    return zones_of(policy, unit, kind.code, kind.writes.table, listed=listed)
+
+
+def _permitted(policy: Policy, unit: int, listed: int | None, kind: type[Request], answer: Answer) -> Answer | None:
+    if kind.spans is not Request.spans:
+        return None  # it says for itself what it touches: only a request can tell
+    touches = [(touch, writes) for touch, writes in ((kind.writes, True), (kind.reads, False)) if touch is not None]
+    nowhere = not touches or (counts_as_write(kind) and kind.writes is None)
+    if nowhere and not policy.windows(unit, kind.code, None, writes=counts_as_write(kind), listed=listed)[1]:
+        return None
+    found = [policy.windows(unit, kind.code, touch.table, writes=writes, listed=listed) for touch, writes in touches]
+    if all(everywhere for _, everywhere in found):
+        return answer
+    if len(found) != 1 or not found[0][0] or not _is_plain(kind, touches[0][0]):
+        return None
+    windows = found[0][0]
+    if touches[0][0].count is None:
+        return _single(answer, windows)
+    return _one_window(answer, windows[0]) if len(windows) == 1 else _several_windows(answer, windows)
+
+
+def _is_plain(kind: type[Request], touch: Touch) -> bool:
+    """Whether the request begins with the address and, if it has one, the count of what it touches."""
+    names = ("address",) if touch.count is None else ("address", "count")
+    fields = kind.layout.fields[: len(names)]
+    return (
+        kind.sub_code is None
+        and (touch.address, touch.count or "count") == ("address", "count")
+        and tuple(kind.layout.names[: len(names)]) == names
+        and all(isinstance(field, FixedField) and field.width == 2 for field in fields)
+    )
+
+
+def _one_window(answer: Answer, window: Window) -> Answer:
+    first, last = window.first, window.end
+
+    def within(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        try:  # what is cut off reaches into the next frame, or beyond the buffer; the answer judges the length
+            address, count = _unpack_two(buffer, at + 1)
+        except struct.error:
+            return None
+        return answer(buffer, at, end) if first <= address <= last - count else None
+
+    return within
+
+
+def _several_windows(answer: Answer, windows: Sequence[Window]) -> Answer:
+    firsts = [window.first for window in windows]
+    ends = [window.end for window in windows]
+
+    def within(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        try:
+            address, count = _unpack_two(buffer, at + 1)
+        except struct.error:
+            return None
+        index = bisect_right(firsts, address) - 1
+        return answer(buffer, at, end) if index >= 0 and address <= ends[index] - count else None
+
+    return within
+
+
+def _single(answer: Answer, windows: Sequence[Window]) -> Answer:
+    """For functions that touch one item, and whose second field is no count."""
+    firsts = [window.first for window in windows]
+    ends = [window.end for window in windows]
+
+    def within(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+        try:
+            (address,) = _unpack_address(buffer, at + 1)
+        except struct.error:
+            return None
+        index = bisect_right(firsts, address) - 1
+        return answer(buffer, at, end) if index >= 0 and address < ends[index] else None
+
+    return within

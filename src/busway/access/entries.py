@@ -1,0 +1,265 @@
+"""One line of the audit log: what is said of a request, as JSON.
+
+Knows requests and their outcome; writes nothing. Lines are put together by hand, from parts that are known before: a
+plant may write thousands of times a second. Of writes on the short road (`busway.access.writes`) all but time,
+address and items is ready before.
+
+===============  =====================================================================================
+key              value
+===============  =====================================================================================
+``time``         when it was decided or answered, UTC: ``2026-03-01T12:00:00.250Z``
+``peer``         ``host:port``, or the name of a line
+``role``         role of the certificate; null without one
+``listener``     URL of the listener
+``unit``         0…255
+``function``     function code; ``sub_function`` beside it for 08 and 43
+``address``      first item, 0-based; null where it touches no table
+``count``        number of items
+``old``          items before, of a write that was executed; null where that is not known
+``new``          items that were, or would have been, written; null where that is not known
+``outcome``      ``done``, ``exception`` (the device refused), ``denied`` (by a rule), ``no answer``
+``code``         exception code; null where there is none
+``rule``         name of the rule that decided; ``default`` where none did
+``repeated``     of denials: how many there were since the line before of the same host, role and rule; this line shows
+                 the last of them. Not there where a line stands for itself alone
+===============  =====================================================================================
+
+Beside these: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21, ``data`` (hexadecimal) of
+what is not understood.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from json.encoder import encode_basestring_ascii as quoted
+from typing import Any, Final
+
+from ..pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
+from ..pdu.functions import AnyRequest
+from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ..pdu.message import Message, Request
+from ..pdu.read_items import unpack_registers
+from ..pdu.write_items import (
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+from ..session.handler import Deferral, RequestContext
+from .question import masked
+
+DENIED: Final = "denied"
+NO_ANSWER: Final = "no answer"
+_NULL: Final = "null"
+
+Replaced = tuple[bytes | None, ...]
+
+
+def who_text(peer: str, role: str | None, listener: str) -> str:
+    """The part of a line that is the same for all requests of a connection."""
+    return f'"peer":{quoted(peer)},"role":{_NULL if role is None else quoted(role)},"listener":{quoted(listener)}'
+
+
+class Clock:
+    """The time as text, put together anew once a millisecond, and its seconds once a second. From any thread."""
+
+    __slots__ = ("_now", "_second", "_text")
+
+    def __init__(self, now: Callable[[], float] = time.time) -> None:
+        self._now = now
+        # Each replaced as a whole: a second and its text; from when until when a text is right for certain, and it.
+        self._second = (-1, "")
+        self._text = (0.0, 0.0, "")
+
+    def __call__(self) -> str:
+        now = self._now()
+        since, until, text = self._text
+        if since <= now < until:
+            return text
+        whole = int(now)
+        second, prefix = self._second
+        if second != whole:
+            prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(whole))
+            self._second = whole, prefix
+        milliseconds = int((now - whole) * 1000)
+        text = f"{prefix}.{milliseconds:03d}Z"
+        # Numbers of this size are exact to 0.2 µs: the last microsecond of each millisecond is looked at anew.
+        self._text = now, whole + (milliseconds + 1) / 1000 - 1e-6, text
+        return text
+
+
+class Entry:
+    """A request on its way to a line; what is found out on the way is filled in.
+
+    Args:
+        who: what `who_text` gives.
+        context: of the request.
+        request: what was asked.
+
+    Attributes:
+        replaced: what it replaced, as `WriteObserver.observe_write` shows it; None where it is not known.
+        rule: name of the rule that decided.
+        is_awaited: whether its answer is awaited by the handler around.
+        is_noted: whether its line was left already.
+    """
+
+    __slots__ = ("_request", "_unit", "_who", "is_awaited", "is_noted", "replaced", "rule")
+
+    def __init__(self, who: str, context: RequestContext, request: AnyRequest) -> None:
+        self._who = who
+        self._unit = context.unit
+        self._request = request
+        self.replaced: Replaced | None = None
+        self.rule = ""
+        self.is_awaited = False
+        self.is_noted = False
+
+    def line(self, when: str, outcome: str, code: int | None, repeated: int = 0) -> str:
+        """The whole line; of the last of ``repeated`` that it stands for, 0 for itself alone."""
+        what, old, new = _facts(self._request, None if outcome == DENIED else self.replaced)
+        so_often = f',"repeated":{repeated}' if repeated else ""
+        return (
+            f'{{"time":"{when}",{self._who},"unit":{self._unit},{what},"old":{old},"new":{new},"outcome":"{outcome}",'
+            f'"code":{_NULL if code is None else code},"rule":{quoted(self.rule)}{so_often}}}\n'
+        )
+
+
+def done_line(who: str, unit: int, function: int, rule: str) -> tuple[str, str]:
+    """What comes behind the time, and what comes last, in the line of a write that was done.
+
+    Between the two stands what `DONE` gives for the function. The line is then the one of `Entry.line`, to the byte.
+    """
+    return (
+        f'",{who},"unit":{unit},"function":{function:d},"address":',
+        f',"outcome":"done","code":{_NULL},"rule":{quoted(rule)}}}\n',
+    )
+
+
+def _done_bit(address: int, count: int, old: bytes, new: bytes) -> str:
+    return f'{address},"count":1,"old":[{old[0]}],"new":[{new[0]}]'
+
+
+def _done_register(address: int, count: int, old: bytes, new: bytes) -> str:
+    return f'{address},"count":1,"old":[{old[0] << 8 | old[1]}],"new":[{new[0] << 8 | new[1]}]'
+
+
+def _done_registers(address: int, count: int, old: bytes, new: bytes) -> str:
+    return f'{address},"count":{count},"old":{_registers(old)},"new":{_registers(new)}'
+
+
+def _done_bits(address: int, count: int, old: bytes, new: bytes) -> str:
+    return f'{address},"count":{count},"old":{_bits(old, count)},"new":{_bits(new, count)}'
+
+
+Done = Callable[[int, int, bytes, bytes], str]
+DONE: Final[dict[type[Request], Done]] = {
+    WriteSingleCoil: _done_bit,
+    WriteSingleRegister: _done_register,
+    WriteMultipleCoils: _done_bits,
+    WriteMultipleRegisters: _done_registers,
+}
+"""Of the functions that write one range and do nothing else: address, count, what stood there and what stands there
+now, as a line has them."""
+
+
+def outcome_of(reply: Message | Deferral) -> tuple[str, int | None]:
+    """Outcome and code of an answer."""
+    if isinstance(reply, ExceptionResponse):
+        return "exception", reply.exception
+    return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)
+
+
+def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
+    """What it is, what it replaces and what it writes, as JSON."""
+    if isinstance(request, ReadFileRecord | WriteFileRecord):
+        return _file_facts(request, replaced)
+    facts = _FACTS.get(type(request), _other_facts)
+    return facts(request, replaced[0] if replaced else None)
+
+
+def _register_facts(request: WriteSingleRegister, before: bytes | None) -> tuple[str, str, str]:
+    return f'"function":6,"address":{request.address},"count":1', _registers(before), f"[{request.value}]"
+
+
+def _registers_facts(request: WriteMultipleRegisters, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":16,"address":{request.address},"count":{request.count}'
+    return what, _registers(before), _registers(request.data)
+
+
+def _both_ways_facts(request: ReadWriteMultipleRegisters, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":23,"address":{request.write_address},"count":{request.write_count}'
+    return what, _registers(before), _registers(request.data)
+
+
+def _mask_facts(request: MaskWriteRegister, before: bytes | None) -> tuple[str, str, str]:
+    masks = request.and_mask, request.or_mask
+    new = _NULL if before is None else f"[{masked(int.from_bytes(before, 'big'), *masks)}]"
+    what = f'"function":22,"address":{request.address},"count":1,"masks":[{masks[0]}, {masks[1]}]'
+    return what, _registers(before), new
+
+
+def _coil_facts(request: WriteSingleCoil, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":5,"address":{request.address},"count":1'
+    return what, _bits(before, 1), "[1]" if request.value else "[0]"
+
+
+def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str, str, str]:
+    what = f'"function":15,"address":{request.address},"count":{request.count}'
+    return what, _bits(before, request.count), _bits(request.data, request.count)
+
+
+def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
+    """Records of files: those of all groups one after the other."""
+    groups: Sequence[FileReference | FileData] = request.groups
+    records = [[group.file, group.record, group.count] for group in groups]
+    count = sum(group.count for group in groups)
+    what = f'"function":{request.code:d},"address":null,"count":{count},"records":{records}'
+    if isinstance(request, ReadFileRecord):
+        return what, _NULL, _NULL
+    known = [data for data in replaced or () if data is not None]
+    old = _registers(b"".join(known)) if known and len(known) == len(groups) else _NULL
+    return what, old, _registers(b"".join(group.data for group in request.groups))
+
+
+def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | None) -> tuple[str, str, str]:
+    data = request.encode()[1:]
+    return f'"function":{request.function},"address":null,"count":null,"data":"{data.hex()}"', _NULL, _NULL
+
+
+def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
+    """Reads, what touches no table, and the user's own functions: what their declarations say."""
+    spans = request.spans()
+    span = next((span for span in spans if span.writes), spans[0] if spans else None)
+    what = f'"function":{request.code:d}'
+    if request.sub_code is not None:
+        what += f',"sub_function":{request.sub_code:d}'
+    if span is None:
+        body = request.encode()[1 + request.sub_width :]
+        return f'{what},"address":null,"count":null,"data":"{body.hex()}"', _NULL, _NULL
+    old = _bits(before, span.count) if span.table.holds_bits else _registers(before)
+    return f'{what},"address":{span.address},"count":{span.count}', old, _NULL
+
+
+_FACTS: Final[dict[type, Callable[[Any, Any], tuple[str, str, str]]]] = {  # Any: each takes what its key says
+    WriteSingleCoil: _coil_facts,
+    WriteSingleRegister: _register_facts,
+    WriteMultipleCoils: _coils_facts,
+    WriteMultipleRegisters: _registers_facts,
+    MaskWriteRegister: _mask_facts,
+    ReadWriteMultipleRegisters: _both_ways_facts,
+    OpaqueRequest: _unread_facts,
+    MalformedRequest: _unread_facts,
+}
+
+
+def _registers(data: bytes | None) -> str:
+    return _NULL if data is None else str(unpack_registers(data))
+
+
+def _bits(data: bytes | None, count: int) -> str:
+    if data is None:
+        return _NULL
+    above = 1 << min(count, 8 * len(data))  # keeps the zeros below it
+    digits = f"{int.from_bytes(data, 'little') & above - 1 | above:b}"
+    return f"[{', '.join(digits[:0:-1])}]"

@@ -1,0 +1,180 @@
+"""Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one.
+
+Knows the texts of addresses; asks no name server: who may be let in is not for a name server to say.
+
+1. ``::ffff:10.0.0.7`` is 10.0.0.7, in a list and as a host: it is how a socket for both families names an IPv4 client.
+2. A zone (``fe80::1%eth0``) in a list is part of what must fit; an entry without one fits in every zone.
+3. What is no address (the name of a serial line) is in no list.
+"""
+
+import ipaddress
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from ..errors import ConfigError
+from ..values.refusal import shown
+
+_MEMO_LIMIT: Final = 1024
+_MAPPED: Final = 0xFFFF << 32
+"""``::ffff:0:0``, where the IPv4 addresses stand among the IPv6 ones (RFC 4291 §2.5.5.2)."""
+_MAPPED_LENGTH: Final = 96
+
+
+class Networks:
+    """Addresses and networks; a host is in it, or not: ``"10.0.0.7" in networks``. Two with the same entries are equal.
+
+    Args:
+        entries: texts such as ``10.0.0.7``, ``10.0.0.0/8``, ``fe80::/64``, ``fe80::1%eth0``.
+        key: the setting that they come from, for the sentence of an error.
+
+    Raises:
+        ConfigError: an entry is no address or network, or has bits set beyond its length; names it.
+    """
+
+    __slots__ = ("_found", "_lengths", "entries")
+
+    def __init__(self, entries: Iterable[str] = (), *, key: str | None = None) -> None:
+        if isinstance(entries, str):
+            raise ConfigError(f"a list of addresses is needed, not {shown(entries)}", key=key)
+        self.entries: tuple[str, ...] = tuple(entries)
+        # (version, length) → (network, zone) → entry: as many look-ups as there are lengths, however long the list is.
+        self._lengths: dict[tuple[int, int], dict[tuple[int, str], str]] = {}
+        for entry in self.entries:
+            version, length, network, zone = _parsed(entry, key)
+            self._lengths.setdefault((version, length), {}).setdefault((network, zone), entry)
+        self._lengths = dict(sorted(self._lengths.items(), reverse=True))
+        self._found: dict[str, str | None] = {}
+
+    @classmethod
+    def parse(cls, entries: Iterable[str], *, key: str | None = None) -> "Networks":
+        """The same as ``Networks(entries)``."""
+        return cls(entries, key=key)
+
+    def __contains__(self, host: object) -> bool:
+        return isinstance(host, str) and self.find(host) is not None
+
+    def find(self, host: str) -> str | None:
+        """The most specific entry that a numeric address is in, as it was written; None if it is in none."""
+        found = self._found.get(host, "")
+        if found != "":
+            return found
+        if len(self._found) >= _MEMO_LIMIT:
+            self._found.clear()
+        found = self._found[host] = self._look_up(host)
+        return found
+
+    def _look_up(self, host: str) -> str | None:
+        try:
+            version, number, zone = _number_of(host)
+        except ValueError:
+            return None
+        for (family, length), networks in self._lengths.items():
+            if family == version:
+                spare = (32 if family == 4 else 128) - length
+                network = number >> spare << spare
+                found = networks.get((network, zone)) or networks.get((network, ""))
+                if found is not None:
+                    return found
+        return None
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Networks) and self._lengths == other._lengths
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._lengths))
+
+    def __repr__(self) -> str:
+        return f"Networks({list(self.entries)!r})"
+
+
+class NetworkIndex:
+    """Which of many `Networks` a host is in, found without asking each of them.
+
+    Args:
+        networks: the networks, each with its number.
+    """
+
+    __slots__ = ("_lengths",)
+
+    def __init__(self, networks: Iterable[tuple[int, Networks]]) -> None:
+        self._lengths: dict[tuple[int, int], dict[tuple[int, str], list[int]]] = {}
+        for number, each in networks:
+            for length, entries in each._lengths.items():
+                found = self._lengths.setdefault(length, {})
+                for network in entries:
+                    found.setdefault(network, []).append(number)
+
+    def find(self, host: str) -> set[int]:
+        """The numbers of the networks that a numeric address is in; none of what is no address."""
+        try:
+            version, address, zone = _number_of(host)
+        except ValueError:
+            return set()
+        found: set[int] = set()
+        for (family, length), networks in self._lengths.items():
+            if family == version:
+                spare = (32 if family == 4 else 128) - length
+                network = address >> spare << spare
+                found.update(networks.get((network, ""), ()))
+                if zone:
+                    found.update(networks.get((network, zone), ()))
+        return found
+
+
+def host_of_peer(peer: str) -> str:
+    """The host of a peer's name, ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the text itself where it has no port.
+
+    An IPv4-mapped address is given as the IPv4 address, so that one host has one name.
+    """
+    host, colon, port = peer.rpartition(":")
+    if not colon or not port.isdecimal() or (":" in host and not host.startswith("[")):
+        host = peer
+    host = host.removeprefix("[").removesuffix("]")
+    if ":" in host:
+        try:
+            version, number, _ = _number_of(host)
+        except ValueError:
+            return host
+        if version == 4:
+            return str(ipaddress.IPv4Address(number))
+    return host
+
+
+def _number_of(host: str) -> tuple[int, int, str]:
+    """Version, number and zone of a numeric address. Raises `ValueError`."""
+    plain, _, zone = host.partition("%")
+    address = ipaddress.ip_address(plain)
+    number = int(address)
+    if address.version == 6 and number >> 32 == _MAPPED >> 32:
+        return 4, number & 0xFFFF_FFFF, ""
+    return address.version, number, zone
+
+
+def _parsed(entry: str, key: str | None) -> tuple[int, int, int, str]:
+    """Version, length, network and zone of an entry."""
+    if not isinstance(entry, str):
+        raise ConfigError(f"{shown(entry)} is no text such as '10.0.0.0/8'", key=key)
+    text = entry.strip()
+    host, slash, mask = text.partition("/")
+    plain, percent, zone = host.partition("%")
+    try:
+        network = ipaddress.ip_network(f"{plain}{slash}{mask}", strict=False)
+    except ValueError:
+        raise ConfigError(f"{shown(entry)} is no address or network such as 10.0.0.7 or 10.0.0.0/8", key=key) from None
+    if percent and (not zone or network.version == 4):
+        raise ConfigError(f"{shown(entry)}: only an IPv6 address has a zone, and it is not empty", key=key)
+    number, length = int(network.network_address), network.prefixlen
+    if int(ipaddress.ip_address(plain)) != number:
+        raise ConfigError(
+            f"{shown(entry)} has bits set beyond its length; the network is {network}, the address alone {plain}",
+            key=key,
+        )
+    if network.version == 6 and length >= _MAPPED_LENGTH and number >> 32 == _MAPPED >> 32:
+        return 4, length - _MAPPED_LENGTH, number & 0xFFFF_FFFF, ""
+    return network.version, length, number, zone

@@ -1,0 +1,217 @@
+"""Units, functions and ranges of items as people write them in rules.
+
+Knows texts and numbers; knows no rule.
+
+==============  ======================================================================================
+units           ``"1-5, 7"``, ``7``, ``["1-5", 7]``: 0…255
+functions       ``"read_holding_registers"``, ``16``, ``"0x10"``, ``"8/1"`` (sub-function), ``"43/14"``;
+                the groups ``"read"``, ``"write"``, ``"diagnostics"``
+items           ``"4x101-4x200"``, ``"40101-40200"``, ``"holding:100-199"``, ``"%MW100-%MW199"``;
+                with a table also ``"100-199"`` and ``100`` (offsets, 0-based)
+files           ``"1-4"``: numbers of files, 0…65535
+==============  ======================================================================================
+
+A range includes both its ends.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Final
+
+from ..codes import TABLE_SIZE, DiagnosticCode, FunctionCode, MeiType, Table
+from ..errors import ConfigError, InvalidRequest
+from ..values import Address, parse_address
+from ..values.refusal import shown
+
+Range = tuple[int, int]
+"""The first number and the one after the last."""
+Function = tuple[int, int | None]
+"""A function code, and a sub-function or None for all of them."""
+
+_RANGE_SIGN: Final = re.compile(r" ?(?:\.\.|…|-) ?")
+_LONGEST_PART: Final = 100
+"""Characters of one number or range, blanks in a row counted once: the longest that means something has 50."""
+_NUMBER: Final = re.compile(r"[0-9]{1,6}|0[xX][0-9a-fA-F]{1,5}")
+
+FUNCTION_GROUPS: Final[Mapping[str, frozenset[int]]] = {
+    "read": frozenset({1, 2, 3, 4, 20, 24}),
+    "write": frozenset({5, 6, 15, 16, 21, 22, 23}),
+    "diagnostics": frozenset({7, 8, 11, 12, 17}),
+}
+"""Functions by what they are for. 23, which also reads, is a write."""
+_SHORT_NAMES: Final[Mapping[str, FunctionCode]] = {
+    "write_coil": FunctionCode.WRITE_SINGLE_COIL,
+    "write_register": FunctionCode.WRITE_SINGLE_REGISTER,
+    "write_coils": FunctionCode.WRITE_MULTIPLE_COILS,
+    "write_registers": FunctionCode.WRITE_MULTIPLE_REGISTERS,
+    "read_write_registers": FunctionCode.READ_WRITE_MULTIPLE_REGISTERS,
+}
+_CODE_OF: Final[Mapping[str, int]] = {**{each.name.lower(): each.value for each in FunctionCode}, **_SHORT_NAMES}
+_SUB_NAMES: Final[Mapping[str, Function]] = {
+    **{each.name.lower(): (FunctionCode.DIAGNOSTICS.value, each.value) for each in DiagnosticCode},
+    **{each.name.lower(): (FunctionCode.ENCAPSULATED_INTERFACE.value, each.value) for each in MeiType},
+}
+
+
+def parse_units(value: str | int | Iterable[str | int]) -> frozenset[int]:
+    """The units of a notation. Raises `ConfigError`."""
+    return frozenset(unit for first, end in _ranges(value, 255, "unit") for unit in range(first, end))
+
+
+def parse_files(value: str | int | Iterable[str | int]) -> tuple[Range, ...]:
+    """The ranges of file numbers of a notation, ascending. Raises `ConfigError`."""
+    return merged(_ranges(value, 0xFFFF, "file"))
+
+
+def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Function]:
+    """The functions of a notation. Raises `ConfigError`."""
+    found: set[Function] = set()
+    for each in [value] if isinstance(value, str | int) else value:
+        for part in each.split(",") if isinstance(each, str) else [each]:
+            found |= _functions(part.strip().lower().replace(" ", "_") if isinstance(part, str) else part)
+    return frozenset(found)
+
+
+def parse_table(value: str | Table) -> Table:
+    """The table of a name: ``holding``, ``holding_registers``, ``coil``. Raises `ConfigError`."""
+    if isinstance(value, Table):
+        return value
+    try:
+        found = parse_address(f"{value}:0").table
+    except InvalidRequest:
+        found = None
+    if found is None:
+        raise ConfigError(f"there is no table {shown(value)}, but coil, discrete, input, holding")
+    return found
+
+
+def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> dict[Table, tuple[Range, ...]]:
+    """The ranges of items of a notation, by table, ascending. Raises `ConfigError`.
+
+    Args:
+        value: the notation.
+        table: what offsets without a table are of; None if every range has to say.
+    """
+    found: dict[Table, list[Range]] = {}
+    for each in [value] if isinstance(value, str | int) else value:
+        for part in each.split(",") if isinstance(each, str) else [each]:
+            where, items = _item_range(part, table)
+            found.setdefault(where, []).append(items)
+    return {where: merged(ranges) for where, ranges in found.items()}
+
+
+def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
+    """Ranges in ascending order, those that touch made one."""
+    found: list[Range] = []
+    for first, end in sorted(ranges):
+        if found and first <= found[-1][1]:
+            found[-1] = (found[-1][0], max(found[-1][1], end))
+        else:
+            found.append((first, end))
+    return tuple(found)
+
+
+def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[Range]:
+    """Ranges of plain numbers."""
+
+    def number(text: str) -> int:
+        if not _NUMBER.fullmatch(text):
+            raise ConfigError(f"{shown(text)} is no {what}, nor a range such as 1-5")
+        found = int(text, 16 if text[:2] in ("0x", "0X") else 10)
+        if found > highest:
+            raise ConfigError(f"a {what} is 0…{highest}, not {found}")
+        return found
+
+    found: list[Range] = []
+    for each in [value] if isinstance(value, str | int) else value:
+        if isinstance(each, bool) or not isinstance(each, str | int):
+            raise ConfigError(f"{shown(each)} is no {what}, nor a range such as '1-5'")
+        for part in str(each).split(","):
+            first, last = _ends(part, number)
+            found.append((first, last + 1))
+    return found
+
+
+def _ends(part: str, number: Callable[[str], int]) -> Range:
+    texts = _RANGE_SIGN.split(_with_single_blanks(part))
+    if len(texts) > 2:
+        raise ConfigError(f"{shown(part)} is no range such as 1-5")
+    first, last = number(texts[0]), number(texts[-1])
+    if last < first:
+        raise ConfigError(f"{shown(part)} ends before it begins")
+    return first, last
+
+
+def _with_single_blanks(part: str) -> str:
+    """A part without blanks around it, and with one where there are several. Raises `ConfigError` where it is long.
+
+    What comes after takes time with the square of the length, so the length is bounded here.
+    """
+    text = " ".join(part.split())
+    if len(text) > _LONGEST_PART:
+        raise ConfigError(f"{shown(text)} is longer than {_LONGEST_PART} characters; put a comma between ranges")
+    return text
+
+
+def _functions(text: str | int) -> set[Function]:
+    if isinstance(text, bool) or not isinstance(text, str | int):
+        raise ConfigError(f"{shown(text)} is no function")
+    if isinstance(text, str):
+        if text in FUNCTION_GROUPS:
+            return {(code, None) for code in FUNCTION_GROUPS[text]}
+        if text in _CODE_OF:
+            return {(_CODE_OF[text], None)}
+        if text in _SUB_NAMES:
+            return {_SUB_NAMES[text]}
+        code_text, slash, sub_text = text.partition("/")
+        if not _NUMBER.fullmatch(code_text) or (slash and not _NUMBER.fullmatch(sub_text)):
+            known = ", ".join([*FUNCTION_GROUPS, *_CODE_OF])
+            raise ConfigError(f"there is no function {shown(text)}; write a code, code/sub-function or one of {known}")
+        code, sub_code = int(code_text, 0), int(sub_text, 0) if slash else None
+    else:
+        code, sub_code = text, None
+    if not 1 <= code <= 127:
+        raise ConfigError(f"a function code is 1…127, not {code}")
+    if sub_code is not None and code not in (FunctionCode.DIAGNOSTICS, FunctionCode.ENCAPSULATED_INTERFACE):
+        raise ConfigError(f"only functions 8 and 43 have sub-functions, not {code}")
+    return {(code, sub_code)}
+
+
+def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
+    """Table and range of one part."""
+    if isinstance(part, str):
+        text = _with_single_blanks(part)
+        # A minus sign may belong to a table's name (holding-registers:5): the last one may be the sign of a range.
+        match = re.fullmatch(r"(.+?) ?(?:\.\.|…|-) ?([^-…]+)", text)
+        if match is not None and (match[2][0].isdigit() or match[2][0] == "%"):
+            first = _item(match[1], table)
+            last = _item(_with_notation_of(match[1], match[2]), table)
+            if last.table is not first.table or last.offset < first.offset:
+                raise ConfigError(f"{shown(part)} does not end in the table where it begins, or ends before it begins")
+            assert first.table is not None  # `_item` has seen to it
+            return first.table, (first.offset, last.offset + 1)
+        part = text
+    found = _item(part, table)
+    assert found.table is not None  # `_item` has seen to it
+    return found.table, (found.offset, found.offset + 1)
+
+
+def _with_notation_of(first: str, last: str) -> str:
+    """``199`` in ``holding:100-199`` is ``holding:199``; ``0x8`` may be hexadecimal only behind a table's name."""
+    prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
+    if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):
+        return last
+    return f"{prefix[0]}{last}"
+
+
+def _item(text: str | int, table: Table | None) -> Address:
+    try:
+        found = parse_address(text, table=table)
+    except InvalidRequest as error:
+        raise ConfigError(str(error)) from error
+    if found.table is None:
+        raise ConfigError(f"{shown(text)} does not say which table it is of, and no table is named beside it")
+    if found.bit is not None:
+        raise ConfigError(f"{shown(text)}: rules are for whole registers, not for a bit of one")
+    assert 0 <= found.offset < TABLE_SIZE
+    return found

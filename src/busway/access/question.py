@@ -1,0 +1,205 @@
+"""What a policy is asked: who wants what, as facts that are read off the request's declaration.
+
+Knows messages; knows no rule.
+
+1. A request touches *pieces*: ranges of items in one of the tables, files, or, if it touches neither, one piece that is
+   nowhere. Each is read or written.
+2. What nobody knows counts as a write: a function that is not in the table, one of the user's that declares neither
+   what it reads nor that it writes, a sub-function that is cut off. So do the sub-functions of 08 that change
+   communication (01, 03, 04, 0A, 14): their classes say so.
+3. A malformed request touches the whole of its tables. A gateway forwards it, and nobody knows what a device behind it
+   would make of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from ..codes import FunctionCode, Table
+from ..pdu.file_records import ReadFileRecord, WriteFileRecord
+from ..pdu.functions import AnyRequest
+from ..pdu.general import MalformedRequest, OpaqueRequest
+from ..pdu.message import Request
+from ..pdu.read_items import unpack_registers
+from ..pdu.write_items import MaskWriteRegister, ReadWriteMultipleRegisters, WriteMultipleRegisters, WriteSingleRegister
+from .networks import host_of_peer
+
+FILES: Final = "files"
+"""The space of file numbers, beside the four tables."""
+Space = Table | str | None
+"""A table, `FILES`, or None: nowhere."""
+END: Final = 1 << 32
+"""Beyond whatever a request can name: the items behind 65 535 do not exist, yet a request may name them."""
+
+_SUB_WIDTH: Final[dict[int, int]] = {FunctionCode.DIAGNOSTICS: 2, FunctionCode.ENCAPSULATED_INTERFACE: 1}
+_PUBLIC: Final = frozenset(int(code) for code in FunctionCode)
+_OF_FILES: Final = (ReadFileRecord, WriteFileRecord)
+
+
+@dataclass(slots=True)
+class Piece:
+    """Items of one space that a request touches, from ``first`` to before ``end``."""
+
+    space: Space
+    first: int
+    end: int
+    writes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Asker:
+    """Who asks, and by which way.
+
+    Attributes:
+        host: numeric address, ``10.0.0.7``; the name of a serial line.
+        role: role of the certificate; None without one.
+        listener: URL of the listener.
+    """
+
+    host: str = ""
+    role: str | None = None
+    listener: str = ""
+
+
+@dataclass(slots=True)
+class Question:
+    """One request, as a policy sees it. Built by ``of``.
+
+    Attributes:
+        asker: who asks.
+        unit: the unit asked, 0…255.
+        listed: the unit as which its device is listed, where that is another one: a sole device answers to 0 and 255
+            too, and is the same device by every name.
+        function: the function code.
+        sub_function: of 08 and 43; None for the others, and where it is cut off.
+        pieces: what it touches.
+        written: the registers that it would write, as numbers, in the order of the piece that is written; None where it
+            writes none, or where they are not known.
+        masks: the two masks of function 22, whose outcome depends on what stands there.
+    """
+
+    asker: Asker
+    unit: int
+    function: int
+    sub_function: int | None
+    pieces: tuple[Piece, ...]
+    written: tuple[int, ...] | None = None
+    masks: tuple[int, int] | None = None
+    listed: int | None = None
+
+    @classmethod
+    def of(
+        cls,
+        request: AnyRequest,
+        *,
+        unit: int,
+        listed: int | None = None,
+        peer: str = "",
+        role: str | None = None,
+        listener: str = "",
+        asker: Asker | None = None,
+    ) -> "Question":
+        """The question that a request asks.
+
+        Args:
+            request: what was decoded.
+            unit: the unit asked, 0…255.
+            listed: the unit as which its device is listed; None for ``unit``.
+            peer: ``host:port`` or host of the client; with ``role`` and ``listener``, who asks.
+            role: role of its certificate; None without one.
+            listener: URL of the listener.
+            asker: the three, where they are there already.
+        """
+        asker = asker or Asker(host_of_peer(peer), role, listener)
+        if isinstance(request, MalformedRequest):
+            sub_function = _sub_function(request.function, request.data[1:])
+            pieces = _pieces_of_malformed(request, sub_function)
+            return cls(asker, unit, request.function, sub_function, pieces, listed=listed)
+        if isinstance(request, OpaqueRequest):
+            sub_function = _sub_function(request.function, request.data)
+            return cls(asker, unit, request.function, sub_function, _UNKNOWN_WRITE, listed=listed)
+        masks = (request.and_mask, request.or_mask) if isinstance(request, MaskWriteRegister) else None
+        written = _WRITTEN.get(type(request))
+        return cls(
+            asker,
+            unit,
+            request.code,
+            request.sub_code,
+            _pieces(request),
+            None if written is None else written(request),
+            masks,
+            listed,
+        )
+
+    @property
+    def writes(self) -> bool:
+        """Whether it counts as a write."""
+        return any(piece.writes for piece in self.pieces)
+
+    def with_current(self, current: int) -> "Question":
+        """The question of function 22 where the register is known to hold ``current``, so that its outcome is too."""
+        if self.masks is None:
+            return self
+        and_mask, or_mask = self.masks
+        return replace(self, written=(masked(current, and_mask, or_mask),), masks=None)
+
+
+def masked(current: int, and_mask: int, or_mask: int) -> int:
+    """What function 22 makes of a register (Application Protocol V1.1b3 §6.16)."""
+    return (current & and_mask | or_mask & ~and_mask) & 0xFFFF
+
+
+def counts_as_write(kind: type[Request]) -> bool:
+    """Whether a function counts as a write, by its declaration (rule 2)."""
+    if kind.is_write or kind.writes is not None:
+        return True
+    return kind.code not in _PUBLIC and kind.reads is None
+
+
+def _pieces(request: Request) -> tuple[Piece, ...]:
+    found = []
+    is_written = False
+    for span in request.spans():
+        found.append(Piece(span.table, span.address, span.address + (span.count or 1), span.writes))
+        is_written = is_written or span.writes
+    if isinstance(request, _OF_FILES):
+        is_written = isinstance(request, WriteFileRecord)
+        found += [Piece(FILES, group.file, group.file + 1, is_written) for group in request.groups]
+    if not found or not is_written:
+        writes = counts_as_write(type(request))
+        if writes or not found:
+            found.append(Piece(None, 0, 1, writes))
+    return tuple(found)
+
+
+def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) -> tuple[Piece, ...]:
+    kind = request.kind
+    if kind.sub_code is not None and sub_function is None:
+        return _UNKNOWN_WRITE
+    if issubclass(kind, _OF_FILES):
+        return (Piece(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
+    found = [
+        Piece(touch.table, 0, END, writes)
+        for touch, writes in ((kind.writes, True), (kind.reads, False))
+        if touch is not None
+    ]
+    return tuple(found) or (Piece(None, 0, 1, counts_as_write(kind)),)
+
+
+def _sub_function(function: int, data: bytes) -> int | None:
+    """The sub-function in what follows the function code; None where the function has none, or it is cut off."""
+    width = _SUB_WIDTH.get(function)
+    return int.from_bytes(data[:width], "big") if width is not None and len(data) >= width else None
+
+
+def _registers(request: Any) -> tuple[int, ...]:  # any request with registers as ``data``
+    return tuple(unpack_registers(request.data))
+
+
+_WRITTEN: Final[dict[type, Callable[[Any], tuple[int, ...]]]] = {
+    WriteSingleRegister: lambda request: (request.value,),
+    WriteMultipleRegisters: _registers,
+    ReadWriteMultipleRegisters: _registers,
+}
+"""The holding registers that a request writes, as numbers, of the functions of which that is known."""
+_UNKNOWN_WRITE: Final = (Piece(None, 0, 1, True),)

@@ -1,0 +1,577 @@
+"""Rules in their order, and what they decide about a request (clauses M6, T15).
+
+Knows the facts of a request (`busway.access.question`); knows no clock, no connection and no store.
+
+1. For every item that a request touches, the first rule that fits decides; where none fits, the default does. The
+   request is permitted if all of its items are. A range that straddles rules is so judged part by part: where 100…109
+   are denied, a read of 95…104 is denied.
+2. What is denied is answered with exception 01; a rule about items that names no role may choose 02, as if they were
+   not there.
+3. ``read-only`` permits what reads and denies what writes. A rule that names tables, items or files never fits a
+   request that touches none.
+4. Limits are for holding registers that are written. What a function would write and nobody can tell is denied;
+   function 22 is judged by what it would make of the register if that is known, else by all that it might.
+5. No role and no right is built in: what is not written in the rules is decided by the default.
+"""
+
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Final, TypeVar
+
+from ..codes import ExceptionCode, Table
+from ..errors import ConfigError
+from ..options.endpoints import SCHEMES, parse_endpoint
+from ..values.refusal import shown
+from .addresses import AddressList
+from .networks import NetworkIndex, Networks
+from .notation import Function, Range, merged, parse_files, parse_functions, parse_items, parse_table, parse_units
+from .question import END, FILES, Asker, Piece, Question, Space
+
+_EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
+_NOWHERE: Final[tuple[Range, ...]] = ()
+_EMPTY: Final = "is empty, so the rule would never fit; leave it out"
+Chosen = TypeVar("Chosen", bound=Enum)
+DEFAULT_RULE: Final = "default"
+"""The name by which logs call the decision of no rule."""
+
+
+class Action(Enum):
+    """What a rule, or the default, does with what it decides about."""
+
+    ALLOW = "allow"
+    DENY = "deny"
+    READ_ONLY = "read-only"
+
+    def permits(self, writes: bool) -> bool:
+        """Whether a read, or a write, is permitted."""
+        return self is Action.ALLOW or (self is Action.READ_ONLY and not writes)
+
+
+class Access(Enum):
+    """Which accesses a rule is about."""
+
+    READ = "read"
+    WRITE = "write"
+    ANY = "any"
+
+    def fits(self, writes: bool) -> bool:
+        """Whether a read, or a write, is one of them."""
+        return self is Access.ANY or (self is Access.WRITE) == writes
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What may be written to each register.
+
+    Attributes:
+        low, high: the least and the greatest value, 0…65535, or -32768…32767 if ``signed``.
+        signed: whether registers are read as numbers with a sign.
+
+    Raises:
+        ConfigError: a value that no register holds, or ``low`` above ``high``.
+    """
+
+    low: int
+    high: int
+    signed: bool = False
+
+    def __post_init__(self) -> None:
+        least, most = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
+        for value in (self.low, self.high):
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise ConfigError(f"a register holds {least}…{most}, not {shown(value)}", key="values")
+        if self.low > self.high:
+            raise ConfigError(f"nothing is between {self.low} and {self.high}", key="values")
+
+    def permit(self, register: int) -> bool:
+        """Whether a register 0…65535 is within."""
+        return self.low <= self._number(register) <= self.high
+
+    def permit_all(self, registers: bytes) -> bool:
+        """Whether each of one or more registers, as they stand on the wire, is within."""
+        numbers = struct.unpack(f">{len(registers) // 2}{'h' if self.signed else 'H'}", registers)
+        least: int = min(numbers)
+        most: int = max(numbers)
+        return self.low <= least and most <= self.high
+
+    def permit_masks(self, and_mask: int, or_mask: int) -> bool:
+        """Whether function 22 can only give what is within, whatever stands there."""
+        fixed = or_mask & ~and_mask & 0xFFFF
+        least, most = fixed, fixed | and_mask
+        if self.signed and and_mask & 0x8000:  # the sign is free: least with it, most without
+            least, most = fixed | 0x8000, most & 0x7FFF
+        return self.permit(least) and self.permit(most)
+
+    def _number(self, register: int) -> int:
+        return register - 0x10000 if self.signed and register & 0x8000 else register
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule: whom and what it is about, and what it does. What is None, or empty, is not asked.
+
+    `Rule.of` takes the texts that people write.
+
+    Attributes:
+        name: what logs call it; a policy names those without by their number.
+        action: what is done.
+        peers: hosts of the clients.
+        roles: roles of their certificates; a client without one is in no role.
+        listeners: URLs of listeners, or schemes (``tls://``).
+        units: the units asked.
+        functions: function codes, each with a sub-function or with None for all.
+        items: ranges (first, end) of items by table; an empty mapping for requests of any kind.
+        files: ranges (first, end) of file numbers.
+        access: reads, writes, or both.
+        limits: what may be written to holding registers.
+        rate: requests per second that a host may send through this rule; more are answered with exception 06.
+        code: exception code of a refusal, 1 or 2.
+
+    Raises:
+        ConfigError: fields that do not go together; its key names the field.
+    """
+
+    name: str = ""
+    action: Action = Action.ALLOW
+    peers: Networks | None = None
+    roles: frozenset[str] | None = None
+    listeners: tuple[str, ...] = ()
+    units: frozenset[int] | None = None
+    functions: frozenset[Function] | None = None
+    items: Mapping[Table, tuple[Range, ...]] = field(default_factory=dict, hash=False)
+    files: tuple[Range, ...] = ()
+    access: Access = Access.ANY
+    limits: Limits | None = None
+    rate: float | None = None
+    code: int = ExceptionCode.ILLEGAL_FUNCTION
+
+    def __post_init__(self) -> None:
+        if self.code not in (ExceptionCode.ILLEGAL_FUNCTION, ExceptionCode.ILLEGAL_DATA_ADDRESS):
+            raise ConfigError(f"a refusal is answered with 1 or 2, not {shown(self.code)}", key="code")
+        if self.code == ExceptionCode.ILLEGAL_DATA_ADDRESS and (not self.items or self.roles is not None):
+            raise ConfigError("2 is for rules that name a table or addresses and no role; leave it out", key="code")
+        if self.limits is not None and (self.action is not Action.ALLOW or self.access is Access.READ):
+            raise ConfigError("limits are for writes that a rule allows", key="values")
+        if self.limits is not None and self.items and Table.HOLDING_REGISTERS not in self.items:
+            raise ConfigError("limits are for holding registers", key="values")
+        if self.rate is not None:
+            if isinstance(self.rate, bool) or not 0.001 <= self.rate <= 1_000_000:
+                raise ConfigError(f"requests per second are 0.001…1000000, not {shown(self.rate)}", key="rate")
+            if self.action is Action.DENY:
+                raise ConfigError("a rule that denies lets nothing through", key="rate")
+        for key, given in (("peers", self.peers), ("roles", self.roles), ("units", self.units)):
+            if given is not None and not given:
+                raise ConfigError(_EMPTY, key=key)
+        if self.functions is not None and not self.functions:
+            raise ConfigError(_EMPTY, key="functions")
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        name: str = "",
+        action: str | Action = Action.ALLOW,
+        peers: Iterable[str] | Networks | None = None,
+        roles: Iterable[str] | None = None,
+        listeners: Iterable[str] = (),
+        units: str | int | Iterable[str | int] | None = None,
+        functions: str | int | Iterable[str | int] | None = None,
+        table: str | Table | Iterable[str | Table] | None = None,
+        addresses: str | int | Iterable[str | int] | None = None,
+        files: str | int | Iterable[str | int] | None = None,
+        access: str | Access = Access.ANY,
+        values: tuple[int, int] | Limits | None = None,
+        signed: bool = False,
+        rate: float | None = None,
+        code: int = ExceptionCode.ILLEGAL_FUNCTION,
+    ) -> "Rule":
+        """A rule from what people write.
+
+        Args:
+            name: what logs call it.
+            action: ``allow``, ``deny`` or ``read-only``.
+            peers: addresses and networks of the clients, ``["10.0.0.0/8"]``.
+            roles: roles of their certificates.
+            listeners: URLs of listeners, or schemes such as ``tls://``.
+            units: ``"1-5,7"``, 0…255.
+            functions: codes, names and groups, ``["read", 16, "8/1"]`` (`busway.access.notation`).
+            table: ``holding``, ``input``, ``coil``, ``discrete``, or several; without ``addresses`` the whole of it.
+            addresses: items, ``"4x101-4x200"``; with one table also offsets, ``"100-199"``.
+            files: numbers of files, ``"1-4"``.
+            access: ``read``, ``write`` or ``any``.
+            values: the least and the greatest value that may be written to a holding register.
+            signed: whether these are numbers with a sign.
+            rate: requests per second and host, 0.001…1000000.
+            code: exception code of a refusal, 1 or 2.
+
+        Raises:
+            ConfigError: what can not be; its key names the argument.
+        """
+        limits = Limits(*values, signed=signed) if isinstance(values, tuple) else values
+        given_units = given_functions = given_files = None
+        if units is not None:
+            with _about("units"):
+                given_units = parse_units(units)
+        if functions is not None:
+            with _about("functions"):
+                given_functions = parse_functions(functions)
+        if files is not None:
+            with _about("files"):
+                given_files = parse_files(files)
+        return cls(
+            name=name,
+            action=_one_of(Action, action, "action"),
+            peers=peers if peers is None or isinstance(peers, Networks) else Networks(peers, key="peers"),
+            roles=None if roles is None else frozenset(_texts(roles, "roles")),
+            listeners=tuple(listener_name(each) for each in _texts(listeners, "listeners")),
+            units=given_units,
+            functions=given_functions,
+            items=_items(table, addresses),
+            files=given_files or (),
+            access=_one_of(Access, access, "access"),
+            limits=limits,
+            rate=rate,
+            code=code,
+        )
+
+    def is_for(self, asker: Asker) -> bool:
+        """Whether it is about whoever asks."""
+        return (
+            (self.peers is None or asker.host in self.peers)
+            and (self.roles is None or asker.role in self.roles)
+            and (not self.listeners or any(_is_listener(each, asker.listener) for each in self.listeners))
+        )
+
+    def is_about(self, unit: int, function: int, sub_function: int | None, *, listed: int | None = None) -> bool:
+        """Whether it is about this function of this unit, by the number asked or as which its device is listed."""
+        if self.units is not None and unit not in self.units and listed not in self.units:
+            return False
+        if self.functions is None:
+            return True
+        return (function, None) in self.functions or (
+            sub_function is not None and (function, sub_function) in self.functions
+        )
+
+    def ranges(self, space: Space) -> tuple[Range, ...]:
+        """The ranges of a space that it is about, ascending."""
+        if not self.items and not self.files:
+            return _EVERYWHERE
+        if isinstance(space, Table):
+            return self.items.get(space, _NOWHERE)
+        return self.files if space == FILES else _NOWHERE
+
+
+@dataclass(slots=True)
+class Decision:
+    """What a policy decides about a request.
+
+    Attributes:
+        allowed: whether it may be executed.
+        code: exception code of the refusal; 0 if allowed.
+        rule: the rule that decided: the one that refused, or the first that permitted; None for the default.
+        reason: why, in words; empty if allowed.
+        rates: the rules with a rate through which it went.
+        needs_current: whether it was refused without knowing what function 22 would write; whoever knows the register
+            asks again with `Question.with_current`.
+    """
+
+    allowed: bool
+    code: int = 0
+    rule: Rule | None = None
+    reason: str = ""
+    rates: tuple[Rule, ...] = ()
+    needs_current: bool = False
+
+    @property
+    def rule_name(self) -> str:
+        """The name of the rule; ``default`` where none decided."""
+        return DEFAULT_RULE if self.rule is None else self.rule.name
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Items that one kind of access may touch without another thought: no limit and no rate is asked there."""
+
+    first: int
+    end: int
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """Items that one kind of write may touch, and why.
+
+    Attributes:
+        first, end: the items, to before ``end``.
+        rule: the name of the rule that decides there; ``default`` where none does.
+        limits: what may be written to each register; None where all may, and where there are no registers.
+    """
+
+    first: int
+    end: int
+    rule: str
+    limits: Limits | None
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """Rules in their order, and what holds where none fits. Frozen and pure.
+
+    Args:
+        rules: the first that fits decides.
+        default: what holds where none fits. Without anything said, nothing is permitted.
+
+    Raises:
+        ConfigError: two rules of one name.
+    """
+
+    rules: tuple[Rule, ...] = ()
+    default: Action = Action.DENY
+    _by_peer: tuple[tuple[int, ...], NetworkIndex] | None = field(init=False, default=None, repr=False, compare=False)
+    """Numbers of the rules without peers, and an index of those with; made by `prepare`."""
+
+    def __post_init__(self) -> None:
+        named = tuple(
+            rule if rule.name else replace(rule, name=f"rule {number}") for number, rule in enumerate(self.rules, 1)
+        )
+        taken = {DEFAULT_RULE}
+        for rule in named:
+            if rule.name in taken:
+                raise ConfigError(f"the name {shown(rule.name)} is taken", key="name")
+            taken.add(rule.name)
+        object.__setattr__(self, "rules", named)
+
+    @classmethod
+    def of(cls, *rules: Rule, default: str | Action = Action.DENY) -> "Policy":
+        """A policy of rules in their order; ``default``: ``allow``, ``deny``, ``read-only``. Raises `ConfigError`."""
+        return cls(rules, _one_of(Action, default, "default"))
+
+    @classmethod
+    def read_only(cls) -> "Policy":
+        """Everybody may read, nobody may write."""
+        return cls(default=Action.READ_ONLY)
+
+    @classmethod
+    def allow_all(cls) -> "Policy":
+        """Everybody may do everything: what holds without a policy, said aloud."""
+        return cls(default=Action.ALLOW)
+
+    def prepare(self) -> None:
+        """Make now what the first `for_asker` would make: with 100 000 rules it takes some tenths of a second."""
+        if self._by_peer is None:
+            everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
+            index = NetworkIndex(
+                (number, rule.peers) for number, rule in enumerate(self.rules) if rule.peers is not None
+            )
+            object.__setattr__(self, "_by_peer", (everybodys, index))
+
+    def for_asker(self, asker: Asker) -> "Policy":
+        """The policy with only the rules that are about ``asker``; whoever gets an equal one has the same rights."""
+        self.prepare()
+        assert self._by_peer is not None  # that is what was prepared
+        everybodys, index = self._by_peer
+        own = index.find(asker.host)
+        numbers = sorted([*everybodys, *own]) if own else everybodys
+        rules = [self.rules[number] for number in numbers]
+        return Policy(tuple(rule for rule in rules if rule.is_for(asker)), self.default)
+
+    def decide(self, question: Question) -> Decision:
+        """What is decided about a request. Each item is judged by the first rule that fits it."""
+        relevant = [
+            rule
+            for rule in self.rules
+            if rule.is_about(question.unit, question.function, question.sub_function, listed=question.listed)
+            and rule.is_for(question.asker)
+        ]
+        rates: list[Rule] = []
+        first_rule: Rule | None = None
+        is_first = True
+        for piece in question.pieces:
+            for rule, first, end in self._parts(relevant, piece):
+                action = self.default if rule is None else rule.action
+                if not action.permits(piece.writes):
+                    reason = "writing is not permitted" if action is Action.READ_ONLY else "it is not permitted"
+                    return Decision(False, _code(rule), rule, reason)
+                if is_first:
+                    first_rule, is_first = rule, False
+                if rule is None:
+                    continue
+                if rule.rate is not None and rule not in rates:
+                    rates.append(rule)
+                if rule.limits is not None and piece.writes and piece.space is Table.HOLDING_REGISTERS:
+                    reason = _beyond(rule.limits, question, first - piece.first, end - piece.first)
+                    if reason:
+                        return Decision(False, _code(rule), rule, reason, needs_current=question.masks is not None)
+        return Decision(True, rule=first_rule, rates=tuple(rates))
+
+    def windows(
+        self, unit: int, function: int, space: Space, *, writes: bool, listed: int | None = None
+    ) -> tuple[tuple[Window, ...], bool]:
+        """Where one kind of access of a function is plainly permitted, and whether that is everywhere.
+
+        Of a policy `for_asker`: who asks is not looked at.
+
+        Args:
+            unit: the unit asked, 0…255.
+            function: the function code, of a function without sub-functions.
+            space: what is touched.
+            writes: whether it is written.
+            listed: the unit as which the device is listed, where that is another one.
+        """
+        relevant = [rule for rule in self.rules if rule.is_about(unit, function, None, listed=listed)]
+        plain = []
+        for rule, first, end in self._parts(relevant, Piece(space, 0, END, writes)):
+            action = self.default if rule is None else rule.action
+            is_bound = rule is not None and (rule.rate is not None or (writes and rule.limits is not None))
+            if action.permits(writes) and not is_bound:
+                plain.append((first, end))
+        found = merged(plain)
+        return tuple(Window(first, end) for first, end in found), found == _EVERYWHERE
+
+    def _parts(self, rules: Iterable[Rule], piece: Piece) -> Iterator[tuple[Rule | None, int, int]]:
+        """A piece cut into what each rule decides about; None for the default."""
+        left: list[Range] = [(piece.first, piece.end)]
+        for rule in rules:
+            if not rule.access.fits(piece.writes):
+                continue
+            ranges = rule.ranges(piece.space)
+            if not ranges:
+                continue
+            remaining: list[Range] = []
+            for first, end in left:
+                for low, high in ranges:
+                    if high <= first:
+                        continue
+                    if low >= end:
+                        break
+                    if first < low:
+                        remaining.append((first, low))
+                    yield rule, max(first, low), min(end, high)
+                    first = high
+                    if first >= end:
+                        break
+                if first < end:
+                    remaining.append((first, end))
+            left = remaining
+            if not left:
+                return
+        for first, end in left:
+            yield None, first, end
+
+
+def zones_of(policy: Policy, unit: int, function: int, table: Table, *, listed: int | None = None) -> tuple[Zone, ...]:
+    """Where one kind of write is permitted without a rate, zone by zone, ascending.
+
+    What lies within one zone, and within its limits, is permitted by the rule of the zone; all else has to be decided
+    as a whole.
+
+    Args:
+        policy: a policy `Policy.for_asker`: who asks is not looked at.
+        unit: the unit asked, 0…255.
+        function: the function code, of a function that writes one range and has no sub-functions.
+        table: where it writes.
+        listed: the unit as which the device is listed, where that is another one.
+    """
+    relevant = [rule for rule in policy.rules if rule.is_about(unit, function, None, listed=listed)]
+    found = []
+    for rule, first, end in policy._parts(relevant, Piece(table, 0, END, True)):
+        if not (policy.default if rule is None else rule.action).permits(True):
+            continue
+        if rule is None:
+            found.append(Zone(first, end, DEFAULT_RULE, None))
+        elif rule.rate is None:
+            limits = rule.limits if table is Table.HOLDING_REGISTERS else None
+            found.append(Zone(first, end, rule.name, limits))
+    return tuple(sorted(found, key=lambda zone: zone.first))
+
+
+@dataclass(frozen=True, slots=True)
+class AccessRules:
+    """All that a file says about access.
+
+    Attributes:
+        policy: who may ask what.
+        addresses: who may connect.
+    """
+
+    policy: Policy
+    addresses: AddressList
+
+
+def _code(rule: Rule | None) -> int:
+    return int(ExceptionCode.ILLEGAL_FUNCTION) if rule is None else int(rule.code)
+
+
+def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
+    """What is wrong with the registers ``start``…``end`` of those that would be written; empty if nothing is."""
+    bounds = f"{limits.low}…{limits.high}"
+    if question.masks is not None:
+        return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"
+    if question.written is None or len(question.written) < end:
+        return "what it would write is not known, and there are limits"
+    for register in question.written[start:end]:
+        if not limits.permit(register):
+            return f"a value outside {bounds}"
+    return ""
+
+
+def _items(
+    table: str | Table | Iterable[str | Table] | None, addresses: str | int | Iterable[str | int] | None
+) -> dict[Table, tuple[Range, ...]]:
+    tables: list[Table] = []
+    if table is not None:
+        with _about("table"):
+            tables = [parse_table(each) for each in ([table] if isinstance(table, str | Table) else table)]
+            if not tables:
+                raise ConfigError(_EMPTY)
+    if addresses is None:
+        return dict.fromkeys(tables, _EVERYWHERE)
+    with _about("addresses"):
+        if len(tables) > 1:
+            raise ConfigError("addresses go with one table")
+        items = parse_items(addresses, tables[0] if tables else None)
+        if not items:
+            raise ConfigError(_EMPTY)
+        return items
+
+
+def _texts(values: Iterable[str], key: str) -> tuple[str, ...]:
+    if isinstance(values, str):
+        raise ConfigError(f"a list of texts is needed, not {shown(values)}", key=key)
+    found = tuple(values)
+    for each in found:
+        if not isinstance(each, str) or not each:
+            raise ConfigError(f"a list of texts is needed, and {shown(each)} is none", key=key)
+    return found
+
+
+def listener_name(text: str) -> str:
+    """A URL in the form in which a listener gives it, or a scheme alone."""
+    scheme, separator, rest = text.partition("://")
+    if separator and not rest and scheme.lower() in SCHEMES:
+        return f"{scheme.lower()}://"
+    with _about("listeners"):
+        return parse_endpoint(text).url
+
+
+def _is_listener(wanted: str, listener: str) -> bool:
+    return listener == wanted or (wanted.endswith("://") and listener.startswith(wanted))
+
+
+@contextmanager
+def _about(key: str) -> Iterator[None]:
+    """Whatever is wrong inside is wrong with the argument ``key``."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(error.message, key=key) from error
+
+
+def _one_of(kind: type[Chosen], value: "str | Chosen", key: str) -> Chosen:
+    try:
+        return kind(value)
+    except ValueError:
+        known = ", ".join(str(each.value) for each in kind)
+        raise ConfigError(f"one of {known} is needed, not {shown(value)}", key=key) from None

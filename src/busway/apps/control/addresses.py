@@ -1,0 +1,126 @@
+"""Where a running program is controlled: addresses, and the directory where they are found.
+
+Knows paths and the environment; opens nothing but that directory.
+
+1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that is there, else ``busway-<user id>`` among the temporary
+   files. It is the
+   user's own, and nobody else's to read: one that is not is refused, since somebody else may have put it there.
+2. In it stands ``<name>.sock`` for a Unix domain socket, or ``<name>.json`` with URL and token for loopback HTTP. The
+   name is the process id, with a number behind it if a process has several.
+"""
+
+import os
+import socket
+import stat
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+
+from ...errors import ConfigError
+from ...observe.http import parse_host_port
+
+HAS_UNIX_SOCKETS = hasattr(socket, "AF_UNIX")
+KEY = "control"
+SOCKET_SUFFIX = ".sock"
+TOKEN_SUFFIX = ".json"
+
+
+@dataclass(frozen=True, slots=True)
+class UnixAddress:
+    """A Unix domain socket."""
+
+    path: Path
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopbackAddress:
+    """HTTP on this host. ``host`` is an address of loopback; port 0 takes a free one."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"http://[{self.host}]:{self.port}" if ":" in self.host else f"http://{self.host}:{self.port}"
+
+
+ControlAddress = UnixAddress | LoopbackAddress
+
+
+def parse_control_address(text: str) -> ControlAddress:
+    """The address in a text: the path of a socket, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
+
+    Raises:
+        ConfigError: it is none, or leads to other hosts.
+    """
+    host_port = text.removeprefix("http://").removesuffix("/")
+    _, colon, port_text = text.rpartition(":")
+    if not text.startswith("http://") and (os.sep in text or not colon or not port_text.isdigit()):
+        if not text:
+            raise ConfigError("a path or an address such as 127.0.0.1:0 is needed", key=KEY)
+        return UnixAddress(Path(text))
+    host, port = parse_host_port(host_port, KEY)
+    host = "127.0.0.1" if host == "localhost" else host
+    if not is_loopback(host):
+        raise ConfigError(f"only an address of this host's loopback can be, not {host!r}", key=KEY)
+    return LoopbackAddress(host, port)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a numeric address is one of loopback."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def control_directory(environment: Mapping[str, str] | None = None) -> Path:
+    """Where a program of this user makes its control socket; made if it is not there.
+
+    Args:
+        environment: instead of that of the process.
+
+    Raises:
+        ConfigError: it can not be made, is somebody else's, or is open to others.
+    """
+    path = _candidates(environment)[0]
+    try:
+        path.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"the directory {path} can not be made: {error.strerror or error}", key=KEY) from error
+    problem = _problem(path)
+    if problem:
+        raise ConfigError(problem, key=KEY)
+    return path
+
+
+def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
+    """Where programs of this user may be found: a service has another environment than a shell.
+
+    What is not there, or not the user's alone, is left out.
+    """
+    return [path for path in _candidates(environment) if path.exists() and not _problem(path)]
+
+
+def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
+    """The directories, the one to use first."""
+    runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
+    own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
+    temporary = Path(tempfile.gettempdir()) / own
+    if os.path.isabs(runtime) and os.path.isdir(runtime):
+        return [Path(runtime) / "busway", temporary]
+    return [temporary]
+
+
+def _problem(path: Path) -> str:
+    """What is wrong with a directory; empty if it is the user's alone."""
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return f"{path} is no directory"
+    if hasattr(os, "getuid") and (found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077):
+        return f"the directory {path} must be yours alone, of mode 0700"
+    return ""

@@ -1,0 +1,161 @@
+"""Asks a running program over its control socket, and finds the programs that run.
+
+Knows the client's side of HTTP over a Unix domain socket and over loopback; knows no status.
+
+1. Blocking, with one time limit for each step. An answer is at most `ANSWER_LIMIT` bytes.
+"""
+
+import http.client
+import json
+import socket
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any, Final
+
+from ...errors import BadReply, ConfigError, LinkDown, ModbusError, NoReply
+from .addresses import (
+    HAS_UNIX_SOCKETS,
+    KEY,
+    SOCKET_SUFFIX,
+    TOKEN_SUFFIX,
+    ControlAddress,
+    LoopbackAddress,
+    UnixAddress,
+    parse_control_address,
+)
+from .binding import is_alive
+
+ANSWER_LIMIT: Final = 64 * 1024 * 1024
+_CONNECT_SECONDS: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A program that can be asked."""
+
+    address: ControlAddress
+    token: str = ""
+
+    def __str__(self) -> str:
+        return str(self.address)
+
+
+def find_running(*directories: Path) -> list[Running]:
+    """The programs of these directories that run, by name."""
+    found: list[Running] = []
+    for directory in directories:
+        if HAS_UNIX_SOCKETS:
+            paths = sorted(directory.glob(f"*{SOCKET_SUFFIX}"))
+            found += [Running(UnixAddress(path)) for path in paths if is_alive(path)]
+        found += [one for one in _with_tokens(directory) if _answers(one)]
+    return found
+
+
+def find_one(text: str, *directories: Path) -> Running:
+    """The program of a path, a URL, or a name in the directories (a process id). Raises `ConfigError`."""
+    address = parse_control_address(text)
+    if isinstance(address, LoopbackAddress):
+        known = [running for directory in directories for running in _with_tokens(directory)]
+        for running in known:
+            if running.address == address:
+                return running
+        raise ConfigError(f"no token for {address} is found; only the user who runs it has it", key=KEY)
+    if address.path.name == text and not address.path.exists():
+        for directory in directories:
+            named = directory / f"{text}{SOCKET_SUFFIX}"
+            if named.exists():
+                return Running(UnixAddress(named))
+    return Running(address)
+
+
+def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
+    """What a program answers: the content of its JSON, or a text where it is none.
+
+    Args:
+        running: whom.
+        resource: ``/status``, ``/connections``, ``/metrics``, ``/reset-counters``, ``/reload``.
+        method: ``GET`` or ``POST``.
+        timeout: seconds for each step.
+
+    Raises:
+        LinkDown: nobody answers there.
+        NoReply: the answer did not come in time, or the program's event loop is stuck.
+        ConfigError: the token is wrong, there is no such resource, or it could not be done: the sentence says why.
+        BadReply: what came is no such answer.
+    """
+    connection = _Connection(running.address, timeout)
+    try:
+        headers = {"Authorization": f"Bearer {running.token}"} if running.token else {}
+        connection.request(method, resource, headers=headers)
+        response = connection.getresponse()
+        body = response.read(ANSWER_LIMIT)
+        kind = response.getheader("Content-Type", "")
+    except TimeoutError as error:
+        raise NoReply(f"no answer within {timeout:g} s", endpoint=str(running)) from error
+    except http.client.HTTPException as error:
+        raise BadReply(f"no answer in HTTP ({type(error).__name__})", endpoint=str(running)) from error
+    except OSError as error:
+        raise LinkDown(f"nobody answers: {error.strerror or error}", endpoint=str(running)) from error
+    finally:
+        connection.close()
+    if not kind.startswith("application/json"):
+        if response.status == HTTPStatus.OK:
+            return body.decode("utf-8", errors="replace")
+        raise BadReply(f"status {response.status}", endpoint=str(running))
+    try:
+        content = json.loads(body)
+    except ValueError as error:
+        raise BadReply("the answer is no JSON", endpoint=str(running)) from error
+    if response.status != HTTPStatus.OK:
+        raise _error(response.status, content, running)
+    return content
+
+
+def _error(status: int, content: Any, running: Running) -> ModbusError:
+    sentence = content.get("error", "") if isinstance(content, dict) else ""
+    if status in (HTTPStatus.GATEWAY_TIMEOUT, HTTPStatus.SERVICE_UNAVAILABLE):
+        return NoReply(str(sentence), endpoint=str(running))
+    return ConfigError(str(sentence), key=str(running))
+
+
+class _Connection(http.client.HTTPConnection):
+    """To a Unix domain socket or to loopback."""
+
+    def __init__(self, address: ControlAddress, timeout: float) -> None:
+        if isinstance(address, LoopbackAddress):
+            super().__init__(address.host, address.port, timeout=timeout)
+        else:
+            super().__init__("localhost", timeout=timeout)
+        self._address = address
+
+    def connect(self) -> None:
+        if isinstance(self._address, LoopbackAddress):
+            super().connect()
+            return
+        if not HAS_UNIX_SOCKETS:
+            raise OSError("this system has no Unix domain sockets")
+        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.sock.settimeout(self.timeout)
+        self.sock.connect(str(self._address.path))
+
+
+def _with_tokens(directory: Path) -> list[Running]:
+    """The programs on loopback that a directory has a token of."""
+    found = []
+    for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            found.append(Running(parse_control_address(content["url"]), content["token"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # being written, or not ours
+    return found
+
+
+def _answers(running: Running) -> bool:
+    assert isinstance(running.address, LoopbackAddress)
+    try:
+        socket.create_connection((running.address.host, running.address.port), _CONNECT_SECONDS).close()
+    except OSError:
+        return False
+    return True

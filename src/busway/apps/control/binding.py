@@ -1,0 +1,160 @@
+"""Makes the socket of a control service, and takes it away again.
+
+Knows sockets, files and their modes; knows no request.
+
+1. Nobody else can connect at any moment: a Unix socket gets its mode before it listens, a token its mode before it is
+   written.
+2. What a dead program left behind is replaced. Where a living one answers, or something else stands, nothing is
+   touched.
+3. What is taken away at the end is what was made, not what somebody else has put there meanwhile.
+"""
+
+import contextlib
+import json
+import os
+import secrets
+import socket
+import stat
+import struct
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+from ...errors import ConfigError, LinkDown
+from ...observe.http import bind_tcp, bound_name
+from .addresses import HAS_UNIX_SOCKETS, KEY, SOCKET_SUFFIX, TOKEN_SUFFIX, ControlAddress, LoopbackAddress, UnixAddress
+
+_LONGEST_PATH = 103
+"""Bytes of a Unix socket's path that every system takes; Linux has 107."""
+_CONNECT_SECONDS = 1.0
+
+
+@dataclass
+class Bound:
+    """A bound socket and what belongs to it.
+
+    Attributes:
+        address: where it can be reached.
+        token: what must come with each request; empty where the file system guards the socket.
+    """
+
+    socket: socket.socket
+    address: ControlAddress
+    token: str = ""
+    _made: Path | None = None
+    _identity: tuple[int, int] = field(default=(0, 0))
+
+    def remember(self, made: Path) -> None:
+        """This file was made for it."""
+        found = made.lstat()
+        self._made, self._identity = made, (found.st_dev, found.st_ino)
+
+    def remove(self) -> None:
+        """Take its file away, if it is still the one that was made."""
+        made, self._made = self._made, None
+        if made is None:
+            return
+        with contextlib.suppress(OSError):
+            found = made.lstat()
+            if (found.st_dev, found.st_ino) == self._identity:
+                made.unlink()
+
+
+def bind_default(directory: Path) -> Bound:
+    """A socket in a directory, under a name that is free. Raises as `bind_unix` and `bind_loopback`."""
+    sweep(directory)
+    for number in count(1):
+        name = str(os.getpid()) if number == 1 else f"{os.getpid()}-{number}"
+        if not HAS_UNIX_SOCKETS:
+            return bind_loopback(LoopbackAddress("127.0.0.1", 0), directory)
+        path = directory / f"{name}{SOCKET_SUFFIX}"
+        if not path.exists():
+            return bind_unix(UnixAddress(path))
+    raise AssertionError("count() has no end")
+
+
+def bind_unix(address: UnixAddress) -> Bound:
+    """A Unix domain socket of mode 0600.
+
+    Raises:
+        ConfigError: something else stands there, or the path is too long.
+        LinkDown: it can not be bound, or a living program answers there.
+    """
+    path = address.path.absolute()
+    if not HAS_UNIX_SOCKETS:
+        raise ConfigError("this system has no Unix domain sockets; 127.0.0.1:0 is possible", key=KEY)
+    if len(os.fsencode(path)) > _LONGEST_PATH:
+        raise ConfigError(f"the path {path} is longer than {_LONGEST_PATH} bytes", key=KEY)
+    _make_room(path)
+    bound = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        bound.bind(str(path))
+        made = Bound(bound, UnixAddress(path))
+        made.remember(path)
+        path.chmod(0o600)
+    except OSError as error:
+        bound.close()
+        raise LinkDown(f"can not listen on {path}: {error.strerror or error}") from error
+    return made
+
+
+def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
+    """A socket on loopback, and its token in a file of the directory. Raises `LinkDown`."""
+    bound = bind_tcp(address.host, address.port)
+    real = LoopbackAddress(address.host, int(bound_name(bound).rpartition(":")[2]))
+    made = Bound(bound, real, secrets.token_urlsafe(32))
+    path = directory / f"{os.getpid()}-{real.port}{TOKEN_SUFFIX}"
+    try:
+        path.unlink(missing_ok=True)  # of a process that had our number before
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(descriptor, "w", encoding="utf-8") as file:
+            json.dump({"url": str(real), "token": made.token}, file)
+        made.remember(path)
+    except OSError as error:
+        bound.close()
+        raise LinkDown(f"the token can not be written to {path}: {error.strerror or error}") from error
+    return made
+
+
+def is_alive(path: Path) -> bool:
+    """Whether somebody answers at a Unix socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(_CONNECT_SECONDS)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError:  # too busy to answer, or not for us: not dead
+            return True
+        return True
+
+
+def sweep(directory: Path) -> None:
+    """Take away the sockets of programs that ended without doing so."""
+    for path in directory.glob(f"*{SOCKET_SUFFIX}"):
+        with contextlib.suppress(OSError):
+            if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):
+                path.unlink()
+
+
+def same_user(accepted: socket.socket) -> bool:
+    """Whether a Unix socket's peer is the same user or root, where the system tells; otherwise its mode has to do."""
+    option = getattr(socket, "SO_PEERCRED", None)
+    if option is None:
+        return True
+    size = struct.calcsize("3i")
+    _, user, _ = struct.unpack("3i", accepted.getsockopt(socket.SOL_SOCKET, option, size))
+    return user in (os.getuid(), 0)
+
+
+def _make_room(path: Path) -> None:
+    try:
+        mode = path.lstat().st_mode
+    except OSError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise ConfigError(f"{path} is there and is no socket", key=KEY)
+    if is_alive(path):
+        raise LinkDown(f"can not listen on {path}: a running program answers there")
+    with contextlib.suppress(FileNotFoundError):
+        path.unlink()

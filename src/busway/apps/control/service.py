@@ -1,0 +1,280 @@
+"""The control service of a running server or gateway.
+
+Knows resources and how they are asked for; knows no server: a `Subject` is whatever has a status.
+
+1. ``GET /status`` is all there is to know, ``GET /connections`` a part of it, ``GET /metrics`` what a scraper reads.
+   ``POST /reset-counters`` and ``POST /reload`` do what the subject offers, and nothing where it does not.
+2. The subject is asked in its own event loop, and for no longer than `GATHER_SECONDS`: where the loop is stuck, the
+   answer says so, instead of none.
+3. Over loopback each request carries the token, and a ``Host`` of loopback: a web page that a browser was led to has
+   neither. What comes with an ``Origin`` is refused.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import inspect
+import json
+import logging
+import os
+from collections.abc import AsyncIterator, Awaitable, Callable
+from http import HTTPStatus
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Protocol, Self, runtime_checkable
+
+from ...errors import ConfigError, LinkDown, ModbusError
+from ...observe.http import HttpError, HttpLimits, HttpRequest, HttpResponse, HttpService
+from ...version import __version__
+from .addresses import ControlAddress, UnixAddress, control_directory, is_loopback, parse_control_address
+from .binding import Bound, bind_default, bind_loopback, bind_unix, same_user
+from .plain import plain
+
+_log = logging.getLogger("busway.apps.control")
+
+GATHER_SECONDS: Final = 2.0
+RELOAD_SECONDS: Final = 30.0
+"""Reloading reads files and certificates."""
+_JSON: Final = "application/json"
+OFF: Final = "off"
+
+
+class Subject(Protocol):
+    """What is controlled."""
+
+    def status(self) -> Any:
+        """How it stands now: a dataclass, of any fields. Called in the subject's event loop."""
+
+
+@runtime_checkable
+class Resettable(Protocol):
+    """A subject whose counters can be set to zero."""
+
+    def reset_counters(self) -> None:
+        """Set them to zero; nothing else changes."""
+
+
+@runtime_checkable
+class Reloadable(Protocol):
+    """A subject that can read its files again."""
+
+    async def reload(self) -> Any:
+        """Read them; what it gives is shown to whoever asked. Raises `ModbusError`; then the old ones hold."""
+
+
+Reload = Callable[[], Any]
+"""Reads files again; may be a coroutine function. What it gives is shown to whoever asked."""
+AnswerMetrics = Callable[[HttpRequest], Awaitable[HttpResponse]]
+
+
+class Control:
+    """Answers for a subject while the ``async with`` block lasts::
+
+        async with busway.serve(units={1: device}) as server, Control(server):
+            ...
+
+    Args:
+        subject: a server, a gateway, or whatever has a ``status()``.
+        at: path of a Unix domain socket, or an address of loopback, ``127.0.0.1:0``. None: a socket of a name of its
+            own where `busway status` finds it.
+        name: what the program is, for whoever has several.
+        directory: where sockets and tokens are found, instead of `control_directory`.
+        reload: reads files again, if the subject itself does not.
+        metrics: gives the metrics, for example `MetricsEndpoint.answer`.
+
+    Attributes:
+        address: where it answers; None while it does not.
+
+    Raises:
+        ConfigError: ``at`` can not be.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        at: str | None = None,
+        *,
+        name: str = "server",
+        directory: Path | None = None,
+        reload: Reload | None = None,
+        metrics: AnswerMetrics | None = None,
+    ) -> None:
+        self.address: ControlAddress | None = None
+        self._subject = subject
+        self._wanted = None if at is None else parse_control_address(at)
+        self._name = name
+        self._directory = directory
+        self._reload = reload or (subject.reload if isinstance(subject, Reloadable) else None)
+        self._metrics = metrics
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._bound: Bound | None = None
+        self._token = ""
+        self._service: HttpService | None = None
+        self._resources: dict[tuple[str, str], Callable[[HttpRequest], Awaitable[HttpResponse]]] = {
+            ("GET", "/"): self._index,
+            ("GET", "/status"): self._status,
+            ("GET", "/connections"): self._connections,
+            ("POST", "/reset-counters"): self._reset_counters,
+        }
+        if self._metrics is not None:
+            self._resources["GET", "/metrics"] = self._metrics
+        if self._reload is not None:
+            self._resources["POST", "/reload"] = self._reload_files
+
+    async def start(self) -> None:
+        """Answer from now on; in the subject's event loop.
+
+        Raises:
+            ConfigError: something else stands at the path, or the directory is not the user's own.
+            LinkDown: it can not be listened on, or another program answers there.
+        """
+        if self._service is not None:
+            return
+        self._loop = asyncio.get_running_loop()
+        bound = await asyncio.to_thread(self._bind)
+        self._bound, self._token, self.address = bound, bound.token, bound.address
+        self._service = HttpService(
+            bound.socket,
+            self._answer,
+            admit=(lambda accepted: True) if bound.token else same_user,
+            limits=HttpLimits(seconds=RELOAD_SECONDS + 5),
+            name="busway control",
+        )
+        self._service.start()
+
+    async def stop(self) -> None:
+        """Answer no more, and take the socket away. Returns when the thread has gone."""
+        service, self._service = self._service, None
+        bound, self._bound = self._bound, None
+        self.address = None
+        if bound is not None:
+            bound.remove()
+        if service is not None:
+            # In a thread: a question may just be waiting for this event loop.
+            await asyncio.to_thread(service.stop)
+
+    def _bind(self) -> Bound:
+        if isinstance(self._wanted, UnixAddress):
+            return bind_unix(self._wanted)
+        directory = self._directory or control_directory()
+        return bind_default(directory) if self._wanted is None else bind_loopback(self._wanted, directory)
+
+    # In the thread of the service.
+
+    async def _answer(self, request: HttpRequest) -> HttpResponse:
+        try:
+            self._authorise(request)
+            resource = self._resources.get((request.method, request.path))
+            if resource is None:
+                known = any(path == request.path for _, path in self._resources)
+                status = HTTPStatus.METHOD_NOT_ALLOWED if known else HTTPStatus.NOT_FOUND
+                raise HttpError(status, f"there is no {request.method} {request.path[:100]} here")
+            return await resource(request)
+        except HttpError as error:
+            return _json({"error": str(error)}, error.status)
+        except ModbusError as error:
+            return _json({"error": str(error)}, HTTPStatus.CONFLICT)
+
+    def _authorise(self, request: HttpRequest) -> None:
+        if "origin" in request.headers:
+            raise HttpError(HTTPStatus.FORBIDDEN, "web pages are not answered")
+        if not self._token:
+            return  # the file system has authorised whoever could connect
+        host = request.headers.get("host", "").rpartition(":")[0] or request.headers.get("host", "")
+        if host != "localhost" and not is_loopback(host.strip("[]")):
+            raise HttpError(HTTPStatus.FORBIDDEN, "the Host is not this one")
+        given = request.headers.get("authorization", "").encode()
+        if not hmac.compare_digest(given, f"Bearer {self._token}".encode()):
+            raise HttpError(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong")
+
+    async def _index(self, request: HttpRequest) -> HttpResponse:
+        return _json({"resources": [f"{method} {path}" for method, path in self._resources]})
+
+    async def _status(self, request: HttpRequest) -> HttpResponse:
+        status = plain(await self._in_loop(self._subject.status))
+        return _json({"name": self._name, "pid": os.getpid(), "version": __version__, "status": status})
+
+    async def _connections(self, request: HttpRequest) -> HttpResponse:
+        status = await self._in_loop(self._subject.status)
+        return _json({"connections": plain(getattr(status, "connections", ()))})
+
+    async def _reset_counters(self, request: HttpRequest) -> HttpResponse:
+        if not isinstance(self._subject, Resettable):
+            raise HttpError(HTTPStatus.NOT_FOUND, "its counters can not be reset")
+        await self._in_loop(self._subject.reset_counters)
+        return _json({"reset": True})
+
+    async def _reload_files(self, request: HttpRequest) -> HttpResponse:
+        assert self._reload is not None
+        return _json({"reloaded": plain(await self._in_loop(self._reload, RELOAD_SECONDS))})
+
+    async def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
+        """What ``work`` gives in the subject's event loop. `HttpError` 503 or 504 where that does not answer."""
+        assert self._loop is not None
+
+        async def done() -> Any:
+            given = work()
+            return await given if inspect.isawaitable(given) else given
+
+        asked = done()
+        try:
+            future = asyncio.run_coroutine_threadsafe(asked, self._loop)
+        except RuntimeError as error:  # the loop is closed
+            asked.close()
+            raise HttpError(HTTPStatus.SERVICE_UNAVAILABLE, "the program is about to end") from error
+        try:
+            async with asyncio.timeout(seconds):
+                return await asyncio.wrap_future(future)
+        except TimeoutError as error:
+            raise HttpError(
+                HTTPStatus.GATEWAY_TIMEOUT, f"the program's event loop did not answer within {seconds:g} s"
+            ) from error
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.stop()
+
+
+@contextlib.asynccontextmanager
+async def open_control(
+    subject: Subject,
+    at: str | None = None,
+    *,
+    name: str = "server",
+    reload: Reload | None = None,
+    metrics: AnswerMetrics | None = None,
+) -> AsyncIterator[Control | None]:
+    """A `Control` for commands: ``off`` gives None, and a default socket that can not be had is said and lived without.
+
+    Args:
+        subject, name, reload, metrics: as of `Control`.
+        at: as of `Control`, or ``off``.
+
+    Raises:
+        ConfigError, LinkDown: an address that was asked for can not be had.
+    """
+    if at == OFF:
+        yield None
+        return
+    control = Control(subject, at, name=name, reload=reload, metrics=metrics)
+    try:
+        await control.start()
+    except (ConfigError, LinkDown) as error:
+        if at is not None:
+            raise
+        _log.warning("it runs without a control socket: %s", error)
+        yield None
+        return
+    try:
+        yield control
+    finally:
+        await control.stop()
+
+
+def _json(content: Any, status: int = HTTPStatus.OK) -> HttpResponse:
+    return HttpResponse(json.dumps(content, ensure_ascii=False).encode() + b"\n", _JSON, status)

@@ -1,0 +1,37 @@
+"""What a client in front is told when the line behind brought no answer.
+
+Knows errors and exception codes (Messaging on TCP/IP V1.0b §4.4.2.5, Application Protocol V1.1b3 §7).
+
+1. An exception of the device goes through as it is.
+2. Where the request did not get to the device, or the line is down or overloaded: 0A. What waited so long that its
+   client has given up was not sent either.
+3. Where the device was asked and gave no answer that could be used, or is known not to answer: 0B. A write that may
+   have been executed is among them: the client must not take it for refused.
+"""
+
+from ...codes import ExceptionCode
+from ...errors import ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply, Overloaded, UnitSuspended
+
+NO_PATH = int(ExceptionCode.GATEWAY_PATH_UNAVAILABLE)
+NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+
+
+def code_for(error: ModbusError) -> int:
+    """The exception code for what became of a request."""
+    if isinstance(error, ExceptionReply):
+        return error.code
+    if isinstance(error, Overloaded | InvalidRequest):
+        return NO_PATH
+    if isinstance(error, LinkDown):
+        return NO_ANSWER if error.sent else NO_PATH
+    if isinstance(error, NoReply) and error.attempt is None and not _does_not_answer(error):
+        return NO_PATH
+    cause = error.__cause__
+    if isinstance(cause, ExceptionReply):  # a write behind another gateway, which got no answer itself
+        return cause.code
+    return NO_ANSWER
+
+
+def _does_not_answer(error: NoReply) -> bool:
+    """Whether the unit was not asked because it did not answer before."""
+    return isinstance(error, UnitSuspended) or error.kind == "in doubt"

@@ -1,0 +1,335 @@
+"""A gateway put together from one file, or from a few URLs (Messaging on TCP/IP V1.0b §4.4.2; clauses T24, T32).
+
+Knows which section becomes which part of a gateway; `routing_table` knows what cannot work. It reads its file and no
+other.
+
+>>> configuration = load_gateway("gateway.toml")                       # doctest: +SKIP
+>>> async with configuration.serve() as gateway: ...                   # doctest: +SKIP
+"""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ...access.rules import AccessRules, Policy
+from ...client.settings import link_settings
+from ...config.files.gateway import FrontSection, GatewayFile, LineSection, read_gateway_file
+from ...config.files.lines import Path as Place
+from ...config.files.problems import FileError
+from ...config.files.schema import Source
+from ...config.links import for_all_links, named_link
+from ...config.paths import TLS_FILES, rooted, within
+from ...config.preflight import readable
+from ...config.reading import read_text
+from ...config.report import Judge
+from ...errors import ConfigError
+from ...options.endpoints import Endpoint, parse_endpoint
+from ...options.presets import OPTION, Profile, profile_of
+from ...options.text import build_parameters, option_names
+from ...server.listener import Listener
+from ...server.listener_settings import listener_settings
+from ...server.parameters import ListenerParameters
+from ...server.strict import STANDARD_PORT, with_server_profile
+from ...session.parameters import CLIENT_DEADLINE, ServerParameters
+from ...transport.tcp import SocketParameters
+from ...transport.tls.parameters import TlsParameters
+from ..server.configuration import Configuration, put_together
+from .gateway import OF_LINES, Front, Gateway, GatewayPlan, LineSettings
+from .routes import RoutingTable
+from .routing_table import PlacedFront, PlacedRoute, judge_routes, placed_routes, unit_gaps
+
+COMMAND = "busway gateway"
+"""The name of what stands in no file."""
+_SERVER_KINDS: Mapping[str, type[Any]] = {
+    "parameters": ServerParameters,
+    "listener": ListenerParameters,
+    "sockets": SocketParameters,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayConfiguration:
+    """Everything that a gateway file says, checked as a whole.
+
+    Attributes:
+        common: what it has in common with other configurations: security, policy, audit log, metrics, control.
+        file: its sections.
+        plan: fronts, lines and routes.
+        routes: the routes, each with where it stands.
+        at_once: sections that hold at once when the file is read again while it runs.
+    """
+
+    common: Configuration
+    file: GatewayFile
+    plan: GatewayPlan
+    routes: tuple[PlacedRoute, ...]
+    at_once: frozenset[str] = frozenset({"policy", "listen", "listener", "line", "route", "client", "security"})
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self.common.name
+
+    @property
+    def listeners(self) -> tuple[Listener, ...]:
+        """Where it listens, in the order of the plan's fronts."""
+        return tuple(front.listener for front in self.plan.fronts)
+
+    @property
+    def access(self) -> AccessRules | None:
+        """As of `Configuration`."""
+        return self.common.access
+
+    @property
+    def audit(self) -> str | None:
+        """As of `Configuration`."""
+        return self.common.audit
+
+    @property
+    def control(self) -> str | None:
+        """As of `Configuration`."""
+        return self.common.control
+
+    @property
+    def warnings(self) -> tuple[ConfigError, ...]:
+        """As of `Configuration`."""
+        return self.common.warnings
+
+    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Gateway:  # Any: as `Gateway` takes them
+        """The gateway, not started yet.
+
+        Args:
+            listen: the listeners instead of those of the file, each in the place of one.
+            options: ``authorise``, ``policy`` and ``audit`` as of `Gateway`; ``standard_port`` as of `busway.serve`.
+
+        Raises:
+            ConfigError: an option that can not be.
+        """
+        plan = self._plan(listen)
+        beside = options.pop(STANDARD_PORT, None)
+        if beside is not None:
+            plan = replace(plan, server={**plan.server, STANDARD_PORT: beside})
+        return Gateway(plan, **options)
+
+    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Let a running gateway follow this configuration; what changed, in words.
+
+        Args:
+            running: the gateway that an earlier reading of the file gave.
+            listen: the listeners, each in the place of one.
+            policy: what holds at new fronts until the policy is replaced.
+
+        Raises:
+            LinkDown, ConfigError: a new front or line can not be had; everything is as before.
+        """
+        assert isinstance(running, Gateway)
+        old = running.plan
+        plan = replace(
+            self._plan(listen),
+            own_unit=old.own_unit,
+            own_registers=old.own_registers,
+            functions=old.functions,
+            server=old.server,
+        )
+        return await running.change(plan, policy=policy)
+
+    def _plan(self, listen: Iterable[str | Listener]) -> GatewayPlan:
+        wanted = [one if isinstance(one, Listener) else Listener(one) for one in listen] or self.listeners
+        if len(wanted) != len(self.plan.fronts):
+            raise ConfigError(
+                f"there are {len(self.plan.fronts)} listeners to replace, not {len(wanted)}", key="listen"
+            )
+        pairs = zip(self.plan.fronts, wanted, strict=True)
+        return replace(self.plan, fronts=tuple(replace(front, listener=one) for front, one in pairs))
+
+
+def load_gateway(
+    path: str | os.PathLike[str], *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> GatewayConfiguration:
+    """The gateway that a file declares.
+
+    Args:
+        path: the file, in TOML.
+        examine: whether the files that it names are opened too, to say now what would fail later.
+        changes: options of listeners that go before those of the file.
+
+    Raises:
+        ConfigError: the file can not be read, or something in it can not be; then it has all ``problems``, each with
+            file, line and key.
+    """
+    name = os.fspath(path)
+    return parse_gateway(read_text(name), name, examine=examine, changes=changes)
+
+
+def parse_gateway(
+    text: str, name: str, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> GatewayConfiguration:
+    """The gateway that a text declares.
+
+    Args:
+        text: the content of the file.
+        name: its name, for sentences; paths in it are relative to its folder.
+        examine, changes: as of `load_gateway`.
+
+    Raises:
+        FileError: all that is wrong, each with file, line and key.
+    """
+    file, source = read_gateway_file(text, name)
+    return _put_together(file, source, examine=examine, changes=changes)
+
+
+def simple_gateway(
+    fronts: Sequence[str],
+    line: str,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    client_deadline: float | None = CLIENT_DEADLINE,
+) -> GatewayConfiguration:
+    """The common case, without a file: every unit of every front to one line.
+
+    Args:
+        fronts: URLs to listen on.
+        line: URL of the line, or server, behind.
+        changes: as of `load_gateway`.
+        client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
+
+    Raises:
+        ConfigError: a URL or an option in it that can not be.
+    """
+    for url in fronts:
+        listener_settings(Listener(url), limits=ListenerParameters())
+    link_settings(line, {})
+    source = Source(COMMAND, {"listen": list(fronts), "line": [{"name": "line", "url": line}]}, {})
+    try:
+        return _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
+    except FileError as error:
+        # There is no file whose line could be named.
+        raise ConfigError("; ".join(each.message for each in error.problems)) from error
+
+
+def _put_together(
+    file: GatewayFile,
+    source: Source,
+    *,
+    examine: bool = False,
+    changes: Mapping[str, Any] | None = None,
+    client_deadline: float | None = CLIENT_DEADLINE,
+) -> GatewayConfiguration:
+    """``client_deadline`` is that of listeners without a section."""
+    name = source.name
+    judge = Judge(source)
+    common = put_together(file, name, judge, examine=examine, changes=changes)
+    fronts = _named_apart(
+        [_placed_front(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
+    )
+    lines = {}
+    for index, section in enumerate(file.line):
+        line = _line(file, section, name, ("line", index), judge)
+        if line is not None:
+            lines[line.name] = line
+        if examine:
+            _examine_line(section, name, ("line", index), judge)
+    routes = placed_routes(file, lines, judge)
+    judge_routes(file, routes, fronts, lines, None if common.access is None else common.access.policy, judge)
+    listeners, server = _as_served(common)
+    warnings = judge.end()
+    plan = GatewayPlan(
+        fronts=tuple(
+            Front(front.name, listener, front.deadline, _is_silent(file, front.place))
+            for front, listener in zip(fronts, listeners, strict=True)
+        ),
+        lines=tuple(replace(line, unit_gaps=unit_gaps(routes, name)) for name, line in lines.items()),
+        table=RoutingTable(tuple(one.route for one in routes)),
+        own_unit=file.gateway.own_unit,
+        own_registers=file.gateway.own_registers,
+        server=server,
+    )
+    return GatewayConfiguration(replace(common, warnings=warnings), file, plan, tuple(routes))
+
+
+def _section_of(file: GatewayFile, place: Place) -> FrontSection | None:
+    return file.listener[int(place[1])] if place[0] == "listener" else None
+
+
+def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedFront:
+    section = _section_of(file, place)
+    if section is None:
+        return PlacedFront(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
+    is_chosen = "client_deadline" in section.model_fields_set
+    return PlacedFront(section.title, endpoint, place, section.client_deadline, is_chosen)
+
+
+def _named_apart(fronts: Sequence[PlacedFront]) -> list[PlacedFront]:
+    """The fronts, each with a name of its own: a free port may be wanted twice by the same URL."""
+    named: dict[str, PlacedFront] = {}
+    for front in fronts:
+        name, number = front.name, 1
+        while name in named:
+            number += 1
+            name = f"{front.name} ({number})"
+        named[name] = replace(front, name=name)
+    return list(named.values())
+
+
+def _is_silent(file: GatewayFile, place: Place) -> bool:
+    section = _section_of(file, place)
+    return section is not None and section.silent_broadcasts
+
+
+def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> LineSettings | None:
+    general, security = for_all_links(file)
+    link = named_link(section, {**OF_LINES, **general}, security, lambda options: rooted(options, name), at, judge)
+    if link is None:
+        return None
+    return judge.make(
+        lambda: LineSettings(
+            section.name,
+            link.settings,
+            section.connections,
+            section.share_reads,
+            section.broadcast,
+            same_device=tuple(frozenset(group) for group in section.same_device),
+        ),
+        lambda key: at if key is None else (*at, key),
+    )
+
+
+def _examine_line(section: LineSection, name: str, at: Place, judge: Judge) -> None:
+    for key in TLS_FILES:
+        path = getattr(section, key)
+        if path is not None:
+            readable((*at, key), within(name, path), judge)
+
+
+def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
+    """The listeners, and the options that hold for the servers of all of them, as the profile makes them."""
+    options = common.served()
+    tls: TlsParameters | None = options.pop("tls", None)
+    takes = [name for kind in _SERVER_KINDS.values() for name in option_names(kind)]
+    beside = options.get(STANDARD_PORT)
+    if profile_of(options.get(OPTION)) is Profile.STRICT:
+        beside = True
+    else:
+        options.pop(STANDARD_PORT, None)
+    listeners = []
+    completed = options
+    for listener in common.listeners:
+        places, completed = with_server_profile([listener], options, takes=takes)
+        first = places[0]
+        assert isinstance(first, Listener)
+        listeners.append(first)
+    server: dict[str, Any] = {
+        name: build_parameters(kind, {key: value for key, value in completed.items() if key in option_names(kind)})
+        for name, kind in _SERVER_KINDS.items()
+    }
+    return listeners, {**server, "tls": tls, STANDARD_PORT: beside}
+
+
+__all__ = [
+    "COMMAND",
+    "GatewayConfiguration",
+    "load_gateway",
+    "parse_gateway",
+    "simple_gateway",
+]

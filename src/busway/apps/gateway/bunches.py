@@ -1,0 +1,370 @@
+"""Reads of a client that came together, on their way to a server on TCP and back as one demand.
+
+Knows lines, demands and who asked; knows no route.
+
+1. What was asked together, of one unit, is one demand, a bunch: it waits for its turn and leaves as one, and as many of
+   its reads as the turn allows.
+2. Each read is answered as soon as its own reply is there. None waits for the others of its bunch.
+3. A read that is identical to one in flight may share its answer, under the rules of `memory`. Reads in
+   bunches share among themselves; those that take the long road, because they are split or remembered, share too, and
+   the two do not meet.
+4. A client that goes away takes those of its reads with it that nobody else waits for.
+"""
+
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any
+
+from ...client.link import Link
+from ...errors import ModbusError, NoReply, Overloaded
+from ...pdu.message import Message
+from ...pdu.read_items import ReadBits, ReadRegisters
+from ...session.client import TcpClientSession
+from ...session.demand import Demand, Outcome
+from ...session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan
+from .answers import NO_PATH
+from .memory import Key
+from .waiters import WaiterDeadlines
+
+if TYPE_CHECKING:
+    from .handler import FrontHandler
+    from .lines import Line
+
+FOR_EVER = 86_400.0
+"""Seconds that a client waits who has no deadline, where the one before it has one."""
+
+
+class ReadWay:
+    """A unit behind a line, as a front reaches it.
+
+    Args:
+        front: whose clients ask.
+        line: where.
+        unit: the unit that is asked behind.
+        timeout: seconds to wait for it; None: as the line does.
+    """
+
+    __slots__ = ("front", "line", "timeout", "unit")
+
+    def __init__(self, front: "FrontHandler", line: "Line", unit: int, timeout: float | None) -> None:
+        self.front = front
+        self.line = line
+        self.unit = unit
+        self.timeout = timeout or line.settings.parameters.timeout
+
+    def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        """Ask reads of one client; each gets its answer, or an exception code."""
+        self.line.bunches.ask(self, asker, reads)
+
+
+def bunch_plan(way: ReadWay, unit: int, asked: ReadRegisters | ReadBits) -> ForwardPlan:
+    """What becomes of a read that is asked in bunches.
+
+    Args:
+        way: where it goes.
+        unit: as which it was asked in front.
+        asked: as it is asked behind.
+    """
+    request = _as_bytes(type(asked)).decode(asked.encode())
+    request.prepare()
+    return ForwardPlan(way, unit, request)
+
+
+class Bunch(Demand):
+    """Reads of one client, and whoever shares some of them. It has the face of a future for `Link.begin`.
+
+    Attributes:
+        asker: whose they are; None when the client has gone.
+        reads: what was asked, in the order of ``requests``.
+        told: positions that were answered one by one; empty where all are answered together.
+        joined: others who wait for a read, by its position.
+    """
+
+    def __init__(
+        self,
+        bunches: "Bunches",
+        link: Link,
+        way: ReadWay,
+        asker: ForwardedReads,
+        reads: list[ForwardedRead],
+        deadline: float | None,
+    ) -> None:
+        line = bunches.line
+        requests = [plan.request for _, plan in reads]
+        super().__init__(
+            way.unit, requests, False, way.timeout, line.settings.parameters.retries, False, asker.peer, deadline
+        )
+        self.owner = self
+        self.places = len(reads)
+        self.bunches = bunches
+        self.link = link
+        self.asker: ForwardedReads | None = asker
+        self.reads = reads
+        self.told: set[int] = set()
+        self.joined: dict[int, list[tuple[ForwardedReads, ForwardedRead]]] = {}
+        self.deadlines: WaiterDeadlines[tuple[ForwardedReads, ForwardedRead | None]] | None = None  # where several wait
+        self.keys: list[Key] = []  # what its reads are found by, where they may be shared
+        self.shared: dict[Key, Any] = {}  # Any: see `Memory`; where they are found
+
+    def done(self) -> bool:
+        """Never: `set_result` is called once."""
+        return False
+
+    def set_result(self, result: None) -> None:
+        """All outcomes are there."""
+        self.bunches.tell(self)
+
+    def asker_gone(self, asker: ForwardedReads) -> None:
+        """A client has gone."""
+        self.bunches.gone(self, asker)
+
+    @property
+    def left(self) -> int:
+        """How many reads have not been answered."""
+        return len(self.reads) - len(self.told)
+
+    def waiters(self, position: int) -> list[tuple[ForwardedReads, ForwardedRead]]:
+        """Whoever waits for a read."""
+        own = [] if self.asker is None else [(self.asker, self.reads[position])]
+        return own + self.joined.get(position, [])
+
+
+class Bunches:
+    """The bunches of one line."""
+
+    __slots__ = ("_answered", "line")
+
+    def __init__(self, line: "Line") -> None:
+        self.line = line
+        self._answered: dict[ForwardedReads, None] = {}  # who has answers that have not left yet
+
+    def ask(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        """Ask reads of one client."""
+        self._ask_or_share(way, asker, reads)
+        if self._answered:
+            self._send()
+
+    def _ask_or_share(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        line = self.line
+        link = line.link_for(asker.peer)
+        if link is None:
+            self._refuse(asker, reads, NO_PATH)
+            line.counters.no_path += len(reads)
+            return
+        again: list[ForwardedRead] = []
+        if line.share_reads:
+            reads, again = self._share(way, asker, reads)
+        if reads:
+            self._ask(way, link, asker, reads)
+        if again:
+            self._ask_or_share(way, asker, again)  # now the first of those that are alike is in flight
+
+    def _ask(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+        error = self._begin(way, link, asker, reads)
+        if isinstance(error, Overloaded) and len(reads) > 1:  # some of them may have room
+            for read in reads:
+                self._ask(way, link, asker, [read])
+        elif error is not None:
+            for read in reads:
+                self._refuse(asker, [read], self.line.refused(error))
+
+    def _begin(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> ModbusError | None:
+        """Hand reads to the link; the error if they were not taken."""
+        line = self.line
+        now = link.now()
+        patience = way.front.deadline
+        bunch = Bunch(self, link, way, asker, reads, None if patience is None else now + patience)
+        # All before it begins: it may end at once, while a connection is made anew.
+        line.add_open(len(reads))
+        asker.works[bunch] = None
+        shared = line.memory.shared(way.unit) if line.share_reads else None
+        if shared is not None:
+            bunch.shared = shared
+            bunch.keys = [plan.request.wire for _, plan in reads]
+            shared.update(dict.fromkeys(bunch.keys, bunch))
+        try:
+            link.begin(bunch, now)
+        except ModbusError as error:
+            self._leave(bunch)
+            return error
+        line.counters.forwarded += len(reads)
+        return None
+
+    def _refuse(self, asker: ForwardedReads, reads: list[ForwardedRead], code: int) -> None:
+        for read in reads:
+            asker.refuse(read, code)
+        self._answered[asker] = None
+
+    # Sharing.
+
+    def _share(
+        self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]
+    ) -> tuple[list[ForwardedRead], list[ForwardedRead]]:
+        """Let reads wait for others that are in flight; what has to be asked, and what is the same as one of those."""
+        shared = self.line.memory.shared(way.unit)
+        keys = [plan.request.wire for _, plan in reads]
+        if shared is None or (shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys)):
+            return reads, []
+        left: list[ForwardedRead] = []
+        again: list[ForwardedRead] = []
+        asked: set[Key] = set()
+        for read in reads:
+            key = read[1].request.wire
+            bunch = shared.get(key)
+            if bunch is not None:
+                assert isinstance(bunch, Bunch)  # by its key
+                self._join(bunch, way, asker, read, key)
+            elif key in asked:
+                again.append(read)
+            else:
+                asked.add(key)
+                left.append(read)
+        return left, again
+
+    def _join(self, bunch: Bunch, way: ReadWay, asker: ForwardedReads, read: ForwardedRead, key: Key) -> None:
+        self.line.counters.shared += 1
+        bunch.joined.setdefault(bunch.keys.index(key), []).append((asker, read))
+        asker.works[bunch] = None
+        now, patience = bunch.link.now(), way.front.deadline
+        if bunch.deadlines is None:
+            bunch.deadlines = WaiterDeadlines(bunch.link.now, bunch.link.call_at, partial(self._time_is_over, bunch))
+            if bunch.deadline is not None and bunch.asker is not None:
+                bunch.deadlines.add((bunch.asker, None), bunch.deadline)
+        if patience is not None:
+            bunch.deadlines.add((asker, read), now + patience)
+        if bunch.deadline is not None:  # whoever came first may have less time than who comes now
+            bunch.deadline = max(bunch.deadline, now + (FOR_EVER if patience is None else patience))
+
+    def _time_is_over(self, bunch: Bunch, waiter: tuple[ForwardedReads, ForwardedRead | None]) -> None:
+        """One of those who share reads waits no longer: for one that he joined, or for those that are his own."""
+        asker, read = waiter
+        late: list[tuple[int, ForwardedRead]] = []
+        if read is None:
+            if bunch.asker is asker:
+                late = [(at, one) for at, one in enumerate(bunch.reads) if at not in bunch.told]
+                bunch.asker = None
+        else:
+            for position, others in bunch.joined.items():
+                if position not in bunch.told and waiter in others:
+                    others.remove(waiter)
+                    late = [(position, read)]
+        for position, one in late:
+            is_sent = position < bunch.next or position in bunch.attempts
+            error = (
+                NoReply("no answer before the deadline of the call", attempt=1)
+                if is_sent
+                else NoReply("the deadline passed in the queue; nothing was sent")
+            )
+            asker.refuse(one, self.line.refused(error))
+            self._answered[asker] = None
+        if asker is not bunch.asker and all(
+            asker is not other for others in bunch.joined.values() for other, _ in others
+        ):
+            asker.works.pop(bunch, None)
+        self._forget_if_alone(bunch)
+        self._send()
+
+    # What comes back.
+
+    def _send(self) -> None:
+        """Let the answers go: those of one client together."""
+        answered, self._answered = self._answered, {}
+        for asker in answered:
+            asker.send()
+
+    def look(self, session: TcpClientSession) -> None:
+        """Something has come: answer what is there of bunches that are not complete."""
+        for demand in session.in_work():
+            if (
+                isinstance(demand, Bunch)
+                and demand.owner is not None
+                and len(demand.outcomes) - demand.open != len(demand.told)
+            ):
+                self.tell(demand)
+        if self._answered:
+            self._send()
+
+    def tell(self, bunch: Bunch) -> None:
+        """Answer what has an outcome."""
+        asker = bunch.asker
+        if asker is not None and not (bunch.open or bunch.told or bunch.joined):
+            data: list[Any] = bunch.outcomes  # Any: bytes, see `_as_bytes`
+            if set(map(type, data)) == _GOOD:
+                self.line.counters.answered += len(data)
+                self._leave(bunch)
+                asker.answer(bunch.reads, data)
+                self._answered[asker] = None
+                return
+        for position, outcome in enumerate(bunch.outcomes):
+            if outcome is not None and position not in bunch.told:
+                self._tell_one(bunch, position, outcome)
+        if not bunch.open:
+            self._leave(bunch)
+
+    def _tell_one(self, bunch: Bunch, position: int, outcome: Outcome | bytes) -> None:
+        bunch.told.add(position)
+        self._left(bunch, position)
+        waiters = bunch.waiters(position)
+        if isinstance(outcome, Message):  # it did not come in its turn
+            assert isinstance(outcome, _REPLIES)  # the session has seen that it answers a read
+            outcome = outcome.data
+        if isinstance(outcome, bytes):
+            self.line.counters.answered += 1
+            for asker, read in waiters:
+                asker.answer((read,), (outcome,))
+                self._answered[asker] = None
+        else:
+            code = self.line.refused(outcome)
+            for asker, read in waiters:
+                asker.refuse(read, code)
+                self._answered[asker] = None
+
+    def gone(self, bunch: Bunch, asker: ForwardedReads) -> None:
+        """A client has gone: what nobody else waits for is taken back as far as it can be."""
+        counters = self.line.counters
+        if bunch.asker is asker:
+            bunch.asker = None
+            counters.abandoned += bunch.left
+        for position, others in list(bunch.joined.items()):
+            staying = [one for one in others if one[0] is not asker]
+            counters.abandoned += 0 if position in bunch.told else len(others) - len(staying)
+            bunch.joined[position] = staying
+        self._forget_if_alone(bunch)
+
+    def _forget_if_alone(self, bunch: Bunch) -> None:
+        """Take a bunch back for which nobody waits any more, as far as it can be."""
+        bunch.joined = {position: others for position, others in bunch.joined.items() if others}
+        if bunch.asker is None and not bunch.ended and bunch.joined.keys() <= bunch.told:
+            self._leave(bunch)
+            bunch.link.give_up(bunch)
+
+    def _leave(self, bunch: Bunch) -> None:
+        """Nobody waits for a bunch any more."""
+        self.line.add_open(-bunch.left)
+        if bunch.deadlines is not None:
+            bunch.deadlines.close()
+        shared = bunch.shared
+        for key in bunch.keys:
+            if shared.get(key) is bunch:
+                del shared[key]
+        if bunch.asker is not None:
+            bunch.asker.works.pop(bunch, None)
+        for others in bunch.joined.values():
+            for asker, _ in others:
+                asker.works.pop(bunch, None)
+        bunch.owner = None  # it is its own owner: else only the collector of garbage would free it
+
+    def _left(self, bunch: Bunch, position: int) -> None:
+        """A single read has its answer."""
+        self.line.add_open(-1)
+        if bunch.keys:
+            self.line.memory.read_ended(bunch.unit, bunch.keys[position], bunch)  # nobody may join it any more
+
+
+@lru_cache(maxsize=32)
+def _as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
+    """The same read, whose reply is its data as it came: a message around it would be taken off again (0.4 µs)."""
+    return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})
+
+
+_GOOD = {bytes}
+_REPLIES = (ReadRegisters.Reply, ReadBits.Reply)

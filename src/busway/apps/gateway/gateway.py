@@ -1,0 +1,639 @@
+"""The gateway: fronts, routes and lines, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
+
+Knows servers, routes and lines; knows no file.
+
+1. Each front is a server of its own, so that one can be opened, closed or changed while the others go on.
+2. Draining ends with the answers of what was asked before it, or with its deadline: no new connection is taken, and
+   nothing more is read, meanwhile.
+3. A change of configuration keeps every front and every line that is the same as before, with its connections; routes
+   change for all from one request to the next.
+4. One policy, one audit log and one count of a rule's rates hold for all fronts.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from ...access.authorizer import PolicyHandler
+from ...access.rates import Rates
+from ...access.rules import Action as PolicyAction
+from ...access.rules import Policy
+from ...client.settings import LinkSettings, link_settings, options_of
+from ...codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
+from ...errors import ConfigError
+from ...options.endpoints import Endpoint, parse_endpoint
+from ...pdu.functions import STANDARD, FunctionTable
+from ...server.authorisation import Authorise, everybody
+from ...server.counters import ServerCounters
+from ...server.listener import Listener
+from ...server.local import LocalHandler
+from ...server.naming import is_loopback
+from ...server.parameters import ListenerParameters
+from ...server.server import Server, ServerStatus
+from ...server.status import ConnectionStatus, ListenerStatus
+from ...session.breaker import OPEN_AFTER_BY_FRAMING
+from ...session.handler import Handler
+from ...session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
+from ...session.reconnect import ConnectionState
+from .functions import RememberingTable
+from .handler import FrontCounters, FrontHandler
+from .lines import MAX_CONNECTIONS, Line, LineStatus
+from .own_unit import STATES, own_device
+from .routes import RoutingTable
+
+if TYPE_CHECKING:
+    from ...access.audit import AuditLog
+
+DRAIN_SECONDS = 5.0
+OF_LINES: Mapping[str, Any] = {  # Any: values of options
+    "port_wait": 0.0,
+    "timeout": TIMEOUT_BY_FRAMING["rtu"],
+    "open_after": OPEN_AFTER_BY_FRAMING["rtu"],
+}
+"""Options of links that have another default behind a gateway: nobody waits for a port that is not there, a server on a
+network is given up, after its repetition, before the gateway's clients give up, and a unit there that does not answer
+does not stall the others."""
+_CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
+
+
+@dataclass(frozen=True, slots=True)
+class Front:
+    """Where clients reach the gateway.
+
+    Attributes:
+        name: what routes call it.
+        listener: endpoint, access, certificates and limits.
+        deadline: seconds within which each request is answered, with 0A or 0B at the latest; None for no limit. What is
+            still queued then is not sent any more.
+        silent_broadcasts: whether a write to unit 0 is not answered.
+    """
+
+    name: str
+    listener: Listener
+    deadline: float | None = CLIENT_DEADLINE
+    silent_broadcasts: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LineSettings:
+    """Where routes lead.
+
+    Attributes:
+        name: what routes call it.
+        link: endpoint, timeouts, gaps: as `busway.open` takes them.
+        connections: how many there are to one server.
+        share_reads: whether identical reads in flight are asked once.
+        broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
+        unit_gaps: seconds that a unit is left alone after it has replied, by unit; on serial lines only.
+        same_device: units behind that are the same device, group by group: what is written to one of them, and what is
+            remembered of another, is of the same registers.
+    """
+
+    name: str
+    link: LinkSettings
+    connections: int = 1
+    share_reads: bool = True
+    broadcast: bool | None = None
+    unit_gaps: Mapping[int, float] = field(default_factory=dict)
+    same_device: tuple[frozenset[int], ...] = ()
+
+    def __post_init__(self) -> None:
+        self._check_same_device()
+        if self.unit_gaps and self.link.line is None:
+            raise ConfigError("units have gaps of their own on serial lines only", key="unit_gaps")
+        if not 1 <= self.connections <= MAX_CONNECTIONS:
+            raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {self.connections}", key="connections")
+        if self.connections > 1 and self.link.endpoint.carrier == "serial":
+            raise ConfigError("a serial port is opened once", key="connections")
+
+    def _check_same_device(self) -> None:
+        seen: set[int] = set()
+        first, last = (0, 255) if self.link.line is None else (1, LAST_SERIAL_UNIT)
+        for group in self.same_device:
+            if len(group) < 2:
+                raise ConfigError("a group is two units or more: [[1, 2]]", key="same_device")
+            wrong = next((unit for unit in sorted(group) if not first <= unit <= last), None)
+            if wrong is not None:
+                raise ConfigError(f"a unit of this line is {first}…{last}, not {wrong}", key="same_device")
+            if group & seen:
+                raise ConfigError(f"unit {min(group & seen)} is in two groups", key="same_device")
+            seen |= group
+
+    @classmethod
+    def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
+        """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`.
+
+        A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once. ``timeout``
+        is 1 second, and ``open_after`` 3, for every scheme.
+        """
+        endpoint = parse_endpoint(url)
+        offered = options_of(endpoint)
+        for key, value in OF_LINES.items():
+            if key in offered and key not in endpoint.options:
+                options.setdefault(key, value)
+        names = ("connections", "share_reads", "broadcast", "unit_gaps", "same_device")
+        own = {key: options.pop(key) for key in names if key in options}
+        return cls(name, link_settings(url, options), **own)
+
+
+@dataclass(frozen=True, slots=True)
+class FrontStatus:
+    """A front as a status shows it."""
+
+    name: str
+    server: ServerStatus
+    counters: FrontCounters
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayStatus:
+    """A gateway as a status shows it. What its servers tell is told for all of them together, too.
+
+    Attributes:
+        running: whether it answers.
+        uptime: seconds since the start; 0 while stopped.
+        endpoints: URLs of the fronts as they are bound.
+        fronts, lines: each of them.
+        open_requests: requests that are not answered yet.
+    """
+
+    running: bool
+    uptime: float
+    endpoints: tuple[str, ...]
+    fronts: tuple[FrontStatus, ...]
+    lines: tuple[LineStatus, ...]
+    open_requests: int
+
+    @property
+    def connections(self) -> tuple[ConnectionStatus, ...]:
+        """The connections of all fronts."""
+        return tuple(one for front in self.fronts for one in front.server.connections)
+
+    @property
+    def listeners(self) -> tuple[ListenerStatus, ...]:
+        """The listeners of all fronts."""
+        return tuple(one for front in self.fronts for one in front.server.listeners)
+
+    @property
+    def counters(self) -> ServerCounters:
+        """What happened at all fronts together."""
+        total = ServerCounters()
+        for front in self.fronts:
+            counted = front.server.counters
+            pairs = ((total, counted), (total.priority, counted.priority), (total.other, counted.other))
+            for mine, theirs in pairs:
+                for one in fields(mine):
+                    value = getattr(mine, one.name)
+                    if isinstance(value, int):
+                        setattr(mine, one.name, value + getattr(theirs, one.name))
+        return total
+
+    @property
+    def supported_connections(self) -> int:
+        """How many connections there may be at all fronts."""
+        return sum(front.server.supported_connections for front in self.fronts)
+
+    @property
+    def remote_connections(self) -> int:
+        """How many there are."""
+        return sum(front.server.remote_connections for front in self.fronts)
+
+    @property
+    def local_connections(self) -> int:
+        """Connections of the lines that stand."""
+        return sum(link.state in _CONNECTED for line in self.lines for link in line.links)
+
+
+@dataclass(slots=True)
+class _RunningFront:
+    front: Front
+    handler: FrontHandler
+    guard: PolicyHandler | None
+    server: Server
+
+    def follow(self, front: Front) -> None:
+        """Take on what differs beside the listener; connections stay."""
+        self.front = front
+        self.handler.deadline = front.deadline
+        self.handler.silent_broadcasts = front.silent_broadcasts
+
+
+@dataclass(frozen=True)
+class GatewayPlan:
+    """Everything that a gateway is told, checked as a whole.
+
+    Attributes:
+        fronts, lines: each with a name of its own.
+        table: the routes between them.
+        own_unit: unit identifier of the gateway itself; None where it is no device.
+        own_registers: whether it has input registers that tell how it does.
+        functions: the table of functions; what is not in it is forwarded unread.
+        server: options of `Server` that hold for all fronts (parameters, limits, sockets, policy, audit …).
+    """
+
+    fronts: tuple[Front, ...]
+    lines: tuple[LineSettings, ...]
+    table: RoutingTable
+    own_unit: int | None = TCP_DEVICE_UNIT
+    own_registers: bool = False
+    functions: FunctionTable = STANDARD
+    server: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.fronts:
+            raise ConfigError("a gateway needs at least one front to listen on", key="front")
+        for key, names in (("front", [one.name for one in self.fronts]), ("line", [one.name for one in self.lines])):
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice is not None:
+                raise ConfigError(f"the name {twice!r} stands twice", key=key)
+        lines = {one.name for one in self.lines}
+        fronts = {one.name for one in self.fronts}
+        for route in self.table.routes:
+            if route.line and route.line not in lines:
+                raise ConfigError(
+                    f"there is no line {route.line!r}, but {', '.join(sorted(lines)) or 'none at all'}",
+                    key="route.line",
+                )
+            unknown = sorted(route.fronts - fronts)
+            if unknown:
+                raise ConfigError(
+                    f"there is no front {unknown[0]!r}, but {', '.join(sorted(fronts))}", key="route.fronts"
+                )
+
+
+class Gateway:
+    """Fronts, routes and lines; an asynchronous context manager that starts and stops.
+
+    Args:
+        plan: what it is told.
+        authorise: asked with a client's host before anything of it is read, at every front.
+        policy: who may ask what, at every front; None lets everybody who may connect read and write.
+        audit: where denied requests and writes are recorded.
+        wrap: puts a handler around that of each front (metrics, for example); None for none.
+
+    Attributes:
+        plan: the one that it follows.
+    """
+
+    def __init__(
+        self,
+        plan: GatewayPlan,
+        *,
+        authorise: Authorise = everybody,
+        policy: Policy | None = None,
+        audit: "AuditLog | None" = None,
+        wrap: Callable[[Handler], Handler] | None = None,
+    ) -> None:
+        self.plan = plan
+        self._authorise = authorise
+        self._policy = policy
+        self._audit = audit
+        self._rates: dict[str, Rates] = {}
+        self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
+        self._fronts: dict[str, _RunningFront] = {}
+        self._lines: dict[str, Line] = {}
+        self._started = 0.0
+        self._functions: FunctionTable = RememberingTable(plan.functions)
+        self._own: Handler | None = None
+        if plan.own_unit is not None:
+            self._own = LocalHandler({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
+        self._running = {front.name: self._made(front, plan, {}, policy) for front in plan.fronts}
+
+    # Its life.
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it answers."""
+        return bool(self._fronts)
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs of the fronts as they are bound; empty while stopped."""
+        return [url for each in self._fronts.values() for url in each.server.endpoints]
+
+    async def start(self) -> None:
+        """Open all fronts. Lines connect at the first need. Raises `LinkDown`, `ConfigError`; then nothing is open."""
+        if self.is_running:
+            return
+        try:
+            self._lines = {one.name: _opened(one) for one in self.plan.lines}
+            self._follow(self._running.values())
+            for name, each in self._running.items():
+                await each.server.start()
+                self._fronts[name] = each
+        except BaseException:
+            await self.stop()
+            raise
+        self._started = time.monotonic()
+
+    async def stop(self) -> None:
+        """Close fronts and lines at once. What is not answered yet gets no answer."""
+        fronts, self._fronts = self._fronts, {}
+        for each in fronts.values():
+            await each.server.stop()
+        lines, self._lines = self._lines, {}
+        for line in lines.values():
+            await line.close()
+        self._started = 0.0
+
+    async def drain(self, seconds: float = DRAIN_SECONDS) -> int:
+        """Take nothing new, let what was asked be answered, then stop; the number of requests left unanswered.
+
+        Args:
+            seconds: how long that may take.
+        """
+        for each in self._fronts.values():
+            await each.server.take_no_more()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                for line in self._lines.values():
+                    await line.wait_until_answered()
+        left = self.open_requests
+        await self.stop()
+        return left
+
+    async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
+        """Follow another plan; what changed, in words.
+
+        Fronts and lines that are the same in both keep their connections. Where a new front can not be opened, the
+        error is raised and everything is as before, but for the connections of the fronts that were to change.
+
+        Args:
+            plan: the new plan.
+            policy: what holds at new fronts until `replace_policy`; None: what holds at the others.
+
+        Raises:
+            LinkDown, ConfigError: a new front or line can not be had.
+        """
+        if _until_restart(plan) != _until_restart(self.plan):
+            raise ConfigError(
+                "own unit, functions and the options of servers change with a restart only", key="gateway"
+            )
+        old_lines = {one.name: one for one in self.plan.lines}
+        old_fronts = {one.name: one for one in self.plan.fronts}
+        same_lines = {one.name: self._lines[one.name] for one in plan.lines if old_lines.get(one.name) == one}
+        same_fronts = {
+            one.name: self._fronts[one.name]
+            for one in plan.fronts
+            if one.name in self._fronts and old_fronts[one.name].listener == one.listener
+        }
+        closing = [line for name, line in self._lines.items() if name not in same_lines]
+        ports = [line for line in closing if line.settings.endpoint.carrier == "serial"]
+        going = [each for name, each in self._fronts.items() if name not in same_fronts]
+        lines, fronts = dict(same_lines), dict(same_fronts)
+        try:
+            # They may hold the very ports that new ones want.
+            for each in going:
+                await each.server.stop()
+            for line in ports:
+                await line.close()
+            for settings in plan.lines:
+                if settings.name not in lines:
+                    lines[settings.name] = _opened(settings)
+            for front in plan.fronts:
+                if front.name not in fronts:
+                    fronts[front.name] = made = self._made(front, plan, lines, policy or self._policy)
+                    await made.server.start()
+        except BaseException:
+            for name in fronts.keys() - same_fronts.keys():
+                await fronts[name].server.stop()
+            for name in lines.keys() - same_lines.keys():
+                await lines[name].close()
+            for line in ports:
+                _open(line, old_lines[line.name])
+            for each in going:
+                await each.server.start()
+            raise
+        said = [*_changes("front", old_fronts, plan.fronts), *_changes("line", old_lines, plan.lines)]
+        if plan.table != self.plan.table:
+            said.append(f"{len(plan.table.routes)} routes")
+        self.plan = plan
+        self._lines = {one.name: lines[one.name] for one in plan.lines}
+        self._fronts = {one.name: fronts[one.name] for one in plan.fronts}
+        self._running = dict(self._fronts)
+        for front in plan.fronts:
+            fronts[front.name].follow(front)
+        self._follow(self._fronts.values())
+        for line in closing:
+            await line.close()
+        return said
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.stop()
+
+    # What stands around it.
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around that of each front, of those that a change brings too. Only while stopped.
+
+        Raises:
+            ConfigError: it is running, and conversations hold the handlers already.
+        """
+        if self.is_running:
+            raise ConfigError("a running gateway keeps its handlers", key="handler")
+        self._wraps.append(wrap)
+        for each in self._running.values():
+            each.server.wrap_handler(wrap)
+
+    def replace_policy(self, policy: Policy) -> None:
+        """Let another policy hold at every front, from the next request on.
+
+        Raises:
+            ConfigError: the gateway was made without one.
+        """
+        if not self._is_guarded:
+            raise ConfigError("the gateway was made without a policy", key="policy")
+        self._policy = policy
+        for each in self._running.values():
+            if each.guard is not None:
+                each.guard.replace_policy(policy)
+
+    def reload_security(self) -> None:
+        """As `Server.reload_security`, for every front."""
+        for each in self._running.values():
+            each.server.reload_security()
+
+    def end_unauthorised(self) -> int:
+        """As `Server.end_unauthorised`, for every front."""
+        return sum(each.server.end_unauthorised() for each in self._running.values())
+
+    def is_marked(self, listener: str, host: str) -> bool:
+        """Whether a host has priority connections at the listener of a URL, as it is bound."""
+        return any(each.server.is_marked(listener, host) for each in self._running.values())
+
+    def reset_counters(self) -> None:
+        """Set the counters of fronts and lines to zero; connections and listeners stay as they are."""
+        for each in self._running.values():
+            each.server.reset_counters()
+            _to_zero(each.handler.counters)
+        for line in self._lines.values():
+            _to_zero(line.counters)
+
+    # Its state.
+
+    @property
+    def open_requests(self) -> int:
+        """Requests that are not answered yet."""
+        return sum(line.open_requests for line in self._lines.values())
+
+    @property
+    def servers(self) -> list[Server]:
+        """The servers of the fronts."""
+        return [each.server for each in self._running.values()]
+
+    def status(self) -> GatewayStatus:
+        """How it stands now."""
+        return GatewayStatus(
+            running=self.is_running,
+            uptime=time.monotonic() - self._started if self._started else 0.0,
+            endpoints=tuple(self.endpoints),
+            fronts=tuple(
+                FrontStatus(name, each.server.status(), each.handler.counters) for name, each in self._running.items()
+            ),
+            lines=tuple(line.status() for line in self._lines.values()),
+            open_requests=self.open_requests,
+        )
+
+    def _numbers(self) -> tuple[list[int], list[list[int]]]:
+        """The values of the own unit's registers."""
+        status = self.status()
+        own = [
+            int(status.uptime),
+            len(status.fronts),
+            len(status.lines),
+            sum(len(front.server.connections) for front in status.fronts),
+            sum(front.server.counters.requests for front in status.fronts),
+            sum(front.counters.no_route for front in status.fronts),
+        ]
+        return own, [_line_numbers(line) for line in status.lines]
+
+    # Inside.
+
+    @property
+    def _is_guarded(self) -> bool:
+        return self._policy is not None or self._audit is not None
+
+    def _made(self, front: Front, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None) -> _RunningFront:
+        handler = FrontHandler(
+            front.name,
+            self._functions,
+            own=self._own,
+            own_unit=TCP_DEVICE_UNIT if plan.own_unit is None else plan.own_unit,
+            deadline=front.deadline,
+            silent_broadcasts=front.silent_broadcasts,
+        )
+        handler.follow(plan.table.of_front(front.name), lines)
+        outer: Handler = handler
+        guard = None
+        if self._is_guarded:
+            everything = Policy(default=PolicyAction.ALLOW)
+            outer = guard = PolicyHandler(handler, policy or everything, self._audit, rates=self._rates)
+            handler.refusal_of = guard.refusal_of
+        # A client that closes has gone, and must not keep a serial line busy with what it asked.
+        limits = front.listener.limits or plan.server.get("listener") or ListenerParameters()
+        listener = replace(front.listener, limits=replace(limits, answer_half_closed=False))
+        options = {**plan.server, "standard_port": _standard_port(front, plan)}
+        server = Server((listener,), outer, authorise=self._authorise, **options)
+        for wrap in self._wraps:
+            server.wrap_handler(wrap)
+        return _RunningFront(front, handler, guard, server)
+
+    def _follow(self, fronts: Iterable[_RunningFront]) -> None:
+        for each in fronts:
+            each.handler.follow(self.plan.table.of_front(each.front.name), self._lines)
+
+
+def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
+    """What of a plan holds until the gateway is started anew."""
+    return plan.own_unit, plan.own_registers, plan.functions, plan.server
+
+
+def _standard_port(front: Front, plan: GatewayPlan) -> bool | None:
+    """Whether a front listens on 502 too: for a server with several listeners it is one of them that does."""
+    choice: bool | None = plan.server.get("standard_port")
+    places = {one.name: parse_endpoint(one.listener.endpoint) for one in plan.fronts}
+    plain = {name: place for name, place in places.items() if place.scheme == "tcp"}
+    if choice is False or any(place.port == DEFAULT_TCP_PORT for place in plain.values()):
+        return False
+    reachable = [name for name, place in plain.items() if place.port and not is_loopback(place.url)]
+    return choice if front.name in (reachable or list(plain))[:1] else False
+
+
+def _to_zero(counters: object) -> None:
+    """Set the numbers of a dataclass to zero."""
+    for one in fields(counters):  # type: ignore[arg-type]  # a dataclass of any kind
+        setattr(counters, one.name, 0)
+
+
+def _opened(settings: LineSettings) -> Line:
+    line = Line(
+        settings.name,
+        settings.link,
+        connections=settings.connections,
+        share_reads=settings.share_reads,
+        broadcast=settings.broadcast,
+        same_device=settings.same_device,
+    )
+    _open(line, settings)
+    return line
+
+
+def _open(line: Line, settings: LineSettings) -> None:
+    line.open()
+    line.leave_alone(settings.unit_gaps)
+
+
+def _changes(what: str, old: Mapping[str, Front | LineSettings], new: Iterable[Front | LineSettings]) -> Iterator[str]:
+    """What there is to say of fronts, or of lines."""
+    names = set()
+    for one in new:
+        names.add(one.name)
+        if old.get(one.name) != one:
+            yield f"{what} {one.name} {'changed' if one.name in old else 'added'}"
+    yield from (f"{what} {name} closed" for name in old if name not in names)
+
+
+def _line_numbers(line: LineStatus) -> list[int]:
+    counters = line.counters
+    return [
+        max((STATES.index(one.state) for one in line.links), default=0),
+        sum(one.in_flight for one in line.links),
+        sum(one.queued for one in line.links),
+        sum(len(one.suspended) for one in line.links),
+        counters.forwarded,
+        counters.answered,
+        counters.exceptions,
+        counters.no_answer,
+        counters.no_path,
+        counters.shared + counters.recalled,
+    ]
+
+
+def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoint, **options: Any) -> GatewayPlan:
+    """The common case: every unit of every front to one line.
+
+    Args:
+        fronts: URLs to listen on.
+        line: URL of the line behind, or of the server.
+        options: of the line, as `LineSettings.of` takes them.
+    """
+    from .routes import ALL_UNITS, Route
+
+    endpoint = parse_endpoint(line)
+    units = ALL_UNITS if endpoint.framing == "mbap" else frozenset(range(1, 248))
+    listeners = [one if isinstance(one, Listener) else Listener(one) for one in fronts]
+    return GatewayPlan(
+        fronts=tuple(Front(parse_endpoint(one.endpoint).url, one) for one in listeners),
+        lines=(LineSettings.of("line", line, **options),),
+        table=RoutingTable((Route(line="line", units=units),)),
+    )

@@ -1,0 +1,125 @@
+"""What a gateway file says, in rows for people: listeners, lines, and the routing table.
+
+Knows sections, plans and words; judges nothing.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from ...client.conversation import timing_of
+from ...codes import BROADCAST_UNIT, exception_meaning
+from ..server.overview import Row, overview
+from .assembly import GatewayConfiguration
+from .gateway import Front, GatewayPlan, LineSettings
+from .routes import ALL_UNITS, Action, Route, units_text
+from .routing_table import PlacedRoute, worst_case
+
+RoutingRow = tuple[str, str, str, str, str, str]
+"""Listener, units, functions, addresses, where to, what else."""
+ROUTING_HEADINGS: RoutingRow = ("listener", "units", "functions", "addresses", "to", "")
+_OF_GATEWAYS = frozenset({"listener", "policy", "server"})
+"""Rows of other configurations that say something of a gateway too."""
+
+
+def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
+    """Listeners, lines, the gateway's own unit, policy and logs: kind, name, what is said about it."""
+    plan = configuration.plan
+    known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
+    for front, row in zip(plan.fronts, known["listener"], strict=True):
+        yield "listener", front.name, "; ".join(_front(front, row))
+    for line in plan.lines:
+        yield "line", line.name, "; ".join(_line(line, configuration.routes))
+    yield "own unit", "none" if plan.own_unit is None else str(plan.own_unit), _own_unit(plan)
+    yield from known["policy"]
+    yield from known["server"]
+
+
+def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
+    """The routes in the order in which they are looked through."""
+    names = [front.name for front in configuration.plan.fronts]
+    for placed in configuration.routes:
+        route = placed.route
+        yield (
+            ", ".join(name for name in names if name in route.fronts) if route.fronts else "all",
+            "all" if route.units == ALL_UNITS else units_text(route.units),
+            ", ".join(f"{code:02}" for code in sorted(route.functions)) or "all",
+            "all" if route.addresses is None else str(route.addresses),
+            _target(route),
+            "; ".join(_details(route, placed.gap)),
+        )
+
+
+def _front(front: Front, row: Row) -> Iterator[str]:
+    if front.name != row[1]:
+        yield row[1]
+    yield row[2]
+    if front.deadline is not None:
+        yield f"answers within {front.deadline:g} s"
+    if front.silent_broadcasts:
+        yield "broadcasts get no answer"
+
+
+def _line(line: LineSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
+    endpoint, parameters = line.link.endpoint, line.link.parameters
+    yield endpoint.url
+    if line.link.line is not None and line.link.line.port is not None:
+        port = line.link.line.port
+        timing = timing_of(port)
+        yield f"{port.baud} baud, {timing.character * 1000:.3g} ms a character"
+    yield f"timeout {parameters.timeout:g} s, {parameters.retries} retries"
+    cases = [worst_case(line, one.route, one.gap) for one in routes if one.route.line == line.name]
+    if cases:
+        yield f"{max(case.seconds for case in cases):.3g} s at most"
+    if line.connections > 1:
+        yield f"{line.connections} connections"
+    if not line.share_reads:
+        yield "reads are not shared"
+    for group in line.same_device:
+        yield f"units {units_text(group)} are the same device"
+
+
+def _own_unit(plan: GatewayPlan) -> str:
+    if plan.own_unit is None:
+        return "the gateway itself is no device"
+    hiding = [
+        route
+        for route in plan.table.routes
+        if plan.own_unit in route.units and not route.functions and route.addresses is None
+    ]
+    if hiding:
+        return f"not reached: {hiding[0].title} takes it"
+    return f"the gateway itself, also by unit {BROADCAST_UNIT}"
+
+
+def _target(route: Route) -> str:
+    if route.action is Action.REFUSE:
+        return f"refused: {route.code:02X} {exception_meaning(route.code).partition(':')[0]}"
+    return "dropped" if route.action is Action.DROP else route.line
+
+
+def _details(route: Route, gap: float) -> Iterator[str]:
+    if route.unit is not None:
+        yield f"as unit {route.unit}"
+    if route.unit_offset:
+        first, last = min(route.units), max(route.units)
+        yield (
+            f"as units {route.unit_behind(first)}…{route.unit_behind(last)}"
+            if first != last
+            else (f"as unit {route.unit_behind(first)}")
+        )
+    if route.shift:
+        yield f"addresses {route.shift:+d}"
+    if route.max_registers is not None:
+        yield f"at most {route.max_registers} registers at once"
+    if route.max_bits is not None:
+        yield f"at most {route.max_bits} bits at once"
+    if route.split_writes:
+        yield "writes are split too"
+    if route.timeout is not None:
+        yield f"timeout {route.timeout:g} s"
+    if gap:
+        yield f"left alone for {gap:g} s"
+    if route.cache is not None:
+        yield f"remembered for {route.cache:g} s"
+
+
+__all__ = ["ROUTING_HEADINGS", "gateway_rows", "routing_rows"]

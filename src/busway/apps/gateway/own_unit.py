@@ -1,0 +1,105 @@
+"""The gateway itself as a device: identification, diagnostics, and, if they are wanted, its status as input registers.
+
+Knows numbers of a status; knows no line and no front (T32: unit 255, and 0 for what is no broadcast).
+
+Without registers a read gets exception 01: who names no unit asks unit 255, and shall not take what the gateway says of
+itself for values of a device.
+
+``REGISTERS`` is the map; the documentation's table is made of it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from ...codes import FunctionCode
+from ...server.device import Device
+from ...server.hooks import Access
+from ...version import __version__
+
+FIRST_LINE: Final = 100
+"""Address of the first line's registers."""
+PER_LINE: Final = 16
+"""Registers from one line to the next."""
+MOST_LINES: Final = 64
+FUNCTIONS: Final = (
+    FunctionCode.DIAGNOSTICS,
+    FunctionCode.GET_COMM_EVENT_COUNTER,
+    FunctionCode.GET_COMM_EVENT_LOG,
+    FunctionCode.REPORT_SERVER_ID,
+    FunctionCode.ENCAPSULATED_INTERFACE,
+)
+"""What it offers in any case."""
+STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
+"""States of a connection, the better ones behind."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value of the map: where it lies (in a line's block, from its start), how wide it is, and what it says."""
+
+    address: int
+    registers: int
+    name: str
+    meaning: str
+
+
+REGISTERS: Final = (
+    Entry(0, 2, "uptime", "seconds since the start"),
+    Entry(2, 1, "fronts", "number of fronts"),
+    Entry(3, 1, "lines", "number of lines"),
+    Entry(4, 2, "connections", "clients connected now"),
+    Entry(6, 2, "requests", "requests received"),
+    Entry(8, 2, "no_route", "requests for which there was no route (0A)"),
+)
+LINE_REGISTERS: Final = (
+    Entry(0, 1, "state", "0 down, 1 backing off, 2 connecting, 3 suspect, 4 up: of its best connection"),
+    Entry(1, 1, "in_flight", "requests whose reply is awaited"),
+    Entry(2, 1, "queued", "requests that wait for their turn"),
+    Entry(3, 1, "suspended", "units that are not asked now, because they do not answer"),
+    Entry(4, 2, "forwarded", "requests handed to the line"),
+    Entry(6, 2, "answered", "requests answered by a device"),
+    Entry(8, 2, "exceptions", "requests that a device refused"),
+    Entry(10, 2, "no_answer", "requests answered 0B"),
+    Entry(12, 2, "no_path", "requests answered 0A"),
+    Entry(14, 2, "spared", "reads answered by another's, or from memory"),
+)
+
+Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
+"""Gives the values of `REGISTERS`, and for each line those of `LINE_REGISTERS`, as they are now."""
+
+
+def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
+    """The device.
+
+    Args:
+        numbers: the values of its registers.
+        registers: whether it has any: input registers, made anew at each read.
+    """
+    device = Device(
+        input_registers=FIRST_LINE + MOST_LINES * PER_LINE if registers else 0,
+        identification={0: "busway", 1: "gateway", 2: __version__, 4: "busway gateway"},
+        server_id=b"busway gateway\xff",
+        functions=(*FUNCTIONS, FunctionCode.READ_INPUT_REGISTERS) if registers else FUNCTIONS,
+    )
+    if not registers:
+        return device
+
+    def refresh(access: Access) -> None:
+        own, lines = numbers()
+        with device.update():
+            _put(device, 0, REGISTERS, own)
+            for index, line in enumerate(lines[:MOST_LINES]):
+                _put(device, FIRST_LINE + index * PER_LINE, LINE_REGISTERS, line)
+
+    device.on_read("input_registers", refresh, when="before")
+    return device
+
+
+def _put(device: Device, start: int, entries: Sequence[Entry], values: Sequence[int]) -> None:
+    for entry, value in zip(entries, values, strict=True):
+        at = start + entry.address
+        if entry.registers == 2:
+            device.input_registers[at : at + 2] = [value >> 16 & 0xFFFF, value & 0xFFFF]
+        else:
+            device.input_registers[at] = min(value, 0xFFFF)

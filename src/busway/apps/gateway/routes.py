@@ -1,0 +1,318 @@
+"""Which line and which unit a request belongs to.
+
+Knows requests by unit, function and range; knows no line beyond its name, and no byte.
+
+1. The routes of a front are looked through in their order; the first one that fits decides.
+2. A route with a range of addresses takes what lies wholly within it. A request that lies across the edge of such a
+   range fits nowhere behind it either: it is refused with 02, since no single device could answer it as asked.
+3. A function that is not in the table carries no address that could be read: routes with a range never take it.
+4. Two routes of which the second can never be reached are refused when the table is made, by name.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+from ...codes import LAST_SERIAL_UNIT, TABLE_SIZE, ExceptionCode, Table
+from ...errors import ConfigError
+from ...pdu.general import OpaqueRequest
+from ...pdu.message import Request, Span
+from .segments import Segments
+
+_FEW = 3
+"""So many routes of a unit are looked through in the time that finding one by its address takes."""
+ALL_UNITS = frozenset(range(256))
+SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
+
+
+class Action(Enum):
+    """What becomes of a request that a route takes."""
+
+    FORWARD = "forward"
+    REFUSE = "refuse"
+    DROP = "drop"
+
+
+@dataclass(frozen=True, slots=True)
+class AddressRange:
+    """Items ``first`` … ``end - 1`` of a table."""
+
+    table: Table
+    first: int
+    end: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.first < self.end <= TABLE_SIZE:
+            raise ConfigError(f"addresses are 0…{TABLE_SIZE - 1}, first before last", key="addresses")
+
+    def __str__(self) -> str:
+        return f"{self.table.label} {self.first}…{self.end - 1}"
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One rule of a routing table.
+
+    Attributes:
+        line: name of the line behind; empty where nothing is forwarded.
+        fronts: names of the fronts it holds for; empty for all.
+        units: unit identifiers as they are asked, 0…255.
+        functions: function codes; empty for all.
+        addresses: only requests within this range; None for all.
+        unit: the unit that is asked behind; None for the one that was asked in front, plus ``unit_offset``.
+        unit_offset: added to the unit.
+        shift: added to every address; the answer is shifted back.
+        max_registers, max_bits: what the device takes in one request; a longer read is split. None for no limit.
+        split_writes: whether longer writes are split too. They are executed one after the other then, no longer whole.
+        action: forward, refuse with ``code``, or drop.
+        code: the exception code of a refusal.
+        cache: seconds for which a read may be answered from an earlier one; None for never.
+        timeout: seconds to wait for the device, instead of the line's own.
+        name: for messages.
+    """
+
+    line: str = ""
+    fronts: frozenset[str] = frozenset()
+    units: frozenset[int] = ALL_UNITS
+    functions: frozenset[int] = frozenset()
+    addresses: AddressRange | None = None
+    unit: int | None = None
+    unit_offset: int = 0
+    shift: int = 0
+    max_registers: int | None = None
+    max_bits: int | None = None
+    split_writes: bool = False
+    action: Action = Action.FORWARD
+    code: int = ExceptionCode.ILLEGAL_FUNCTION
+    cache: float | None = None
+    timeout: float | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for key, value, low, high in (
+            ("max_registers", self.max_registers, 1, 125),
+            ("max_bits", self.max_bits, 1, 2000),
+            ("unit", self.unit, 0, 255),
+            ("code", self.code, 1, 255),
+            ("cache", self.cache, 0.001, 3600),
+            ("timeout", self.timeout, 0.001, 3600),
+        ):
+            if value is not None and not low <= value <= high:
+                raise ConfigError(f"must be {low:g}…{high:g}, not {value:g}", key=key)
+        if not self.units:
+            raise ConfigError("a route needs at least one unit", key="units")
+        for unit in self.units:
+            if not 0 <= unit <= 255:
+                raise ConfigError(f"a unit is 0…255, not {unit}", key="units")
+            if not 0 <= self.unit_behind(unit) <= 255:
+                raise ConfigError(f"unit {unit} would become {self.unit_behind(unit)}", key="unit_offset")
+        if self.unit is not None and self.unit_offset:
+            raise ConfigError("either a unit or an offset, not both", key="unit_offset")
+        if (self.action is Action.FORWARD) != bool(self.line):
+            raise ConfigError("a route leads to a line, or refuses, or drops", key="line")
+
+    def unit_behind(self, unit: int) -> int:
+        """The unit that is asked on the line."""
+        return unit + self.unit_offset if self.unit is None else self.unit
+
+    @property
+    def names_no_units(self) -> bool:
+        """Whether it takes every unit as it is, so that nobody knows from it which there are."""
+        return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
+
+    def covers(self, other: "Route") -> bool:
+        """Whether it takes everything that ``other`` would take, so that ``other`` behind it is never reached."""
+        return other.units <= self.units and self.covers_beside_units(other)
+
+    def covers_beside_units(self, other: "Route") -> bool:
+        """Whether it takes everything that ``other`` would take of the units that both have."""
+        return (
+            (not self.fronts or (bool(other.fronts) and other.fronts <= self.fronts))
+            and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
+            and (
+                self.addresses is None
+                or (
+                    other.addresses is not None
+                    and other.addresses.table is self.addresses.table
+                    and self.addresses.first <= other.addresses.first
+                    and other.addresses.end <= self.addresses.end
+                )
+            )
+        )
+
+    @property
+    def title(self) -> str:
+        """How messages call it."""
+        return self.name or f"units {units_text(self.units)} to {self.line or self.action.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class Straddles:
+    """A request that lies across the edge of a route's range."""
+
+    route: Route
+
+
+class FrontRoutes:
+    """The routes of one front, by unit."""
+
+    __slots__ = ("_by_unit", "_segments")
+
+    def __init__(self, routes: Sequence[Route]) -> None:
+        self._by_unit: dict[int, tuple[Route, ...]] = {}
+        # By the routes of a unit, function and table; made at need.
+        self._segments: dict[tuple[int, int, Table], Segments] = {}
+        for unit in range(256):
+            found: list[Route] = []
+            for route in routes:
+                if unit in route.units:
+                    found.append(route)
+                    if not route.functions and route.addresses is None:
+                        break  # it takes everything: nothing gets behind it
+            if found:
+                self._by_unit[unit] = tuple(found)
+
+    def find(self, unit: int, request: Request) -> Route | Straddles | None:
+        """The route of a request, or None where there is none."""
+        routes = self._by_unit.get(unit, ())
+        if len(routes) > _FEW and (touch := _touched_at_once(request)) is not None:
+            return self._found_by_address(routes, request, touch)
+        return self._looked_through(routes, request)
+
+    def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
+        """What `_looked_through` finds, in a time that does not grow with the number of routes."""
+        key = id(routes), request.code, touch.table
+        segments = self._segments.get(key)
+        if segments is None:
+            taking = [one for one in routes if not one.functions or request.code in one.functions]
+            segments = self._segments[key] = Segments(touch.table, taking)
+        end = touch.address + touch.count
+        route = segments.first_touched(touch.address, end)
+        taken = None if route is None else route.addresses
+        if route is None or taken is None or (taken.first <= touch.address and end <= taken.end):
+            return route
+        return Straddles(route)
+
+    def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
+        """The first of the routes that fits."""
+        for route in routes:
+            if route.functions and function_of(request) not in route.functions:
+                continue
+            if route.addresses is None:
+                return route
+            within = _within(route.addresses, request)
+            if within:
+                return route
+            if within is None:
+                return Straddles(route)
+        return None
+
+    def units_to(self, line: str) -> list[int]:
+        """The units 1…247 of which some requests lead to a line."""
+        return [
+            unit
+            for unit in range(1, LAST_SERIAL_UNIT + 1)
+            if any(route.line == line for route in self._by_unit.get(unit, ()))
+        ]
+
+    @property
+    def units(self) -> frozenset[int]:
+        """The units for which there is any route."""
+        return frozenset(self._by_unit)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The lines that routes lead to, each once, in the order of the routes."""
+        return tuple(dict.fromkeys(route.line for routes in self._by_unit.values() for route in routes if route.line))
+
+
+def _touched_at_once(request: Request) -> Span | None:
+    """The one range that a request touches; None where it touches several, or none, or no item of it."""
+    if isinstance(request, OpaqueRequest):
+        return None
+    spans = request.spans()
+    return spans[0] if len(spans) == 1 and spans[0].count > 0 else None
+
+
+def _within(wanted: AddressRange, request: Request) -> bool | None:
+    """True: all of the request lies in the range; False: nothing; None: a part."""
+    if isinstance(request, OpaqueRequest):
+        return False
+    spans = request.spans()
+    inside = touched = 0
+    for span in spans:
+        if span.table is not wanted.table:
+            continue
+        end = span.address + span.count
+        inside += wanted.first <= span.address and end <= wanted.end
+        touched += span.address < wanted.end and wanted.first < end
+    if not touched:
+        return False
+    return True if inside == len(spans) else None
+
+
+@dataclass(frozen=True)
+class RoutingTable:
+    """All routes of a gateway.
+
+    Attributes:
+        routes: in the order in which they are looked through.
+    """
+
+    routes: tuple[Route, ...]
+    _of_front: dict[str, FrontRoutes] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for position, sentence in self.faults():
+            raise ConfigError(sentence, key=f"route[{position}]")
+
+    def faults(self) -> Iterator[tuple[int, str]]:
+        """What can not be: position of the route, and a sentence."""
+        for position in range(len(self.routes)):
+            takers, left = taken_before(self.routes, position)
+            if not left:
+                named = " and ".join(repr(one.title) for one in takers)
+                yield (
+                    position,
+                    f"never reached: {named} before it {'takes' if len(takers) == 1 else 'take'} all its requests",
+                )
+
+    def of_front(self, front: str) -> FrontRoutes:
+        """The routes of one front."""
+        found = self._of_front.get(front)
+        if found is None:
+            found = FrontRoutes([one for one in self.routes if not one.fronts or front in one.fronts])
+            self._of_front[front] = found
+        return found
+
+
+def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
+    """The earlier routes that take all requests to some units of a route, and the units that are left to it."""
+    route = routes[position]
+    whole = next((one for one in routes[:position] if one.covers(route)), None)
+    if whole is not None:
+        return [whole], frozenset()
+    left, takers = route.units, []
+    for earlier in routes[:position]:
+        if left & earlier.units and earlier.covers_beside_units(route):
+            left -= earlier.units
+            takers.append(earlier)
+    return takers, left
+
+
+def function_of(request: Request) -> int:
+    """The function code of a request."""
+    return request.function if isinstance(request, OpaqueRequest) else request.code
+
+
+def units_text(units: frozenset[int]) -> str:
+    """Units as people write them: ``1-5, 7``."""
+    parts: list[str] = []
+    ordered = sorted(units)
+    start = 0
+    for at in range(1, len(ordered) + 1):
+        if at == len(ordered) or ordered[at] != ordered[at - 1] + 1:
+            first, last = ordered[start], ordered[at - 1]
+            parts.append(str(first) if first == last else f"{first}-{last}")
+            start = at
+    return ", ".join(parts)

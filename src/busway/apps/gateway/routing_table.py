@@ -1,0 +1,484 @@
+"""The routes of a gateway file, and what of them can not work, said before anything runs.
+
+Knows what the sections say and what lines and fronts can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2; T32).
+
+1. A route without units is for all units that its line can have behind.
+2. What can never work is refused: a route that is never reached, a unit that a line or a front can not have, a client
+   that gives up before the line can have answered, a line that leads back to a front.
+3. What works, but hardly as it was meant, is a warning: units that an earlier route takes, a line without a route.
+"""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from ...access.rules import Policy
+from ...client.conversation import timing_of
+from ...codes import LAST_SERIAL_UNIT
+from ...config.files.gateway import GatewayFile, RouteSection
+from ...config.files.lines import Path as Place
+from ...config.report import Judge
+from ...errors import ConfigError
+from ...options.endpoints import Endpoint
+from ...pdu.functions import STANDARD
+from ...server.naming import is_loopback
+from .gateway import LineSettings
+from .placed import PlacedRoute
+from .routes import ALL_UNITS, Action, AddressRange, Route, taken_before, units_text
+from .ways_past import ways_past
+
+SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
+_EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
+_SAME = {"localhost": "127.0.0.1"}
+_REQUEST_CHARACTERS = {"rtu": (8, 256), "ascii": (17, 513)}
+"""Characters of a request to read, and of the longest to write (Serial Line V1.02 §2.5)."""
+_MOST_REGISTERS = 125
+_MOST_BITS = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedFront:
+    """A front, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
+
+    name: str
+    endpoint: Endpoint
+    place: Place
+    deadline: float | None
+    is_chosen: bool = False
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether its clients are masters, who know units 1…247 only."""
+        return self.endpoint.framing != "mbap"
+
+
+@dataclass(frozen=True, slots=True)
+class WorstCase:
+    """How long a line may take for a request that has its turn.
+
+    Attributes:
+        seconds: until the last attempt has failed.
+        sum: how they come about.
+    """
+
+    seconds: float
+    sum: str
+
+
+# The routes.
+
+
+def placed_routes(file: GatewayFile, lines: Mapping[str, LineSettings], judge: Judge) -> list[PlacedRoute]:
+    """The routes of a file, without those that the judge refuses."""
+    if not file.route:
+        return [
+            PlacedRoute(Route(line=name, units=_units_behind(line)), ("line", 0), None) for name, line in lines.items()
+        ]
+    found = []
+    for index, section in enumerate(file.route):
+        at: Place = ("route", index)
+        if section.line is not None and section.line not in lines:
+            continue  # the judge has been told of the line
+        made = judge.make(partial(_route, section, lines), partial(_key_of, section, at))
+        if made is not None:
+            found.append(PlacedRoute(made, at, section))
+    return found
+
+
+def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
+    return (*at, key) if key is not None and key in section.model_fields_set else at
+
+
+def _route(section: RouteSection, lines: Mapping[str, LineSettings]) -> Route:
+    line = None if section.line is None else lines[section.line]
+    asked = section.asked_units()
+    addresses = section.asked_addresses()
+    action = Action.FORWARD if line is not None else Action.DROP if section.drop else Action.REFUSE
+    return Route(
+        line=section.line or "",
+        fronts=frozenset(section.listeners or ()),
+        units=_default_units(section, line) if asked is None else asked,
+        functions=section.asked_functions(),
+        addresses=None if addresses is None else AddressRange(*addresses),
+        unit=section.unit,
+        unit_offset=section.unit_offset,
+        shift=section.shift,
+        max_registers=section.max_registers,
+        max_bits=section.max_bits,
+        split_writes=section.split_writes,
+        action=action,
+        code=1 if section.refuse is None else section.refuse,
+        cache=section.cache,
+        timeout=section.timeout,
+        name=section.name,
+    )
+
+
+def _default_units(section: RouteSection, line: LineSettings | None) -> frozenset[int]:
+    """The units of a route that names none: those that its line can have."""
+    if line is None:
+        return ALL_UNITS
+    behind = _units_behind(line)
+    if section.unit is not None:
+        return behind
+    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
+    if not units:
+        raise ConfigError(f"leaves no unit that {section.line!r} has", key="unit_offset")
+    return units
+
+
+def _units_behind(line: LineSettings) -> frozenset[int]:
+    return ALL_UNITS if line.link.endpoint.framing == "mbap" else SERIAL_UNITS
+
+
+# What can not work.
+
+
+def judge_routes(
+    file: GatewayFile,
+    routes: Sequence[PlacedRoute],
+    fronts: Sequence[PlacedFront],
+    lines: Mapping[str, LineSettings],
+    policy: Policy | None,
+    judge: Judge,
+) -> None:
+    """Tell the judge what of routes, fronts, lines and the policy does not go together."""
+    for at, sentence in (
+        *_unreached(routes),
+        *_hidden_refusals(routes),
+        *_impossible_units(routes, fronts, lines),
+        *_impossible_addresses(routes),
+        *_gaps_on_networks(routes, lines),
+        *_impatient_clients(routes, fronts, lines),
+        *_fronts_without_units(file, routes, fronts),
+        *_loops(file, fronts, lines),
+    ):
+        judge.refuse(at, sentence)
+    for at, sentence in (
+        *_overlaps(routes),
+        *_idle_lines(file, routes, lines),
+        *_hidden_own_unit(file, routes),
+        *_idle_fronts(routes, fronts),
+        *_lines_slower_than_the_default(routes, fronts, lines),
+        *(() if policy is None else ways_past(policy, routes)),
+        *_same_servers(file, lines),
+    ):
+        judge.warn(at, sentence)
+
+
+Faults = Iterator[tuple[Place, str]]
+
+
+def _unreached(routes: Sequence[PlacedRoute]) -> Faults:
+    plain = [one.route for one in routes]
+    for position, placed in enumerate(routes):
+        takers, left = taken_before(plain, position)
+        if not left:
+            named = " and ".join(_titled(routes, one) for one in takers)
+            yield (
+                placed.place,
+                f"is never reached: {named} before it {'takes' if len(takers) == 1 else 'take'} all its requests",
+            )
+
+
+def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
+    plain = [one.route for one in routes]
+    for position, placed in enumerate(routes):
+        route = placed.route
+        is_rest = placed.section is None or placed.section.units is None
+        if is_rest and (route.action is Action.FORWARD or not (route.functions or route.addresses)):
+            continue  # it is for what the others have left
+        takers, left = taken_before(plain, position)
+        if left and takers and route.action is not Action.REFUSE:
+            taken = units_text(placed.route.units - left)
+            named = " and ".join(_titled(routes, one) for one in takers)
+            yield placed.key("units"), f"{named} before it {'takes' if len(takers) == 1 else 'take'} units {taken}"
+
+
+def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
+    """Refusals of which an earlier route takes a part: what is to be refused would be forwarded.
+
+    A refusal that says neither units, functions nor addresses is for what others have left.
+    """
+    for position, placed in enumerate(routes):
+        refusal = placed.route
+        if refusal.action is not Action.REFUSE:
+            continue
+        for earlier in routes[:position]:
+            if earlier.route.covers(refusal):
+                break  # it is never reached, which is said already
+            part = "" if earlier.route.action is Action.REFUSE else _hidden_part(placed, earlier.route)
+            if part:
+                yield (
+                    placed.place,
+                    f"{earlier.title} before it takes {part}, which it is to refuse; a refusal stands before "
+                    "what it is an exception of",
+                )
+                break
+
+
+def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
+    """What an earlier route takes of a refusal: all in two respects, and a part of what the third one says."""
+    refusal = placed.route
+    wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
+    is_for_all = not refusal.fronts and bool(earlier.fronts)
+    if is_for_all or (earlier.fronts and not refusal.fronts <= earlier.fronts):
+        wider = replace(wider, fronts=(refusal.fronts & earlier.fronts) or earlier.fronts)
+        if refusal.fronts and not refusal.fronts & earlier.fronts:
+            return ""
+    if not wider.units <= earlier.units:
+        return ""
+    says_units = placed.section is not None and placed.section.units is not None
+    if earlier.covers(wider):
+        is_rest = not (says_units or refusal.functions or refusal.addresses)
+        return "" if is_rest else f"units {units_text(wider.units)}"
+    codes = refusal.functions & earlier.functions
+    if codes and earlier.covers(replace(wider, functions=codes)):
+        return f"functions {', '.join(map(str, sorted(codes)))}"
+    if refusal.addresses is None or earlier.addresses is None or refusal.addresses.table is not earlier.addresses.table:
+        return ""
+    first = max(refusal.addresses.first, earlier.addresses.first)
+    end = min(refusal.addresses.end, earlier.addresses.end)
+    if first < end and earlier.covers(replace(wider, addresses=AddressRange(refusal.addresses.table, first, end))):
+        return str(AddressRange(refusal.addresses.table, first, end))
+    return ""
+
+
+def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
+    return next(one.title for one in routes if one.route is route)
+
+
+def _impossible_units(
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+) -> Faults:
+    for placed in routes:
+        route, section = placed.route, placed.section
+        if route.line and _units_behind(lines[route.line]) is SERIAL_UNITS:
+            wrong = sorted(unit for unit in route.units if route.unit_behind(unit) not in SERIAL_UNITS)
+            if wrong:
+                yield placed.key("unit", "unit_offset", "units"), _no_unit_behind(route, wrong[0])
+        if section is None or section.units is None:
+            continue
+        at = [one for one in fronts if not route.fronts or one.name in route.fronts]
+        serial = [one for one in at if one.is_serial]
+        wrong = sorted(route.units - SERIAL_UNITS)
+        if wrong and serial and (route.fronts or len(serial) == len(at)):
+            yield (
+                placed.key("units"),
+                f"nobody can ask {serial[0].name} for unit {wrong[0]}: a serial line has units 1…{LAST_SERIAL_UNIT}",
+            )
+
+
+def _no_unit_behind(route: Route, unit: int) -> str:
+    behind = route.unit_behind(unit)
+    if behind == 0:
+        return (
+            f"unit {unit} would be 0 on {route.line!r}, where nobody answers; a broadcast goes to all lines by itself"
+        )
+    return f"unit {unit} would be {behind} on {route.line!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
+
+
+def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
+    for placed in routes:
+        route = placed.route
+        if route.addresses is None:
+            continue
+        first, last = route.addresses.first + route.shift, route.addresses.end - 1 + route.shift
+        if route.shift and not (first >= 0 and last <= 0xFFFF):
+            yield placed.key("shift"), f"{route.addresses} would become {first}…{last}, which do not exist"
+        if route.functions and not any(_touches(code, route.addresses) for code in route.functions):
+            yield placed.key("functions"), f"none of them reads or writes {route.addresses.table.label}s"
+
+
+def _gaps_on_networks(routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:
+    for placed in routes:
+        if placed.gap and placed.route.line and lines[placed.route.line].link.line is None:
+            yield placed.key("request_gap"), "is an option of the line where that is no serial one"
+
+
+def unit_gaps(routes: Sequence[PlacedRoute], line: str) -> dict[int, float]:
+    """The gaps that routes ask for, by the unit behind: the longest of each."""
+    found: dict[int, float] = {}
+    for placed in routes:
+        if placed.gap and placed.route.line == line:
+            for unit in placed.route.units:
+                behind = placed.route.unit_behind(unit)
+                found[behind] = max(placed.gap, found.get(behind, 0.0))
+    return found
+
+
+def _touches(code: int, addresses: AddressRange) -> bool:
+    kinds = [one for one in STANDARD if one.code == code]
+    touched = {touch.table for kind in kinds for touch in (kind.reads, kind.writes) if touch is not None}
+    return not kinds or addresses.table in touched
+
+
+def _impatient_clients(
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+) -> Faults:
+    for front in fronts:
+        if front.deadline is None or not front.is_chosen:
+            continue
+        cases = [
+            (worst_case(lines[one.route.line], one.route, one.gap), one.route.line)
+            for one in routes
+            if one.route.line and (not one.route.fronts or front.name in one.route.fronts)
+        ]
+        if not cases:
+            continue
+        case, line = max(cases, key=lambda each: each[0].seconds)
+        if front.deadline < case.seconds:
+            yield (
+                (*front.place[:2], "client_deadline"),
+                f"{front.deadline:g} s is less than line {line!r} may take: {case.seconds:.3g} s = {case.sum}",
+            )
+
+
+def _lines_slower_than_the_default(
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+) -> Faults:
+    """Lines whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
+    deadline = next((one.deadline for one in fronts if one.deadline is not None and not one.is_chosen), None)
+    if deadline is None:
+        return
+    told: set[str] = set()
+    for one in routes:
+        route = one.route
+        is_asked = any(not front.is_chosen and (not route.fronts or front.name in route.fronts) for front in fronts)
+        if not route.line or route.line in told or not is_asked:
+            continue
+        case = worst_case(lines[route.line], replace(route, max_registers=None, max_bits=None), one.gap)
+        if case.seconds > deadline:
+            told.add(route.line)
+            yield (
+                one.key("timeout"),
+                f"line {route.line!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B after "
+                f"{deadline:g} s; set client_deadline of the listener to what its clients wait, or a shorter timeout",
+            )
+
+
+def worst_case(line: LineSettings, route: Route, gap: float = 0.0) -> WorstCase:
+    """How long a request of a route may take on its line, once it has its turn; ``gap``: that of its unit, seconds."""
+    parameters = line.link.parameters
+    timeout = route.timeout or parameters.timeout
+    reading = writing = parameters.request_gap
+    if line.link.line is not None:
+        timing = timing_of(line.link.line.port)
+        serial = line.link.line.conversation
+        pause = max(parameters.request_gap, serial.unit_switch_gap, serial.quiet_window, timing.t3_5)
+        short, long = _REQUEST_CHARACTERS[line.link.endpoint.framing]
+        pause = max(pause, gap)
+        reading, writing = pause + timing.duration(short), pause + timing.duration(long)
+    pieces = max(_pieces(_MOST_REGISTERS, route.max_registers), _pieces(_MOST_BITS, route.max_bits))
+    read = _attempts(parameters.retries, timeout, reading, pieces)
+    write = _attempts(parameters.write_retries, timeout, writing, pieces if route.split_writes else 1)
+    return max(read, write, key=lambda each: each.seconds)
+
+
+def _pieces(most: int, limit: int | None) -> int:
+    return 1 if limit is None else -(-most // limit)
+
+
+def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> WorstCase:
+    text = f"(1 + {retries} retries) × ({timeout:g} s timeout"
+    text += f" + {beside:.3g} s for frames and silence)" if beside else ")"
+    text += f" × {pieces} pieces" if pieces > 1 else ""
+    return WorstCase((1 + retries) * (timeout + beside) * pieces, text)
+
+
+def _fronts_without_units(file: GatewayFile, routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront]) -> Faults:
+    own = file.gateway.own_unit
+    for front in fronts:
+        units = {unit for one in _of_front(routes, front) for unit in one.route.units}
+        units |= set() if own is None else {own}
+        if front.is_serial and not units & SERIAL_UNITS:
+            yield (
+                front.place,
+                f"no route has a unit that can be asked here: a serial line has units 1…{LAST_SERIAL_UNIT}",
+            )
+
+
+def _idle_fronts(routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront]) -> Faults:
+    for front in fronts:
+        if not front.is_serial and not any(one.route.line for one in _of_front(routes, front)):
+            yield front.place, "no route leads from here to a line"
+
+
+def _of_front(routes: Sequence[PlacedRoute], front: PlacedFront) -> list[PlacedRoute]:
+    return [one for one in routes if not one.route.fronts or front.name in one.route.fronts]
+
+
+def _loops(file: GatewayFile, fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]) -> Faults:
+    """Lines that lead to the gateway itself, and ports that are wanted twice."""
+    owners: dict[str, str] = {}
+    for front in fronts:
+        if front.endpoint.carrier == "serial":
+            owners[os.path.realpath(front.endpoint.path)] = f"listener {front.name}"
+    for index, section in enumerate(file.line):
+        line = lines.get(section.name)
+        if line is None:
+            continue
+        endpoint = line.link.endpoint
+        place: Place = ("line", index, "url")
+        if endpoint.carrier == "serial":
+            port = os.path.realpath(endpoint.path)
+            if port in owners:
+                yield place, f"{endpoint.path} is taken by {owners[port]}"
+            owners.setdefault(port, f"line {section.name!r}")
+            continue
+        own = next((front for front in fronts if _is_same(front.endpoint, endpoint)), None)
+        if own is not None:
+            yield place, f"leads back to the gateway itself, to listener {own.name}"
+
+
+def _is_same(front: Endpoint, line: Endpoint) -> bool:
+    if front.carrier == "serial" or front.port != line.port or not front.port:
+        return False
+    if (front.carrier == "udp") != (line.carrier == "udp"):
+        return False
+    front_host, line_host = (_SAME.get(host, host) for host in (front.host, line.host))
+    return front_host == line_host or (front_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(line_host)}"))
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def _idle_lines(file: GatewayFile, routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:
+    used = {one.route.line for one in routes}
+    for index, section in enumerate(file.line):
+        if section.name in lines and section.name not in used:
+            yield ("line", index, "name"), f"no route leads to {section.name!r}"
+
+
+def _same_servers(file: GatewayFile, lines: Mapping[str, LineSettings]) -> Faults:
+    seen: dict[tuple[str, str, int | None], str] = {}
+    for index, section in enumerate(file.line):
+        line = lines.get(section.name)
+        if line is None or line.link.endpoint.carrier == "serial":
+            continue
+        endpoint = line.link.endpoint
+        server = ("udp" if endpoint.carrier == "udp" else "tcp", endpoint.host, endpoint.port)
+        if server in seen:
+            yield (
+                ("line", index, "url"),
+                f"{endpoint.url} is the server of line {seen[server]!r} too: each has connections of its own",
+            )
+        seen.setdefault(server, section.name)
+
+
+def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults:
+    own = file.gateway.own_unit
+    if own is None:
+        return
+    is_written = "own_unit" in file.gateway.model_fields_set
+    for placed in routes:
+        route, section = placed.route, placed.section
+        is_named = section is not None and section.units is not None
+        if own in route.units and not route.functions and route.addresses is None and (is_written or is_named):
+            yield placed.key("units"), f"takes unit {own}, by which the gateway itself could be asked"
+            return
+
+
+__all__ = ["PlacedFront", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "unit_gaps", "worst_case"]

@@ -1,0 +1,291 @@
+"""One object that holds every parameter of a system, checked as a whole (clause T33).
+
+Knows what each section is for and which component takes it; knows no network. It reads its file and no other: what
+the file names (certificates, the audit log) is opened by the component that it belongs to.
+
+>>> configuration = busway.load_configuration("plant.toml")          # doctest: +SKIP
+>>> async with configuration.serve() as server: ...                  # doctest: +SKIP
+>>> with configuration.connect("boiler") as link: ...                # doctest: +SKIP
+"""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from ...access.addresses import AddressList
+from ...access.rules import AccessRules, Policy
+from ...config.certificates import tls_of
+from ...config.files.lines import Path as Place
+from ...config.files.problems import FileError
+from ...config.files.system import SystemFile, read_system_file
+from ...config.links import NamedLink, named_links
+from ...config.paths import rooted, within
+from ...config.preflight import examine_files, judge_roles
+from ...config.reading import read_text
+from ...config.report import Judge, nearest
+from ...errors import ConfigError
+from ...options.endpoints import Endpoint, parse_endpoint
+from ...options.text import build_parameters, option_names
+from ...server.listener import Listener
+from ...server.parameters import ListenerParameters
+from ...transport.tls.parameters import OF_CLIENTS, TlsParameters
+
+if TYPE_CHECKING:
+    from ...client.aio import AsyncLink
+    from ...client.blocking import Link
+    from ...server.server import Server
+
+ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
+"""Hosts of listeners that stand for every interface."""
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """Everything that a configuration file says, checked as a whole.
+
+    Attributes:
+        name: the file's name.
+        file: its sections.
+        listeners: where a server of it listens, each with what holds there.
+        limits: of the listeners that have none of their own.
+        tls: certificates of the listeners that have none of their own; None without ``[security]``.
+        access: rules on what may be asked, and on who may connect; None if there are none.
+        audit: path of the audit log; None if there is none.
+        control: path or address of the control socket; None for the usual one.
+        links: the links by name.
+        warnings: what is odd but can be, each with file, line and key.
+        changes: options of listeners that go before those of the file.
+        at_once: sections that hold at once when the file is read again while it runs.
+    """
+
+    name: str
+    file: SystemFile
+    listeners: tuple[Listener, ...]
+    limits: ListenerParameters
+    tls: TlsParameters | None
+    access: AccessRules | None
+    audit: str | None
+    control: str | None
+    links: Mapping[str, NamedLink]
+    warnings: tuple[ConfigError, ...]
+    changes: Mapping[str, Any]
+    at_once: frozenset[str] = frozenset({"policy"})
+
+    def serve(
+        self, listen: Iterable[str | Listener] = (), **options: Any
+    ) -> "Server":  # Any: as `busway.serve` takes them
+        """A server for the units of the file, not started yet.
+
+        Args:
+            listen: endpoints, or `Listener`s, instead of those of the file.
+            options: of `busway.serve`, instead of those of the file.
+
+        Raises:
+            ConfigError: an endpoint or option that can not be; the file has no unit.
+        """
+        from ...config.devices import build_units
+        from ...server.serving import serve
+
+        if not self.file.unit:
+            raise ConfigError("there is no unit to serve", file=self.name, key="unit")
+        units = options.pop("units", None) or build_units(self.file)
+        return serve(*(tuple(listen) or self.listeners), **{"units": units, **self.served(), **options})
+
+    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Let a running server follow this configuration: but for policy and lists, it needs a new start."""
+        return []
+
+    def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
+        """The options of `busway.serve` that the file sets."""
+        chosen = self.file.server.options() | dict(self.changes)
+        return chosen if self.tls is None else {**chosen, "tls": self.tls}
+
+    def open(self, name: str, *, shared: bool = True) -> "AsyncLink":
+        """A named link for asyncio programs, as `busway.open` gives it. Raises `ConfigError` if there is none."""
+        from ...client.aio import open_link
+
+        link = self._link_to_open(name)
+        return open_link(link.url, shared=shared, **link.options)
+
+    def connect(self, name: str, *, shared: bool = True) -> "Link":
+        """A named link for blocking programs, as `busway.connect` gives it. Raises `ConfigError` if there is none."""
+        from ...client.blocking import connect
+
+        link = self._link_to_open(name)
+        return connect(link.url, shared=shared, **link.options)
+
+    def _link_to_open(self, name: str) -> NamedLink:
+        """A named link, once the limit holds of connections that this process may have."""
+        supported = self.file.client.supported_connections
+        if supported is not None:
+            from ...client.registry import limit_local_connections
+
+            limit_local_connections(supported)
+        return self.link(name)
+
+    def link(self, name: str) -> NamedLink:
+        """What is declared of a link. Raises `ConfigError` that lists the names there are."""
+        link = self.links.get(name)
+        if link is None:
+            there = f"there are {', '.join(self.links)}" if self.links else "there is none"
+            raise ConfigError(f"there is no link {name!r}; {there}", file=self.name, key="client.link")
+        return link
+
+
+def load_configuration(
+    path: str | os.PathLike[str], *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> Configuration:
+    """The configuration of a file: server, listeners, client, security, policy and units.
+
+    Args:
+        path: the file, in TOML. Every device file is one.
+        examine: whether the files that it names are opened too, to say now what would fail later.
+        changes: options of listeners that go before those of the file.
+
+    Raises:
+        ConfigError: the file can not be read, or something in it can not be; then it has all ``problems``, each with
+            file, line and key.
+    """
+    name = os.fspath(path)
+    return parse_configuration(read_text(name), name, examine=examine, changes=changes)
+
+
+def parse_configuration(
+    text: str, name: str, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> Configuration:
+    """The configuration that a text declares.
+
+    Args:
+        text: the content of the file.
+        name: its name, for sentences; paths in it are relative to its folder.
+        examine, changes: as of `load_configuration`.
+
+    Raises:
+        FileError: all that is wrong, each with file, line and key.
+    """
+    try:
+        file, source = read_system_file(text, name)
+    except FileError as error:
+        raise _what_reads_it(error) from None
+    judge = Judge(source)
+    made = put_together(file, name, judge, examine=examine, changes=changes)
+    return replace(made, warnings=judge.end())
+
+
+def _what_reads_it(error: FileError) -> FileError:
+    """An error with all that is wrong; of a simulation file only that it is one, and what takes it."""
+    from ...config.files.simulation import is_only_of_simulations
+
+    one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
+    if one is None:
+        return error
+    sentence = f"only simulation files have this; such a file is read by: busway simulate {one.file} --check"
+    return FileError([ConfigError(sentence, file=one.file, line=one.line, key=one.key)])
+
+
+def put_together(
+    file: SystemFile, name: str, judge: Judge, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+) -> Configuration:
+    """What a file declares, as far as the judge lets it: of use only after `Judge.end`.
+
+    Args:
+        file: its sections.
+        name: its name; paths in it are relative to its folder.
+        judge: collects what is wrong, and what is odd.
+        examine, changes: as of `load_configuration`.
+    """
+    makers = _Makers(file, name, judge, changes or {})
+    limits = makers.limits()
+    listeners = [makers.listener(place, parse_endpoint(url)) for place, url in file.places()]
+    links = named_links(file, lambda options: rooted(options, name), judge)
+    judge_roles(file, judge)
+    if examine:
+        examine_files(file, name, listeners, judge)
+    return Configuration(
+        name,
+        file,
+        tuple(listeners),
+        limits or ListenerParameters(),
+        makers.tls(),
+        None if file.policy is None else file.policy.access_rules(),
+        None if file.audit is None else within(name, file.audit.path),
+        _control(file, name),
+        links,
+        (),
+        changes or {},
+    )
+
+
+def _control(file: SystemFile, name: str) -> str | None:
+    path = file.control.path
+    if path is None or not file.control.enabled:
+        return None
+    is_address = path.startswith("http://") or path.rpartition(":")[2].isdecimal()
+    return path if is_address else within(name, path)
+
+
+class _Makers:
+    """Makes listeners of what stands in a file: each part's own settings go before the general ones."""
+
+    def __init__(self, file: SystemFile, name: str, judge: Judge, changes: Mapping[str, Any]) -> None:
+        self._file = file
+        self._name = name
+        self._judge = judge
+        self._changes = changes
+        self._general = file.server.options()
+        self._security = {key: value for key, value in file.security.options().items() if key not in OF_CLIENTS}
+
+    def limits(self) -> ListenerParameters | None:
+        """The limits of the listeners that have none of their own."""
+        return self._limits({}, ("server",))
+
+    def tls(self) -> TlsParameters | None:
+        """Certificates of the listeners that have none of their own."""
+        if self._security.get("certificate") is None:
+            return None
+        return build_parameters(TlsParameters, rooted(self._security, self._name))
+
+    def _limits(self, own: Mapping[str, Any], at: Place) -> ListenerParameters | None:
+        known = option_names(ListenerParameters)
+        general = {key: value for key, value in self._general.items() if key in known}
+        chosen = {**general, **own, **self._changes}
+        return self._judge.make(
+            lambda: build_parameters(ListenerParameters, chosen),
+            lambda key: nearest(key, own, at, general, ("server",)),
+        )
+
+    def listener(self, place: Place, endpoint: Endpoint) -> Listener:
+        """The listener whose URL stands at a place; without what the judge had to refuse."""
+        if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
+            self._judge.warn(place, f"{endpoint.url} listens on every interface of this host")
+        if endpoint.carrier == "serial":
+            return self._checked(Listener(endpoint), place)
+        section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
+        own = {} if section is None else section.options()
+        tls = self._tls(own, at) if endpoint.carrier == "tls" else None
+        if section is None:
+            return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
+        access = self._judge.make(
+            lambda: AddressList(section.allow, section.deny, section.secure),
+            lambda key: nearest(key, ("allow", "deny"), at, (), at),
+        )
+        limits = self._limits(section.limits(), at) if section.limits() else None
+        return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
+
+    def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
+        """The listener, whose URL and certificates the server has judged."""
+        options = parse_endpoint(listener.endpoint).options
+
+        def place_of(key: str | None) -> Place:
+            return place if key in options else nearest(key, own or {}, place[:2], self._security, ("security",))
+
+        self._judge.make(lambda: tls_of(listener), place_of)
+        return listener
+
+    def _tls(self, own: Mapping[str, Any], at: Place) -> TlsParameters | None:
+        chosen = rooted({**self._security, **own}, self._name)
+        return self._judge.make(
+            lambda: build_parameters(TlsParameters, chosen),
+            lambda key: nearest(key, own, at, self._security, ("security",)),
+        )

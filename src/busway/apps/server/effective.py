@@ -1,0 +1,92 @@
+"""The values that hold, those that nobody wrote included, in the words of the file.
+
+Knows parameter classes and TOML; changes nothing.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields
+from enum import Enum
+from typing import Any
+
+from ...client.settings import options_of
+from ...config.files.listeners import OF_CLIENTS
+from ...config.links import NamedLink
+from ...options.text import NONE, build_parameters, option_names
+from ...server.listener import Listener
+from ...server.parameters import ListenerParameters
+from ...session.parameters import ServerParameters
+from ...transport.tcp import SocketParameters
+from .configuration import Configuration
+
+
+def effective(configuration: Configuration) -> Iterator[str]:
+    """Lines of TOML: each section that a component takes, with every value."""
+    yield "[server]"
+    options = configuration.served()
+    for name in ("unit_policy", "unlisted"):
+        yield line(name, getattr(configuration.file.server, name))
+    for kind in (ServerParameters, ListenerParameters, SocketParameters):
+        chosen = {name: value for name, value in options.items() if name in option_names(kind)}
+        yield from values(build_parameters(kind, chosen), without=OF_CLIENTS)
+    for listener in configuration.listeners:
+        yield from ["", "[[listener]]", *_listener(listener)]
+    for link in configuration.links.values():
+        yield from ["", "[[client.link]]", *_link(link)]
+
+
+def _listener(listener: Listener) -> Iterator[str]:
+    yield line("url", str(listener.endpoint))
+    access = listener.access
+    for name in ("allow", "deny", "secure"):
+        if access is not None:
+            yield line(name, getattr(access, name))
+    if listener.limits is not None:
+        yield from values(listener.limits, without=frozenset({"shared_places"}))
+    if listener.tls is not None:
+        yield from values(listener.tls, without=frozenset({"server_name", "verify"}))
+
+
+def _link(link: NamedLink) -> Iterator[str]:
+    yield line("name", link.name)
+    yield line("url", link.settings.endpoint.url)
+    settings, offered = link.settings, options_of(link.settings.endpoint)
+    parts: list[Any] = [settings.parameters, settings.sockets, settings.management, settings.security]
+    if settings.line is not None:
+        found = settings.line
+        parts += [found.port, found.conversation, found.breaker, found.framing, found.opening]
+    for part in parts:
+        if part is not None:
+            yield from values(part, without=frozenset(option_names(type(part))) - offered)
+
+
+def values(
+    parameters: Any, *, without: frozenset[str] = frozenset()
+) -> Iterator[str]:  # Any: classes of no common base
+    """A line for each option of a parameter object."""
+    for field in fields(parameters):
+        if field.name not in without:
+            yield line(field.name, getattr(parameters, field.name))
+
+
+def line(name: str, value: object) -> str:
+    """``name = value`` as TOML has it."""
+    return f"{name} = {_written(value)}"
+
+
+def _written(value: object) -> str:
+    if value is None:
+        return f'"{NONE}"'
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Enum):
+        return _written(value.value)
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(line(str(key), one) for key, one in value.items()) + " }"
+    if isinstance(value, Iterable):
+        return "[" + ", ".join(_written(one) for one in value) + "]"
+    return _written(str(value))

@@ -1,0 +1,100 @@
+"""What a configuration says, as rows for people: what listens where, who may do what, which links and units there are.
+
+Knows a configuration; changes nothing.
+"""
+
+from collections.abc import Iterator
+
+from ...access.addresses import AddressList
+from ...codes import Table
+from ...config.certificates import tls_of
+from ...config.files.device import UnitSection
+from ...config.live_access import reaches_network
+from ...options.endpoints import parse_endpoint
+from ...options.text import NONE
+from ...server.listener import Listener
+from ...server.parameters import ListenerParameters
+from .configuration import Configuration
+
+Row = tuple[str, str, str]
+"""Kind, name, what is said about it."""
+
+
+def overview(configuration: Configuration) -> Iterator[Row]:
+    """The rows, in the order of the file's sections."""
+    file = configuration.file
+    for listener in configuration.listeners:
+        yield "listener", str(listener.endpoint), "; ".join(_listener(listener, configuration.limits))
+    yield "policy", "", _policy(configuration)
+    yield "server", "", "; ".join(_server(configuration))
+    for link in configuration.links.values():
+        options = ", ".join(f"{name} {NONE if value is None else value}" for name, value in link.options.items())
+        yield "link", link.name, f"{link.url}; {options or 'defaults'}"
+    for section in file.unit:
+        for number in section.unit:
+            yield "unit", str(number), _unit(section)
+
+
+def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
+    carrier = parse_endpoint(listener.endpoint).carrier
+    if carrier == "serial":
+        yield "serial line"
+        return
+    if isinstance(listener.access, AddressList):
+        yield from _addresses(listener.access)
+    limits = listener.limits or general
+    marked = f" for {', '.join(limits.priority)}" if limits.priority else ""
+    yield f"{limits.max_priority_connections} priority places{marked}, {limits.max_connections} others"
+    tls = tls_of(listener)
+    if tls is not None:
+        yield f"certificate {tls.certificate}, authority {tls.authority}"
+        if tls.require_role:
+            yield "a role is required"
+        if tls.revocation_list is not None:
+            yield f"revocation list {tls.revocation_list}"
+
+
+def _addresses(addresses: AddressList) -> Iterator[str]:
+    if addresses.allow:
+        yield f"allows {', '.join(addresses.allow)}"
+    if addresses.deny:
+        yield f"denies {', '.join(addresses.deny)}"
+    if addresses.secure:
+        yield "refuses all others"
+
+
+def _policy(configuration: Configuration) -> str:
+    access = configuration.access
+    if access is None:
+        exposed = any(reaches_network(str(listener.endpoint)) for listener in configuration.listeners)
+        beyond = "; the command makes what the network reaches read-only" if exposed else ""
+        return f"none: whoever may connect may do everything{beyond}"
+    rules = access.policy.rules
+    count = "1 rule" if len(rules) == 1 else f"{len(rules)} rules"
+    named = f"{count} ({', '.join(rule.name for rule in rules)}), else " if rules else ""
+    return "; ".join((f"{named}{access.policy.default.value}", *_addresses(access.addresses)))
+
+
+def _server(configuration: Configuration) -> Iterator[str]:
+    file = configuration.file
+    yield f"audit {configuration.audit}" if configuration.audit else "no audit log"
+    yield f"metrics on {file.metrics.listen}" if file.metrics else "no metrics"
+    if not file.control.enabled:
+        yield "no control socket"
+    elif configuration.control:
+        yield f"control socket {configuration.control}"
+    else:
+        yield "control socket in the usual place"
+
+
+def _unit(section: UnitSection) -> str:
+    parts = [section.name] if section.name else []
+    for table in Table:
+        declared = section.table(table)
+        points = section.points_in(table)
+        if declared is not None:
+            parts.append(f"{declared.size} {table.label}s")
+        elif points:
+            parts.append(f"{sum(point.size for point in points)} {table.label}s")
+    parts.append(f"{len(section.point)} points")
+    return ", ".join(parts)

@@ -1,0 +1,388 @@
+"""A server of a configuration and what stands around it while it runs: policy, audit log, metrics, control socket.
+
+Knows components and the order in which they start and stop; knows no request. What it was told can be read again
+while it runs, without a connection being lost.
+
+1. What is wrong with a file that is read again changes nothing: everything stays as it was. It is read and judged in a
+   thread, and put into force in the event loop, in one step: what runs answers meanwhile.
+2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
+   hold from the next connection on; the audit log is opened anew. What else differs is named: it holds from the next
+   start.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+from ...access.addresses import AddressList
+from ...access.rules import AccessRules, Policy, Rule
+from ...config.certificates import tls_of, try_certificates
+from ...config.files.system import SystemFile
+from ...config.live_access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
+from ...config.unhurried import collecting_paused, keep_uncollected, let_go
+from ...errors import ConfigError
+from ...server.listener import Listener
+from ...session.handler import Handler
+
+if TYPE_CHECKING:
+    from ...access.audit import AuditLog
+
+_log = logging.getLogger("busway.service")
+
+_MANY_RULES: Final = 10_000
+"""Beyond so many, one round of the garbage collector would be felt: 10 ms for the objects of these."""
+_REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
+
+
+class Running(Protocol):
+    """What runs: a server, or a gateway."""
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs of the listeners as they are bound."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it answers."""
+
+    def status(self) -> Any:  # a dataclass, of its own kind
+        """How it stands now."""
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around what answers, before the start."""
+
+    def replace_policy(self, policy: Policy) -> None:
+        """Let another policy hold from the next request on."""
+
+    def end_unauthorised(self) -> int:
+        """End connections of hosts that may no longer connect; how many there were."""
+
+    def reload_security(self) -> None:
+        """Read certificates anew. Raises `ConfigError`; what can not be used leaves its listener as it was."""
+
+    async def __aenter__(self) -> object:
+        """Start."""
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> bool | None:
+        """Stop."""
+
+
+class Declared(Protocol):
+    """What a file declares: a `Configuration`, or that of a gateway."""
+
+    @property
+    def file(self) -> SystemFile:
+        """Its sections."""
+
+    @property
+    def listeners(self) -> tuple[Listener, ...]:
+        """Where it listens."""
+
+    @property
+    def access(self) -> AccessRules | None:
+        """The rules that it has."""
+
+    @property
+    def audit(self) -> str | None:
+        """Path of the audit log."""
+
+    @property
+    def control(self) -> str | None:
+        """Where it is controlled; None for the usual place."""
+
+    @property
+    def at_once(self) -> frozenset[str]:
+        """Sections that hold at once when the file is read again."""
+
+    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Running:  # of several types
+        """What it declares, not started yet."""
+
+    async def let_follow(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Let what runs follow it, as far as it can without a new start; what changed. Raises `ModbusError`."""
+
+
+def declared_rules(configuration: Declared) -> AccessRules | None:
+    """The rules that stand in the configuration itself."""
+    return configuration.access
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What is wanted beside, or instead of, what the configuration says.
+
+    Attributes:
+        listen: endpoints instead of those of the file.
+        rules: gives the access rules; called again when files are read again.
+        addresses: a list of who may connect, beside those of the file.
+        allow_writes: whether listeners that the network reaches take writes though nobody wrote a policy.
+        audit: path of the audit log.
+        metrics: address on which the metrics are offered.
+        control: path or address of the control socket, or ``off``.
+        standard_port: whether port 502 is listened on beside others; None leaves it to the file.
+        can_reload: whether there is something to be read again.
+        name: what the program is, for whoever has several.
+    """
+
+    listen: Sequence[str] = ()
+    rules: Callable[[Declared], AccessRules | None] = declared_rules
+    addresses: AddressList | None = None
+    allow_writes: bool = False
+    audit: str | None = None
+    metrics: str | None = None
+    control: str | None = None
+    standard_port: bool | None = None
+    can_reload: bool = False
+    name: str = "server"
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """What reading the files again gave.
+
+    Attributes:
+        configuration: what they declare.
+        rules: the rules on access.
+        are_other_rules: whether these are not those in force.
+        later: sections that have changed and hold from the next start.
+        before: the rules in force.
+    """
+
+    configuration: Declared
+    rules: AccessRules | None
+    are_other_rules: bool
+    later: list[str]
+    before: tuple[Rule, ...]
+
+    def rule_lists(self) -> list[list[Any]]:
+        """What is of no use afterwards and may be large, for `let_go`."""
+        policy = self.configuration.file.policy
+        read = () if self.rules is None else self.rules.policy.rules
+        return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
+
+
+class Service:
+    """A running server with all around it; an asynchronous context manager that starts and stops.
+
+    Args:
+        read: gives the configuration; called again by `reload`.
+        wishes: what is wanted beside it.
+
+    Attributes:
+        configuration: the one that it was started with.
+        server: the server, after the start.
+        read_only: URLs of the listeners that are read-only because nobody wrote a policy.
+        metrics: where the metrics are scraped; empty without any.
+
+    Raises:
+        ConfigError, LinkDown: something can not be, or can not be had; then nothing runs.
+    """
+
+    server: Running
+
+    def __init__(self, read: Callable[[], Declared], wishes: Wishes | None = None) -> None:
+        self._read = read
+        self._wishes = wishes or Wishes()
+        self.configuration = read()
+        self.read_only: tuple[str, ...] = ()
+        self.metrics = ""
+        self._rules = self._wishes.rules(self.configuration)
+        self._entrance = Entrance()
+        self._entrances: dict[str, Entrance] = {}
+        self._audit: AuditLog | None = None
+        self._is_guarded = False
+        self._reloading = asyncio.Lock()
+        self._stack = AsyncExitStack()
+
+    async def __aenter__(self) -> Self:
+        async with self._reloading, AsyncExitStack() as stack:  # what is asked meanwhile waits
+            await self._start(stack)
+            self._stack = stack.pop_all()
+        self._spare_collector()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._stack.aclose()
+
+    async def _start(self, stack: AsyncExitStack) -> None:
+        from ..control.service import OFF, open_control
+
+        configuration, wishes = self.configuration, self._wishes
+        listeners = self._listeners(configuration)
+        self._entrance.lists = self._lists(self._rules)
+        options: dict[str, Any] = {"authorise": self._entrance}  # as `busway.serve` takes them
+        self._is_guarded = (
+            self._rules is not None or wishes.can_reload or any(reaches_network(str(one.endpoint)) for one in listeners)
+        )
+        if self._is_guarded:
+            options["policy"] = self._policy(self._rules, NETWORK_SCHEMES)
+        self._audit = self._opened_audit()
+        if self._audit is not None:
+            stack.callback(self._audit.close)
+            options["audit"] = self._audit
+        if wishes.standard_port is not None:
+            options["standard_port"] = wishes.standard_port
+        self.server = server = configuration.serve(listeners, **options)
+        metrics = wishes.metrics or (configuration.file.metrics.listen if configuration.file.metrics else None)
+        endpoint = None
+        if metrics is not None:
+            from ...observe.metrics import start_metrics
+
+            endpoint = await stack.enter_async_context(start_metrics(server, metrics))
+            self.metrics = endpoint.url
+        await stack.enter_async_context(server)
+        if self._is_guarded:
+            self._replace_policy()
+        at = wishes.control or (configuration.control if configuration.file.control.enabled else OFF)
+        await stack.enter_async_context(
+            open_control(
+                server,
+                at,
+                name=wishes.name,
+                reload=self.reload if wishes.can_reload else None,
+                metrics=None if endpoint is None else endpoint.answer,
+            )
+        )
+
+    async def reload(self) -> list[str]:
+        """Read again what can change while it runs: what was done, a sentence each.
+
+        Raises:
+            ConfigError, LinkDown: something is wrong with what was read, or can not be had; nothing has changed.
+        """
+        async with self._reloading:
+            with collecting_paused():
+                found: list[_Reading] = []  # and not the thread's result, which would live a little longer
+                await asyncio.to_thread(lambda: found.append(self._read_again()))
+                reading = found.pop()
+                done = await self._follow(reading)
+                left_over = reading.rule_lists()
+                del reading
+                await asyncio.to_thread(let_go, left_over)
+                self._spare_collector()
+        return done
+
+    def _spare_collector(self) -> None:
+        """Keep the garbage collector from looking at many rules again and again."""
+        if self._rules is not None and len(self._rules.policy.rules) > _MANY_RULES:
+            keep_uncollected()
+
+    def _read_again(self) -> _Reading:
+        """Read the files and judge them, in a thread: what runs goes on meanwhile."""
+        new = self._read()
+        rules = self._wishes.rules(new)
+        for listener in new.listeners:
+            try_certificates(listener)
+        if rules is not None:
+            rules.policy.prepare()
+        before = () if self._rules is None else self._rules.policy.rules
+        return _Reading(new, rules, rules != self._rules, _differences(self.configuration, new), before)
+
+    async def _follow(self, reading: _Reading) -> list[str]:
+        """Let what runs follow what was read; what was done, a sentence each."""
+        new, rules = reading.configuration, reading.rules
+        cautious = self._policy(rules, NETWORK_SCHEMES) if self._is_guarded else None
+        followed = await new.let_follow(self.server, self._listeners(new), policy=cautious)
+        done = []
+        if self._audit is not None:
+            self._audit.reopen()
+            done.append("the audit log was opened anew")
+        done += followed
+        if reading.are_other_rules:
+            done.append("the policy was replaced")
+        if self._is_guarded and (followed or reading.are_other_rules):
+            self._rules = rules
+            self._replace_policy()
+        self._entrance.lists = self._lists(rules)
+        if self._replace_lists(new):
+            done.append("the address lists of listeners were replaced")
+        ended = self.server.end_unauthorised()
+        if ended:
+            done.append(f"connections of hosts that may no longer connect were ended: {ended}")
+        if any(tls_of(listener) is not None for listener in new.listeners):
+            done.append(self._read_certificates_again())
+        if reading.later:
+            done.append(f"only the next start will see {', '.join(reading.later)}")
+        return done or ["nothing has changed"]
+
+    def _read_certificates_again(self) -> str:
+        try:
+            self.server.reload_security()
+        except ConfigError as error:  # not of the new file, which was tried before: of what runs until the next start
+            return f"certificates stay as they were: {error}"
+        return "certificates hold from the next connection on"
+
+    def _replace_policy(self) -> None:
+        """Let the policy hold, now that it is known which listeners the network reaches."""
+        exposed = [url for url in self.server.endpoints if reaches_network(url)]
+        self.read_only = () if self._rules is not None or self._wishes.allow_writes else tuple(exposed)
+        self.server.replace_policy(self._policy(self._rules, exposed))
+
+    def _opened_audit(self) -> "AuditLog | None":
+        path = self._wishes.audit or self.configuration.audit
+        if path is None:
+            return None
+        from ...access.audit import AuditLog
+
+        section = self.configuration.file.audit
+        if section is None:
+            return AuditLog(path)
+        return AuditLog(
+            path,
+            interval=section.interval,
+            on_failure=section.on_failure,
+            repeat_interval=section.repeat_interval,
+        )
+
+    def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
+        """The policy that was written, or else the one that makes exposed listeners read-only."""
+        if rules is not None:
+            return rules.policy
+        return read_only_for(() if self._wishes.allow_writes else exposed)
+
+    def _lists(self, rules: AccessRules | None) -> tuple[AddressList, ...]:
+        own = () if self._wishes.addresses is None else (self._wishes.addresses,)
+        return own if rules is None else (*own, rules.addresses)
+
+    def _listeners(self, configuration: Declared) -> list[Listener]:
+        """The listeners, each asking lists that can be replaced."""
+        if self._wishes.listen:
+            return [Listener(url) for url in self._wishes.listen]
+        found = []
+        for one in configuration.listeners:
+            if isinstance(one.access, AddressList):
+                # The same one for ever: what was started with it is not another for having other lists.
+                entrance = self._entrances.setdefault(str(one.endpoint), Entrance((one.access,)))
+                one = replace(one, access=entrance)
+            found.append(one)
+        return found
+
+    def _replace_lists(self, new: Declared) -> bool:
+        changed = False
+        for one in new.listeners:
+            entrance = self._entrances.get(str(one.endpoint))
+            if entrance is not None and isinstance(one.access, AddressList) and entrance.lists != (one.access,):
+                entrance.lists = (one.access,)
+                changed = True
+        return changed
+
+
+def _differences(old: Declared, new: Declared) -> list[str]:
+    """The sections in which two configurations differ, without what holds at once."""
+    found = []
+    for name in type(old.file).model_fields:
+        before, after = getattr(old.file, name), getattr(new.file, name)
+        if name == "listener":
+            before, after = (
+                [one.model_dump(exclude=set(_REPLACEABLE_OF_LISTENERS)) for one in each] for each in (before, after)
+            )
+        if name not in new.at_once and before != after:
+            found.append(name)
+    return found

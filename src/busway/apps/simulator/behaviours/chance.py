@@ -1,0 +1,104 @@
+"""Behaviours of chance, which are the same for the same seed: noise and random walk.
+
+1. What is drawn at a step depends on the seed, the point and the number of the step alone: however often the engine
+   comes by, and whatever else is drawn, step 1000 is step 1000.
+"""
+
+import math
+from hashlib import blake2b
+from typing import Final
+
+from ....config.files.behaviours import NoiseSection, RandomWalkSection
+
+_WORD: Final = (1 << 64) - 1
+_GOLDEN: Final = 0x9E3779B97F4A7C15
+_TO_UNIT: Final = 2.0**-53
+
+
+def stream_of(seed: int, key: str) -> int:
+    """The beginning of a point's own numbers."""
+    return int.from_bytes(blake2b(f"{seed}/{key}".encode(), digest_size=8).digest())
+
+
+def drawn(stream: int, index: int) -> float:
+    """Number ``index`` of a stream, 0 ≤ x < 1, equally distributed: the mixing of SplitMix64, by position."""
+    word = (stream + index * _GOLDEN) & _WORD
+    word = ((word ^ word >> 30) * 0xBF58476D1CE4E5B9) & _WORD
+    word = ((word ^ word >> 27) * 0x94D049BB133111EB) & _WORD
+    return ((word ^ word >> 31) >> 11) * _TO_UNIT
+
+
+class Noise:
+    """Values around a mean, each step by itself."""
+
+    __slots__ = ("_every", "_is_normal", "_mean", "_spread", "_stream")
+
+    def __init__(self, section: NoiseSection, stream: int) -> None:
+        self._mean = section.mean
+        self._spread = section.spread
+        self._is_normal = section.distribution == "gauss"
+        self._every = section.every
+        self._stream = stream
+
+    def value(self, time: float) -> float:
+        """As `Behaviour.value`."""
+        step = round(time / self._every)
+        if not self._is_normal:
+            return self._mean + self._spread * (2 * drawn(self._stream, step) - 1)
+        # Box and Muller: two equally distributed numbers make a normal one.
+        radius = math.sqrt(-2 * math.log(1 - drawn(self._stream, 2 * step)))
+        return self._mean + self._spread * radius * math.cos(2 * math.pi * drawn(self._stream, 2 * step + 1))
+
+    def resume(self, time: float, value: float) -> None:
+        """Nothing: no value depends on the one before."""
+
+    def state(self, time: float) -> float | None:
+        """None."""
+        return None
+
+
+class RandomWalk:
+    """Steps up and down, turned back at the ends.
+
+    Args:
+        section: what the file says.
+        stream: of the point.
+        start: the first value.
+        low, high: ends that the point itself has, where the section has none.
+    """
+
+    __slots__ = ("_every", "_high", "_low", "_size", "_step", "_stream", "_value")
+
+    def __init__(
+        self, section: RandomWalkSection, stream: int, start: float, low: float | None, high: float | None
+    ) -> None:
+        self._size = section.step
+        self._low = -math.inf if low is None else low
+        self._high = math.inf if high is None else high
+        self._every = section.every
+        self._stream = stream
+        self._value = start
+        self._step = 0
+
+    def value(self, time: float) -> float:
+        """As `Behaviour.value`; steps that the engine left out are made here."""
+        last = round(time / self._every)
+        value = self._value
+        for step in range(self._step + 1, last + 1):
+            value += self._size * (2 * drawn(self._stream, step) - 1)
+            if value < self._low:
+                value = min(2 * self._low - value, self._high)
+            elif value > self._high:
+                value = max(2 * self._high - value, self._low)
+        self._step = max(last, self._step)
+        self._value = value
+        return value
+
+    def resume(self, time: float, value: float) -> None:
+        """As `Behaviour.resume`."""
+        self._value = value
+        self._step = math.floor(time / self._every + 1e-9)
+
+    def state(self, time: float) -> float | None:
+        """The value."""
+        return self._value

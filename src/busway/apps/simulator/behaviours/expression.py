@@ -1,0 +1,263 @@
+"""Expressions over points and time: a text → what computes it. Nothing of Python is executed.
+
+Knows numbers, names and a few functions; knows no point: whoever binds an expression says what a name stands for.
+
+1. There are: numbers; ``+ - * / // % **``; comparisons, ``and or not``, ``a if b else c``; the functions below; ``t``,
+   seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name, such as
+   ``point("3/voltage L1")``, which is a point of unit 3.
+2. What can not be computed (a division by zero, the root of -1) is NaN. Truth is 1 and 0.
+3. An expression is short and flat: a bounded number of characters and levels, so it costs a bounded time. Whatever
+   numbers come in, those in between are bounded too: powers are computed with fractions, rounding beyond `_MOST_DIGITS`
+   is none, and whole numbers that come from outside have at most `WHOLE_BITS` bits.
+"""
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ....values.refusal import shown
+
+Number = float | int | bool
+Compute = Callable[[float], Any]  # of the time; a number, of whatever type Python makes it
+Bound = Callable[[float], float]
+
+_LONGEST: Final = 1000
+_DEEPEST: Final = 40
+_MOST_DIGITS: Final = 400
+"""Digits of rounding, either way: no number of 64 bits, and no float, has any beyond that."""
+WHOLE_BITS: Final = 64
+"""Bits of a whole number that goes into an expression or comes out whole."""
+TIME: Final = "t"
+_POINT: Final = "point"
+_CONSTANTS: Final = {"pi": math.pi}
+
+
+def _rounded(value: Any, digits: Any = 0) -> Any:
+    """``round`` with a bounded number of digits: of whole numbers Python computes ten to the power of it."""
+    return round(value, max(-_MOST_DIGITS, min(int(digits), _MOST_DIGITS)))
+
+
+_BINARY: Final[dict[type[ast.operator], Callable[[Any, Any], Any]]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: math.pow,  # whole powers of whole numbers could be of any size
+}
+_UNARY: Final[dict[type[ast.unaryop], Callable[[Any], Any]]] = {
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+    ast.Not: operator.not_,
+}
+_COMPARISONS: Final[dict[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+_FUNCTIONS: Final[dict[str, tuple[Callable[..., Any], int, int]]] = {
+    "min": (min, 2, 16),
+    "max": (max, 2, 16),
+    "abs": (abs, 1, 1),
+    "round": (_rounded, 1, 2),
+    "floor": (math.floor, 1, 1),
+    "sqrt": (math.sqrt, 1, 1),
+    "sin": (math.sin, 1, 1),
+    "cos": (math.cos, 1, 1),
+    "exp": (math.exp, 1, 1),
+    "log": (math.log, 1, 2),
+}
+"""Functions by name: what computes it, and the least and the largest number of arguments."""
+FUNCTION_NAMES: Final = tuple(_FUNCTIONS)
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """An expression that was read.
+
+    Attributes:
+        text: as it was written.
+        names: the points that it needs, each once.
+    """
+
+    text: str
+    names: tuple[str, ...]
+    _tree: ast.expr = field(repr=False, compare=False)
+
+    def bind(self, source: Callable[[str], Callable[[], Number]]) -> Bound:
+        """What computes it.
+
+        Args:
+            source: gives for a name what reads its value.
+        """
+        compute = _compiled(self._tree, source)
+
+        def value(time: float) -> float:
+            try:
+                return float(compute(time))
+            except (ArithmeticError, ValueError):
+                return math.nan
+
+        return value
+
+    def result(self, values: dict[str, Number]) -> Number:
+        """Its value where every name stands for a number; whole numbers stay so.
+
+        Raises:
+            ConfigError: it has no value, or it or a number that goes in is whole and has more than `WHOLE_BITS` bits.
+        """
+        for name in self.names:
+            _check_whole(name, values[name])
+        try:
+            found: Number = _compiled(self._tree, lambda name: lambda: values[name])(0.0)
+        except (ArithmeticError, ValueError) as error:
+            raise ConfigError(f"{self.text} has no value: {error}") from error
+        _check_whole(self.text, found)
+        return found
+
+
+def _check_whole(what: str, value: Number) -> None:
+    if isinstance(value, int) and value.bit_length() > WHOLE_BITS:
+        raise ConfigError(f"{shown(what)} has {value.bit_length()} bits, and whole numbers have at most {WHOLE_BITS}")
+
+
+def parse_expression(text: str) -> Expression:
+    """The expression of a text. Raises `ConfigError` that says what is wrong with it."""
+    if len(text) > _LONGEST:
+        raise ConfigError(f"an expression has at most {_LONGEST} characters, not {len(text)}")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        names = tuple(dict.fromkeys(_names(tree, text, 0)))
+    except SyntaxError as error:
+        near = f" (column {error.offset})" if error.offset else ""
+        raise ConfigError(f"{shown(text)} is no expression{near}: {error.msg}") from None
+    except (RecursionError, MemoryError):
+        raise ConfigError(f"{shown(text)} is no expression: it is nested too deeply") from None
+    except ConfigError:  # which is a ValueError too
+        raise
+    except ValueError as error:
+        raise ConfigError(f"{shown(text)} is no expression: {error}") from None
+    return Expression(text, names, tree)
+
+
+def _names(node: ast.expr, text: str, depth: int) -> Iterator[str]:
+    """The points that a part needs; refuses what no expression has."""
+    if depth > _DEEPEST:
+        raise ConfigError(f"{shown(text)} is nested too deeply")
+    name = _dotted(node)
+    if name is not None:
+        if not isinstance(node, ast.Name) or name not in (TIME, *_CONSTANTS):
+            yield name
+        return
+    for child in _operands(node, text):
+        yield from _names(child, text, depth + 1)
+
+
+def _operands(node: ast.expr, text: str) -> list[ast.expr]:
+    match node:
+        case ast.Constant(value=bool() | int() | float()):
+            return []
+        case ast.BinOp(op=kind) if type(kind) in _BINARY:
+            return [node.left, node.right]
+        case ast.UnaryOp(op=sign) if type(sign) in _UNARY:
+            return [node.operand]
+        case ast.BoolOp():
+            return node.values
+        case ast.Compare() if all(type(each) in _COMPARISONS for each in node.ops):
+            return [node.left, *node.comparators]
+        case ast.IfExp():
+            return [node.test, node.body, node.orelse]
+        case ast.Call(func=ast.Name(id=name), keywords=[]):
+            return _arguments(name, node.args)
+    raise ConfigError(f"{shown(ast.unparse(node))} can not stand in an expression")
+
+
+def _arguments(name: str, given: list[ast.expr]) -> list[ast.expr]:
+    if name == _POINT:
+        raise ConfigError('point takes the name of a point in a text: point("tank level")')
+    function = _FUNCTIONS.get(name)
+    if function is None:
+        raise ConfigError(f"there is no function {shown(name)}; there are {', '.join((*_FUNCTIONS, _POINT))}")
+    _, least, most = function
+    if not least <= len(given) <= most or any(isinstance(each, ast.Starred) for each in given):
+        wanted = f"{least}" if least == most else f"{least}…{most}"
+        raise ConfigError(f"{name} takes {wanted} value{'s' if wanted != '1' else ''}, not {len(given)}")
+    return given
+
+
+def _dotted(node: ast.expr) -> str | None:
+    """The name that a part is: ``tank.level``, or ``point("tank level")``."""
+    match node:
+        case ast.Name():
+            return node.id
+        case ast.Attribute():
+            before = _dotted(node.value)
+            return None if before is None else f"{before}.{node.attr}"
+        case ast.Call(func=ast.Name(id="point"), args=[ast.Constant(value=str() as name)], keywords=[]):
+            return name
+    return None
+
+
+def _compiled(node: ast.expr, source: Callable[[str], Callable[[], Number]]) -> Compute:
+    """What computes a part, which `_names` has let pass."""
+    name = _dotted(node)
+    if name is not None:
+        return _of_name(node, name, source)
+    match node:
+        case ast.Constant():
+            return _constant(node.value)
+        case ast.BinOp():
+            return _binary(_BINARY[type(node.op)], _compiled(node.left, source), _compiled(node.right, source))
+        case ast.UnaryOp():
+            change, inner = _UNARY[type(node.op)], _compiled(node.operand, source)
+            return lambda time: change(inner(time))
+        case ast.BoolOp():
+            parts = [_compiled(each, source) for each in node.values]
+            decide = all if isinstance(node.op, ast.And) else any
+            return lambda time: decide(part(time) for part in parts)
+        case ast.Compare():
+            return _comparison(node, [_compiled(each, source) for each in (node.left, *node.comparators)])
+        case ast.IfExp():
+            test, one, other = (_compiled(each, source) for each in (node.test, node.body, node.orelse))
+            return lambda time: one(time) if test(time) else other(time)
+        case ast.Call(func=ast.Name(id=called)):
+            function = _FUNCTIONS[called][0]
+            arguments = [_compiled(each, source) for each in node.args]
+            return lambda time: function(*(each(time) for each in arguments))
+    raise AssertionError(ast.dump(node))
+
+
+def _of_name(node: ast.expr, name: str, source: Callable[[str], Callable[[], Number]]) -> Compute:
+    if isinstance(node, ast.Name):
+        if name == TIME:
+            return lambda time: time
+        if name in _CONSTANTS:
+            return _constant(_CONSTANTS[name])
+    read = source(name)
+    return lambda time: read()
+
+
+def _constant(value: Any) -> Compute:
+    return lambda time: value
+
+
+def _binary(apply: Callable[[Any, Any], Any], left: Compute, right: Compute) -> Compute:
+    return lambda time: apply(left(time), right(time))
+
+
+def _comparison(node: ast.Compare, values: list[Compute]) -> Compute:
+    tests = [_COMPARISONS[type(each)] for each in node.ops]
+
+    def compare(time: float) -> bool:
+        found = [each(time) for each in values]
+        return all(test(found[at], found[at + 1]) for at, test in enumerate(tests))
+
+    return compare

@@ -1,0 +1,96 @@
+"""A section of a file → its behaviour.
+
+Knows every kind; knows no device: what expressions read is handed in.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ....config.files.behaviours import (
+    BehaviourSection,
+    ConstantSection,
+    CounterSection,
+    FormulaSection,
+    LagSection,
+    NoiseSection,
+    RampSection,
+    RandomWalkSection,
+    ReplaySection,
+    SineSection,
+    SquareSection,
+)
+from .behaviour import Behaviour
+from .chance import Noise, RandomWalk, stream_of
+from .expression import Expression, Number
+from .formula import Formula
+from .replay import Recording, Replay
+from .sums import Counter, Lag, SteadyCounter, SteadyLag
+from .waves import Constant, Ramp, Sine, Square
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a behaviour needs beside its section.
+
+    Attributes:
+        key: of the point, ``UNIT/NAME``.
+        seed: of the simulation.
+        start: the point's first value.
+        low, high: the point's range; None where it has no end.
+        rollover: where a counter in the point's type begins again from 0; None for nowhere.
+        expressions: those of the section, read, by key.
+        recording: of a replay.
+        source: gives for the name of a point what reads its value.
+    """
+
+    key: str
+    seed: int
+    start: float
+    low: float | None
+    high: float | None
+    rollover: float | None
+    expressions: dict[str, Expression]
+    recording: Recording | None
+    source: Callable[[str], Callable[[], Number]]
+
+
+def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour:
+    """The behaviour of a point."""
+    match section:
+        case ConstantSection():
+            return Constant(section)
+        case RampSection():
+            return Ramp(section)
+        case SineSection():
+            return Sine(section)
+        case SquareSection():
+            return Square(section)
+        case NoiseSection():
+            return Noise(section, stream_of(around.seed, around.key))
+        case RandomWalkSection():
+            low = around.low if section.low is None else section.low
+            high = around.high if section.high is None else section.high
+            return RandomWalk(section, stream_of(around.seed, around.key), around.start, low, high)
+        case CounterSection():
+            return _counter(section, around)
+        case LagSection():
+            return _lag(section, around)
+        case FormulaSection():
+            return Formula(around.expressions["formula"].bind(around.source))
+        case ReplaySection():
+            assert around.recording is not None  # read before anything is made
+            return Replay(around.recording, section.at_end, section.between)
+    raise AssertionError(section)
+
+
+def _counter(section: CounterSection, around: Surroundings) -> Behaviour:
+    rollover = around.rollover if section.rollover is None else section.rollover
+    if not isinstance(section.rate, str):
+        return SteadyCounter(section.rate, rollover, around.start)
+    return Counter(around.expressions["rate"].bind(around.source), rollover, around.start)
+
+
+def _lag(section: LagSection, around: Surroundings) -> Behaviour:
+    if not isinstance(section.target, str):
+        return SteadyLag(section.target, section.time_constant, around.start)
+    return Lag(around.expressions["target"].bind(around.source), section.time_constant, around.start)

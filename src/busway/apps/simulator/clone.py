@@ -1,0 +1,445 @@
+"""A live device → a device file that plays it.
+
+Knows how a device is read and what is made of it; knows no connection, no file and no command line. It never writes
+to the device.
+
+1. With a register map each of its points is read once, and the file has the points with the values that were read.
+2. Without one the tables are read in blocks. A block that is refused is divided until what is there and what is not
+   is known item by item; where a whole block is refused, single items in it are tried first (`STRIDE`), so that empty
+   tables cost little. ``thorough`` divides every block.
+3. A value is kept in its unit of measure if writing it gives the same registers again, and as registers otherwise:
+   the clone answers what the device did.
+4. Where a device is watched for a while, numbers that changed get a behaviour: what only grew in whole steps counts at
+   the rate that was seen, everything else walks within the range that was seen. Bits and numbers with names stay.
+5. A point that the device refuses is left out, as it is on the device, and said. A device that does not answer ends
+   the cloning; the error names the point or range that was asked for.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import groupby
+from typing import Any, Final, TypeVar
+
+from pydantic import ValidationError
+
+from ...client.blocking import Unit
+from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, Table
+from ...config.files.behaviours import FASTEST, SLOWEST
+from ...config.files.device import OBJECT_NUMBERS
+from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
+from ...errors import BadReply, ExceptionReply, InvalidRequest, ModbusError
+from ...values import Address, ValueType, format_address
+
+Answer = TypeVar("Answer")
+Progress = Callable[[str], None]
+
+RANGES: Final = (range(10_000), range(40_000, 41_000))
+"""Offsets that are looked at without a map: where most devices have all they have, and where SunSpec begins."""
+STRIDE: Final = 10
+"""In a block that is refused as a whole, every so many items one is tried by itself: maps like round numbers."""
+_HOLES: Final = frozenset(
+    (
+        ExceptionCode.ILLEGAL_DATA_ADDRESS,
+        ExceptionCode.ILLEGAL_DATA_VALUE,
+        ExceptionCode.SERVER_DEVICE_FAILURE,
+    )
+)
+"""What devices answer to a range that they have not, or not as a whole; 03 and 04 against the specification (§7)."""
+_UNNAMED_UNITS: Final = (0, 255)
+"""Units by which a device on TCP is asked without naming one."""
+_LEVELS: Final = ("extended", "regular", "basic")
+
+
+@dataclass(slots=True)
+class Clone:
+    """What was recorded of a device.
+
+    Attributes:
+        section: the unit, to be written into a device file.
+        remarks: what could not be recorded, and why, one sentence each.
+    """
+
+    section: SimulatedUnitSection
+    remarks: list[str] = field(default_factory=list)
+
+
+def clone_points(
+    unit: Unit, points: Sequence[SimulatedPointSection], *, progress: Progress = lambda line: None
+) -> Clone:
+    """The unit with the points of a register map, each read once.
+
+    Args:
+        unit: whom to read.
+        points: what to read.
+        progress: takes a line for people, now and then.
+
+    Raises:
+        ModbusError: the device did not answer, or refused every point; the error names the point.
+    """
+    remarks: list[str] = []
+    keys = _identity(unit, progress)
+    recorder = _Recorder(unit)
+    found: list[SimulatedPointSection] = []
+    refusal: ExceptionReply | None = None
+    for number, point in enumerate(points, 1):
+        try:
+            found += recorder.record(point, remarks)
+        except ExceptionReply as error:
+            error.message = f"point {point.name} at {point.place}: {error.message}"
+            refusal = refusal or error
+            remarks.append(f"left out: {error.message}")
+        except ModbusError as error:
+            error.message = f"point {point.name} at {point.place}: {error.message}"
+            raise
+        if number % 100 == 0:
+            progress(f"{number} of {len(points)} points")
+    if refusal is not None and not found:
+        raise refusal
+    progress(f"{len(found)} points")
+    found += recorder.unnamed_bits()
+    return Clone(SimulatedUnitSection.model_validate({**keys, "point": [_keys_of(each) for each in found]}), remarks)
+
+
+def clone_tables(
+    unit: Unit,
+    *,
+    ranges: Sequence[range] = RANGES,
+    thorough: bool = False,
+    progress: Progress = lambda line: None,
+) -> Clone:
+    """The unit with whatever its tables have in some ranges.
+
+    Args:
+        unit: whom to read.
+        ranges: offsets, 0…65535.
+        thorough: whether blocks without any item at the places that are tried are divided too.
+        progress: takes a line for people, now and then.
+
+    Raises:
+        ModbusError: the device did not answer, or has nothing in these ranges; the error names table and offsets.
+    """
+    keys = _identity(unit, progress)
+    remarks: list[str] = []
+    any_item = False
+    refusal: ExceptionReply | None = None
+    points: list[dict[str, Any]] = []
+    for table in Table:
+        items: dict[int, int] = {}
+        scanner = _Scanner(unit, table, thorough=thorough)
+        for part in ranges:
+            progress(f"{table.label}s {part.start}…{part.stop - 1}")
+            items.update(scanner.items(part))
+            if not scanner.offered:
+                remarks.append(f"{table.label}s are not offered")
+                break
+        refusal = scanner.refusal or refusal
+        runs = list(_runs(items))
+        any_item = any_item or bool(runs)
+        progress(f"{len(items)} {table.label}s")
+        if len(runs) == 1:
+            keys[table.value] = _table_keys(table, *runs[0])
+        else:
+            points += [
+                _unnamed(table, offset, value) for first, values in runs for offset, value in enumerate(values, first)
+            ]
+    if not any_item:
+        if refusal is None:
+            raise InvalidRequest("there is nothing to clone in no range at all")
+        refusal.message = f"nothing to clone, everything was refused; the last time {refusal.message}"
+        raise refusal
+    if points:
+        keys["point"] = points
+    return Clone(SimulatedUnitSection.model_validate(keys), remarks)
+
+
+def watch_points(
+    unit: Unit, clone: Clone, moments: Iterable[float], *, progress: Progress = lambda line: None
+) -> Clone:
+    """The clone with behaviours, learnt by reading its points again and again.
+
+    Args:
+        unit: whom to read.
+        clone: with points, as `clone_points` gave it just now.
+        moments: seconds since then, ascending; each is asked for when the one before it is done.
+        progress: takes a line for people, now and then.
+
+    Raises:
+        ModbusError: the device did not answer, or no longer has a point; the error names the point.
+    """
+    watched = [_Watched(point, point.value) for point in clone.section.point if point.is_number]
+    watched = [each for each in watched if not each.point.enumeration]
+    for moment in moments:
+        for each in watched:
+            each.see(_read_again(unit, each.point), moment)
+    progress(f"{sum(each.has_changed for each in watched)} of {len(watched)} numbers changed")
+    learnt = {each.point.name: each.learnt() for each in watched}
+    points = [learnt.get(point.name, point) for point in clone.section.point]
+    keys = {key: getattr(clone.section, key) for key in clone.section.model_fields_set}
+    return Clone(clone.section.model_copy(update={**keys, "point": points}), clone.remarks)
+
+
+def _read_again(unit: Unit, point: SimulatedPointSection) -> float:
+    try:
+        return float(point.physical(unit.read(point.place, point.form)))
+    except ModbusError as error:
+        error.message = f"point {point.name} at {point.place}: {error.message}"
+        raise
+
+
+class _Watched:
+    """What a number did while it was watched.
+
+    Args:
+        point: it.
+        value: what it held at 0 s.
+    """
+
+    def __init__(self, point: SimulatedPointSection, value: float) -> None:
+        self.point = point
+        self._first = self._last = self._low = self._high = float(value)
+        self._step = self._time = 0.0
+        self._moments = 0
+        self._fell = False
+
+    @property
+    def has_changed(self) -> bool:
+        """Whether it held more than one value."""
+        return self._low < self._high
+
+    def see(self, value: float, time: float) -> None:
+        """It holds a value at a time."""
+        if value != value:  # not a number
+            return
+        self._step = max(self._step, abs(value - self._last))
+        self._fell = self._fell or value < self._last
+        self._low, self._high = min(self._low, value), max(self._high, value)
+        self._last, self._time = value, time
+        self._moments += 1
+
+    def learnt(self) -> SimulatedPointSection:
+        """The point with the behaviour that it seems to have."""
+        if not self.has_changed or self._time <= 0:
+            return self.point
+        is_whole = self.point.form is not None and not self.point.form.name.startswith("float")
+        if is_whole and not self._fell:
+            behaviour: dict[str, Any] = {"kind": "counter", "rate": _short((self._last - self._first) / self._time)}
+        else:
+            every = max(_short(self._time / self._moments), FASTEST)
+            behaviour = {"kind": "random-walk", "step": _short(self._step), "low": self._low, "high": self._high}
+            behaviour["every"] = min(every, SLOWEST)
+        wider: dict[str, Any] = {}
+        if self.point.minimum is not None and self._low < self.point.minimum:
+            wider["minimum"] = self._low
+        if self.point.maximum is not None and self._high > self.point.maximum:
+            wider["maximum"] = self._high
+        return _with(self.point, behaviour=behaviour, **wider)
+
+
+def _short(number: float) -> float:
+    """A number as people write it, to six digits."""
+    return float(f"{number:.6g}")
+
+
+class _Recorder:
+    """Reads points, and remembers registers that several of them share by bits."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._shared: dict[tuple[Table, int], int] = {}
+        self._named: set[tuple[Table, int, int]] = set()
+
+    def record(self, point: SimulatedPointSection, remarks: list[str]) -> list[SimulatedPointSection]:
+        """The point with the value that the device has; or its registers, each a point, if it is none of its type."""
+        place, form = point.place, point.form
+        if form is None:
+            return [_with(point, value=self._bit(place))]
+        registers = self._unit.read(Address(place.table, place.offset), "uint16", count=point.size, split=True)
+        data = b"".join(value.to_bytes(2, "big") for value in registers)
+        try:
+            return [_valued(point, form, data)]
+        except (BadReply, InvalidRequest) as error:
+            remarks.append(f"kept as registers: point {point.name} at {place}: {error.message}")
+        return [_register_point(point, index, value) for index, value in enumerate(registers)]
+
+    def _bit(self, place: Address) -> bool:
+        assert place.table is not None
+        if place.bit is None:
+            return bool(self._unit.read(Address(place.table, place.offset)))
+        key = (place.table, place.offset)
+        if key not in self._shared:
+            self._shared[key] = self._unit.read(Address(*key), "uint16")
+        self._named.add((*key, place.bit))
+        return bool(self._shared[key] >> place.bit & 1)
+
+    def unnamed_bits(self) -> Iterator[SimulatedPointSection]:
+        """Points for the bits that are set beside those that have a name: the register is to be the same."""
+        for (table, offset), value in self._shared.items():
+            for bit in range(16):
+                if value >> bit & 1 and (table, offset, bit) not in self._named:
+                    address = format_address(Address(table, offset, bit))
+                    yield SimulatedPointSection.model_validate({"name": address, "address": address, "value": True})
+
+
+def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> SimulatedPointSection:
+    """The point with the value that its registers mean, its range and names made wide enough for it.
+
+    Raises:
+        BadReply, InvalidRequest: they mean nothing in its type, or the value does not give the same registers again.
+    """
+    (raw,) = form.decode(data)
+    value = point.physical(raw)
+    if value != value:  # a file knows one NaN only
+        value = float("nan")
+    changes: dict[str, Any] = {"value": value}
+    if isinstance(value, int | float):
+        if point.minimum is not None and value < point.minimum:
+            changes["minimum"] = float(value)
+        if point.maximum is not None and value > point.maximum:
+            changes["maximum"] = float(value)
+        if point.enumeration and value not in point.enumeration.values():
+            changes["enumeration"] = {**point.enumeration, f"value {value}": value}
+    try:
+        made = _with(point, **changes)
+    except ValidationError as error:
+        raise InvalidRequest(error.errors()[0]["msg"]) from error
+    if form.encode([made.raw(value)]) != data:
+        raise InvalidRequest(f"{data.hex(' ')} would not come of {value!r} again")
+    return made
+
+
+def _with(point: SimulatedPointSection, **changes: Any) -> SimulatedPointSection:
+    return SimulatedPointSection.model_validate({**_keys_of(point), **changes})
+
+
+def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
+    return {key: getattr(point, key) for key in point.model_fields_set}
+
+
+def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
+    """One register of a point whose value means nothing in its type."""
+    place = Address(point.place.table, point.place.offset + index)
+    keys = {"name": f"{point.name} register {index + 1}", "address": format_address(place), "value": value}
+    if point.access is not None:
+        keys["access"] = point.access
+    return SimulatedPointSection.model_validate(keys)
+
+
+class _Scanner:
+    """Finds out which items a table has, and what they hold.
+
+    Attributes:
+        offered: whether the device has the function that reads the table.
+        refusal: the last answer that was one.
+    """
+
+    def __init__(self, unit: Unit, table: Table, *, thorough: bool) -> None:
+        self._unit = unit
+        self._table = table
+        self._thorough = thorough
+        self._read: Callable[..., Sequence[int]] = getattr(unit, f"read_{table.value}")
+        self.offered = True
+        self.refusal: ExceptionReply | None = None
+
+    def items(self, part: range) -> dict[int, int]:
+        """What the items in a range hold, by offset; without those that are not there."""
+        size = MAX_READ_BITS if self._table.holds_bits else MAX_READ_REGISTERS
+        found: dict[int, int] = {}
+        for first in range(part.start, part.stop, size):
+            if not self.offered:
+                break
+            self._block(first, min(size, part.stop - first), found)
+        return found
+
+    def _block(self, first: int, count: int, found: dict[int, int]) -> None:
+        if self._take(first, count, found) or not self.offered:
+            return
+        if self._thorough or any(self._take(offset, 1, found) for offset in range(first, first + count, STRIDE)):
+            self._divide(first, count, found)
+
+    def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
+        """Take what is there of a range that was refused as a whole."""
+        if count == 1:
+            return
+        half = count // 2
+        for start, size in ((first, half), (first + half, count - half)):
+            if not self._take(start, size, found):
+                self._divide(start, size, found)
+
+    def _take(self, first: int, count: int, found: dict[int, int]) -> bool:
+        """Read a range; whether the device has all of it."""
+        try:
+            values = self._read(first, count=count)
+        except ExceptionReply as error:
+            self.refusal = error
+            if error.code == ExceptionCode.ILLEGAL_FUNCTION:
+                self.offered = False
+                return False
+            if error.code in _HOLES:
+                return False
+            error.message = f"{self._table.label}s {first}…{first + count - 1}: {error.message}"
+            raise
+        except ModbusError as error:
+            error.message = f"{self._table.label}s {first}…{first + count - 1}: {error.message}"
+            raise
+        found.update(zip(range(first, first + count), map(int, values), strict=True))
+        return True
+
+
+def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
+    """Items without a hole between them: the first offset, and what they hold."""
+    for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
+        offsets = [offset for _, offset in group]
+        yield offsets[0], [items[offset] for offset in offsets]
+
+
+def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
+    """A table section; zeros at its end go without saying."""
+    said = len(values)
+    while said and not values[said - 1]:
+        said -= 1
+    kept: list[Any] = [bool(value) for value in values[:said]] if table.holds_bits else values[:said]
+    return {"first": first, "count": len(values)} | ({"values": kept} if kept else {})
+
+
+def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
+    """An item that nobody has named."""
+    address = format_address(Address(table, offset))
+    return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
+
+
+def _identity(unit: Unit, progress: Progress) -> dict[str, Any]:
+    """The keys of a unit by which it is known: its number, and what it says of itself."""
+    keys: dict[str, Any] = {"unit": 1 if unit.number in _UNNAMED_UNITS else unit.number}
+    objects = _objects(unit)
+    if objects:
+        names = {number: name for name, number in OBJECT_NUMBERS.items()}
+        keys["identification"] = {
+            names.get(number, f"0x{number:02X}"): _as_file_has(value) for number, value in sorted(objects.items())
+        }
+    server_id = _offered(unit.report_server_id)
+    if server_id:
+        keys["server_id"] = {"hex": server_id.hex()}
+    progress(f"{len(objects)} identification objects" + (", server id" if server_id else ""))
+    return keys
+
+
+def _objects(unit: Unit) -> dict[int, bytes]:
+    """The identification objects of the highest level that the device has."""
+    for level in _LEVELS:
+        objects = _offered(partial(unit.read_device_identification, level))
+        if objects:
+            return objects
+    return {}
+
+
+def _offered(ask: Callable[[], Answer]) -> Answer | None:
+    """What the device answers; None where it does not offer the function."""
+    try:
+        return ask()
+    except (ExceptionReply, BadReply):
+        return None
+
+
+def _as_file_has(value: bytes) -> Any:
+    return {"hex": value.hex()}

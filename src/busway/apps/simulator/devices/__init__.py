@@ -1,0 +1,68 @@
+"""Ready-made devices: simulation files that come with the package, each with its parameters.
+
+Knows their names and texts; knows nothing of how they are simulated. Their register maps in the documentation are
+generated from them (``scripts/register_maps.py``).
+"""
+
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final
+
+from ....config.reading import read_named_text, read_text
+from ....errors import ConfigError
+
+PREFIX: Final = "device:"
+"""How a file says that it includes one of these."""
+
+DEVICES: Final = {
+    "meter": "An energy meter for three phases: float32 values, uint32 counters.",
+    "inverter": "A three-phase photovoltaic inverter with SunSpec models 1, 103 and 120.",
+    "drive": "A variable-speed drive: control and status word, speed set point with lag, faults.",
+    "io": "An IO block of a PLC: coils, inputs, counters, a watchdog.",
+    "thermostat": "A temperature controller on a serial line: set point, process value, alarms.",
+}
+"""The devices by name, each in a sentence, in the order of the documentation."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadyMade:
+    """A device of the package.
+
+    Attributes:
+        name: as ``busway simulate --device`` takes it.
+        file: its name in sentences about it.
+        text: the simulation file.
+    """
+
+    name: str
+    file: str
+    text: str
+
+
+def ready_made(name: str) -> ReadyMade:
+    """A device by name. Raises `ConfigError` that lists those there are."""
+    if name not in DEVICES:
+        raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
+    file = f"{name}.toml"
+    return ReadyMade(name, file, files(__name__).joinpath(file).read_text(encoding="utf-8"))
+
+
+def read_profile(name: str) -> str:
+    """The text of a simulation file by its path, or of ``device:NAME``.
+
+    Raises:
+        ConfigError: there is no such device, or the file can not be read; names the file.
+    """
+    return _ready_made_text(name) if name.startswith(PREFIX) else read_text(name)
+
+
+def read_included(name: str) -> str:
+    """As `read_profile`, of what a simulation file names: a regular file, by no link of another user."""
+    return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
+
+
+def _ready_made_text(name: str) -> str:
+    try:
+        return ready_made(name.removeprefix(PREFIX)).text
+    except ConfigError as error:
+        raise ConfigError(error.message, file=name) from error

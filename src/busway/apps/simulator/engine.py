@@ -1,0 +1,307 @@
+"""What lets points follow their behaviours: at each moment, which points change, in which order, and into what.
+
+Knows points, behaviours and the memory of devices; knows no clock: times are seconds of the simulation, handed in.
+
+1. A point changes at whole multiples of its ``every``, computed as such: no step is late because one before it was.
+2. At one moment a formula is computed after the points that it needs, in whatever units they are. What observes others
+   over time (`Observer`) sees them after that.
+3. The points of a unit that change at one moment become visible together.
+4. A point that was set by hand stays as it is until it is released.
+5. The work is cut into units, so that whoever drives the engine can do something else between two of them.
+"""
+
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, TypeGuard
+
+from ...server.blocks import BitRun, RegisterRun, replace_all
+from ...server.device import Device
+from .behaviours.behaviour import Behaviour, Observer
+from .simulated import SIMULATION, SimulatedPoint
+
+_LAST: Final = 1 << 30
+"""The rank of what comes after everything else of a moment."""
+
+
+@dataclass(slots=True, eq=False)
+class Driven:
+    """A point that has a behaviour.
+
+    Attributes:
+        point: the point.
+        behaviour: what it follows.
+        every: seconds between two changes.
+        rank: by how many other units its value is handed on: 0 for what needs no other unit.
+        order: its place among all points, after those that it needs.
+    """
+
+    point: SimulatedPoint
+    behaviour: Behaviour
+    every: float
+    rank: int
+    order: int
+
+
+@dataclass(slots=True, eq=False)
+class _Group:
+    """Points of one unit that change at the same moments, or what observes after them.
+
+    Attributes:
+        device: that holds them.
+        every: seconds between two moments.
+        driven: the points in their order.
+        step: number of the next moment.
+    """
+
+    device: Device
+    every: float
+    driven: list[Driven]
+    step: int = 0
+
+    def due(self) -> float:
+        return self.step * self.every
+
+
+@dataclass(slots=True, eq=False)
+class _Release:
+    """A point that is to follow its behaviour again, unless it was set once more meanwhile."""
+
+    point: SimulatedPoint
+    held: int
+
+
+class _Batch:
+    """Groups of one unit that change at one moment, with what can be found out once: the loop over them is the speed.
+
+    Args:
+        groups: of one unit.
+    """
+
+    __slots__ = ("device", "entries", "memories")
+
+    def __init__(self, groups: Iterable[_Group]) -> None:
+        groups = list(groups)
+        self.device = groups[0].device
+        self.memories: dict[RegisterRun | BitRun, list[SimulatedPoint]] = {}
+        driven = sorted((each for group in groups for each in group.driven), key=lambda each: each.order)
+        self.entries = [
+            (
+                each.point,
+                each.behaviour.value,
+                each.point.form.quantise,
+                each.point.form.section.scale,
+                self.memories.setdefault(each.point.memory, []).append,
+            )
+            for each in driven
+        ]
+
+    def run(self, time: float) -> list[SimulatedPoint]:
+        """Let the points follow; those that have another value now."""
+        changed: list[SimulatedPoint] = []
+        changes = changed.append
+        with self.device.lock:
+            for point, value, quantise, scale, fresh in self.entries:
+                if point.held:
+                    continue
+                stored = quantise(value(time))
+                if stored is None or stored == point.stored:
+                    continue
+                point.stored = stored
+                point.number = stored * scale
+                point.changed_at = time
+                point.last_writer = SIMULATION
+                fresh(point)
+                changes(point)
+            if changed:
+                self._store()
+        return changed
+
+    def _store(self) -> None:
+        """Put what is fresh into copies of the runs, and show them all at once."""
+        shown: dict[RegisterRun | BitRun, bytearray] = {}
+        for memory, points in self.memories.items():
+            if points:
+                data = shown[memory] = bytearray(memory.data)
+                for point in points:
+                    point.form.put(data, point.offset, point.stored)
+                points.clear()
+        replace_all(shown)
+
+
+class Engine:
+    """All points that have a behaviour, and when each is to change.
+
+    Args:
+        driven: them.
+        changed: told of the points that have a new value, and of the moment.
+
+    Attributes:
+        changes: new values so far.
+        left_out: moments of units that were left out so far, because the program could not keep up.
+    """
+
+    def __init__(self, driven: Iterable[Driven], changed: Callable[[list[SimulatedPoint], float], None]) -> None:
+        self.changes = 0
+        self.left_out = 0
+        self._changed = changed
+        self._driven = {each.point: each for each in driven}
+        self._heap: list[tuple[float, int, int, int, _Group | _Release]] = []
+        # Counted in one step each, so that points can be held and released from any thread.
+        self._sequence = itertools.count()
+        self._holds = itertools.count(1)
+        self._batches: dict[tuple[_Group, ...], _Batch] = {}
+        units: dict[int, int] = {}
+        for group, rank in _groups(self._driven.values()):
+            self._push(group.due(), rank, units.setdefault(id(group.device), len(units)), group)
+
+    def deadline(self) -> float | None:
+        """When something is to be done next, in seconds of the simulation; None if nothing is."""
+        return self._heap[0][0] if self._heap else None
+
+    def drives(self, point: SimulatedPoint) -> bool:
+        """Whether a point has a behaviour."""
+        return point in self._driven
+
+    def state_of(self, point: SimulatedPoint, time: float) -> float | None:
+        """What the behaviour of a point goes on from, as it was at the last moment before a time; None if nothing."""
+        driven = self._driven.get(point)
+        if driven is None:
+            return None
+        return driven.behaviour.state(math.floor(time / driven.every + _ROUNDING) * driven.every)
+
+    def run(self, until: float, *, skip: bool = False, pause: Callable[[], bool] = lambda: False) -> bool:
+        """Do what is due.
+
+        Args:
+            until: the time, in seconds of the simulation.
+            skip: whether moments that lie further back are left out where a later one of the same points is due too:
+                for a program that was stopped for a while, or can not keep up.
+            pause: asked after each unit whether to leave the rest for later.
+
+        Returns:
+            Whether all of it is done.
+        """
+        if skip:
+            self._leave_out(until)
+        while self._heap and self._heap[0][0] <= until:
+            due, rank, unit, _, task = heapq.heappop(self._heap)
+            if isinstance(task, _Release):
+                self._released(task, due)
+                continue
+            groups = [task]
+            while self._heap and self._heap[0][:3] == (due, rank, unit):
+                other = heapq.heappop(self._heap)[4]
+                assert isinstance(other, _Group)  # releases have a rank of their own
+                groups.append(other)
+            self._run(groups, rank, due)
+            for group in groups:
+                group.step += 1
+                self._push(group.due(), rank, unit, group)
+            if pause():
+                break
+        return not self._heap or self._heap[0][0] > until
+
+    def _leave_out(self, until: float) -> None:
+        """Let what has several moments behind it begin with the last of them."""
+        first = self._heap[0][4] if self._heap else None
+        if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
+            return
+        old, self._heap = self._heap, []
+        for due, rank, unit, _, task in old:
+            if isinstance(task, _Group):
+                last = max(task.step, math.floor(until / task.every + _ROUNDING))
+                self.left_out += last - task.step if rank != _LAST else 0
+                task.step = last
+                due = task.due()
+            self._push(due, rank, unit, task)
+
+    def _run(self, groups: list[_Group], rank: int, time: float) -> None:
+        """Do what some groups of one unit do at a moment."""
+        if rank == _LAST:
+            for group in groups:
+                for driven in group.driven:
+                    assert is_observer(driven.behaviour)
+                    driven.behaviour.observe(time)
+            return
+        key = tuple(groups)
+        batch = self._batches.get(key)
+        if batch is None:
+            batch = self._batches[key] = _Batch(groups)
+        changed = batch.run(time)
+        if changed:
+            self.changes += len(changed)
+            self._changed(changed, time)
+
+    def hold(self, point: SimulatedPoint, time: float) -> None:
+        """Let a point stay as it was set by hand at a time; for as long as its behaviour says, or until `release`."""
+        driven = self._driven.get(point)
+        if driven is None:
+            return
+        section = point.section.behaviour
+        assert section is not None  # it is driven by it
+        _go_on(driven.behaviour, point, time)
+        if section.resume_after == 0:
+            return
+        point.held = next(self._holds)
+        if section.resume_after is not None:
+            self._push(time + section.resume_after, -1, 0, _Release(point, point.held))
+
+    def release(self, point: SimulatedPoint, time: float) -> None:
+        """Let a point follow its behaviour again; one that goes on from values goes on from what it holds."""
+        driven = self._driven.get(point)
+        if driven is not None and point.held:
+            _go_on(driven.behaviour, point, time)
+            point.held = 0
+
+    def begin(self, time: float, kept: Mapping[str, float]) -> None:
+        """Begin at another time than 0, at the last moment before it of each point.
+
+        Args:
+            time: in seconds of the simulation.
+            kept: what behaviours go on from, by the keys of their points.
+        """
+        self._heap, old = [], self._heap
+        for _, rank, unit, _, task in old:
+            if isinstance(task, _Group):
+                task.step = math.floor(time / task.every + _ROUNDING)
+                self._push(task.due(), rank, unit, task)
+        for point, driven in self._driven.items():
+            if point.key in kept:
+                step = math.floor(time / driven.every + _ROUNDING)
+                driven.behaviour.resume(step * driven.every, kept[point.key])
+
+    def _released(self, release: _Release, time: float) -> None:
+        if release.point.held == release.held:
+            self.release(release.point, time)
+
+    def _push(self, due: float, rank: int, unit: int, task: "_Group | _Release") -> None:
+        heapq.heappush(self._heap, (due, rank, unit, next(self._sequence), task))
+
+
+_ROUNDING: Final = 1e-9
+"""What a quotient of two times may be off."""
+
+
+def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
+    """Let a behaviour go on from what its point holds; from what is no number nothing can."""
+    if math.isfinite(point.number):
+        behaviour.resume(time, point.number)
+
+
+def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
+    """Whether a behaviour sees other points over time."""
+    return hasattr(behaviour, "observe")
+
+
+def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
+    """The points by unit, moments and rank, and what observes after them."""
+    found: dict[tuple[int, float, int], _Group] = {}
+    for each in driven:
+        device = each.point.device
+        found.setdefault((id(device), each.every, each.rank), _Group(device, each.every, [])).driven.append(each)
+        if is_observer(each.behaviour):
+            found.setdefault((id(device), each.every, _LAST), _Group(device, each.every, [])).driven.append(each)
+    return [(group, rank) for (_, _, rank), group in found.items()]

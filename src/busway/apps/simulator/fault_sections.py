@@ -1,0 +1,133 @@
+"""``[[fault]]`` sections and words of a command line → faults on a board, and lists of what there is.
+
+Knows the schema and the personalities; reads no file.
+
+1. What is wrong is said with the place in the section: a path that whoever has the file turns into a line.
+"""
+
+from collections.abc import Iterable, Iterator
+
+from ...config.files.faults import FaultSection, parse_fault_words
+from ...config.files.lines import Path
+from ...config.files.schema import Source
+from ...errors import ConfigError
+from ...faults.board import FaultBoard
+from ...faults.fault import Schedule
+from ...faults.profile import Personality, PersonalityTable
+from ...faults.profiles import PERSONALITIES
+
+
+def fault_problems(
+    sections: Iterable[FaultSection], source: Source, personalities: PersonalityTable = PERSONALITIES
+) -> list[ConfigError]:
+    """What the schema can not know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
+
+    Args:
+        sections: as they stand in the file, under ``fault``.
+        source: the file.
+        personalities: those that there are.
+    """
+    found = []
+    taken: set[str] = set()
+    for index, section in enumerate(sections):
+        for path, sentence in _section_problems(section, personalities):
+            found.append(source.problem(("fault", index, *path), sentence))
+        if section.name:
+            if section.name in taken:
+                found.append(source.problem(("fault", index, "name"), "another fault has the same name"))
+            taken.add(section.name)
+    return found
+
+
+def _section_problems(section: FaultSection, personalities: PersonalityTable) -> Iterator[tuple[Path, str]]:
+    personality = personalities.get(section.personality)
+    if personality is None:
+        try:
+            personalities.named(section.personality)
+        except ConfigError as error:
+            yield ("personality",), error.message
+        return
+    for name, value in section.parameters.items():
+        try:
+            personality(**{name: value})
+        except ConfigError as error:
+            yield ("parameters", name), error.message
+
+
+def put_on(board: FaultBoard, sections: Iterable[FaultSection]) -> list[str]:
+    """Put the faults of sections on a board.
+
+    Returns:
+        Their names.
+
+    Raises:
+        ConfigError: one of them can not be; nothing that `fault_problems` would not have said.
+    """
+    ordered = list(sections)
+    named = [one.name for one in ordered if one.name]
+    made: list[str] = []
+    for one in ordered:
+        name, number = one.name, 1
+        while not name or (not one.name and name in (*named, *made)):  # a name that somebody chose is theirs
+            name = one.personality if number == 1 else f"{one.personality}-{number}"
+            number += 1
+        made.append(_put_on(board, one, name))
+    return made
+
+
+def _put_on(board: FaultBoard, section: FaultSection, name: str) -> str:
+    schedule = section.schedule
+    return board.add(
+        section.personality,
+        name=name,
+        units=section.chosen_units(),
+        functions=section.chosen_functions(),
+        items=section.chosen_addresses(),
+        probability=section.probability,
+        schedule=Schedule(schedule.from_, schedule.for_, schedule.every, schedule.skip, schedule.times),
+        on=section.on,
+        parameters=section.parameters,
+    )
+
+
+def put_on_by_words(board: FaultBoard, text: str) -> str:
+    """What ``--fault`` asks for: the fault of that name is switched on, or a personality put on with its parameters.
+
+    Args:
+        board: where.
+        text: ``late``, ``slow meters``, or ``late:delay=2,units=1-3``.
+
+    Returns:
+        The fault's name.
+
+    Raises:
+        ConfigError: there is no such fault and no such personality, or a word can not be.
+    """
+    if any(one.label == text for one in board.faults):
+        board.switch(text, on=True)
+        return text
+    section = parse_fault_words(text)
+    return _put_on(board, section, section.name)
+
+
+def personality_lines(personalities: PersonalityTable = PERSONALITIES) -> list[str]:
+    """What ``--list-faults`` shows: each personality with what happens, and its parameters below."""
+    width = max(len(name) for name in personalities)
+    lines = []
+    for one in personalities.values():
+        lines.append(f"{one.name:<{width}}  {one.happens}")
+        lines.extend(f"{'':<{width}}    {text}" for text in _parameter_lines(one))
+    return lines
+
+
+def _parameter_lines(personality: Personality) -> Iterator[str]:
+    for one in personality.parameters.values():
+        given = "" if one.default is None else f"={_shown(one.default)}"
+        within = f" ({one.range_text})" if one.range_text else ""
+        yield f"{one.name}{given}: {one.says.meaning}{within}"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(int(value)) if isinstance(value, int) else str(value)

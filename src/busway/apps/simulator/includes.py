@@ -1,0 +1,422 @@
+"""A simulation file and the files that it includes → one declaration, every fault at its line in its file.
+
+Knows files by their names, includes and parameters; what stands in a file is known by its schema
+(`busway.config.files.simulation`). It builds nothing (`busway.apps.simulator.wiring` does).
+
+1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
+   text. Between the braces an expression may stand: ``${base + 10 * index}``.
+2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any; ``with`` of an include sets
+   them. ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
+3. With ``units`` an include makes units of the one ``[[unit]]`` of its file, each with a memory of its own; without,
+   it takes the file's units as they are.
+4. A file can not include itself, nor another that does.
+5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
+   ones, and not reached by a link of another user (`busway.safe_files`).
+6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and `LONGEST_TEXT` of what is put into a text.
+"""
+
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from ...config.files.lines import Path
+from ...config.files.problems import FileError
+from ...config.files.schema import Source, faults_of, in_order, read_source
+from ...config.files.simulation import (
+    IncludeSection,
+    Parameter,
+    ParameterKeys,
+    ProfileFile,
+    SimulatedUnitSection,
+    SimulationFile,
+)
+from ...config.paths import within
+from ...config.report import Judge
+from ...errors import ConfigError
+from ...values.refusal import shown
+from ..server.configuration import Configuration, put_together
+from .behaviours.expression import WHOLE_BITS, parse_expression
+from .devices import PREFIX, read_included, read_profile
+from .fault_sections import fault_problems
+
+Reader = Callable[[str], str]
+"""The text of a file by its name."""
+
+_INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
+_ESCAPED: Final = "$${"
+_OF_UNITS: Final = ("unit", "index")
+MOST_INCLUDES: Final = 1000
+"""Files that are taken in, each as often as it is: twenty files that each include the next twice are a million."""
+MOST_LEVELS: Final = 32
+"""Files that include one another, one inside the other."""
+LONGEST_TEXT: Final = 10_000
+"""Characters that are put into one text: a parameter that is put twice into the next one's doubles with each file."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredUnit:
+    """A section ``[[unit]]`` as it holds in the end, and where it stands.
+
+    Attributes:
+        section: what it says; with several numbers, for a device each.
+        source: the file.
+        path: the section in it.
+    """
+
+    section: SimulatedUnitSection
+    source: Source
+    path: Path
+
+    def problem(self, path: Path, sentence: str) -> ConfigError:
+        """A sentence about what stands at a path in the section, with file, line and key."""
+        return self.source.problem((*self.path, *path), sentence)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationDeclaration:
+    """A simulation file with all that it includes.
+
+    Attributes:
+        configuration: listeners, security, policy and the like; its ``file`` has all units.
+        file: the sections, with all units.
+        units: the units, each with where it stands.
+        state: path of the file in which values are kept; None if they are not.
+    """
+
+    configuration: Configuration
+    file: SimulationFile
+    units: tuple[DeclaredUnit, ...]
+    state: str | None
+
+
+def load_declaration(
+    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
+) -> SimulationDeclaration:  # Any: options of several types
+    """What a simulation file declares, includes and all.
+
+    Args:
+        path: the file, in TOML. Every device file and every configuration file is one.
+        changes: options of listeners that go before those of the file.
+
+    Raises:
+        ConfigError: a file can not be read, or something in it can not be; then it has all ``problems``, each with
+            file, line and key.
+    """
+    name = os.fspath(path)
+    return parse_declaration(read_profile(name), name, changes=changes)
+
+
+def parse_declaration(
+    text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_included
+) -> SimulationDeclaration:
+    """What a text declares.
+
+    Args:
+        text: the content of the file.
+        name: its name, for sentences; paths in it are relative to its folder.
+        changes: as of `load_declaration`.
+        read: gives the text of an included file.
+
+    Raises:
+        FileError: all that is wrong, each with file, line and key.
+    """
+    source = read_source(text, name)
+    source = replace(source, data=_own_units(_Filled(source, _declared_parameters(source, {}, None))))
+    file = source.checked(SimulationFile)
+    if problems := fault_problems(file.fault, source):
+        raise FileError(in_order(problems))
+    own = [DeclaredUnit(section, source, ("unit", index)) for index, section in enumerate(file.unit)]
+    units = [*own, *_Including(read, (_identity(name),), _Count(MOST_INCLUDES)).all_of(file, source)]
+    _refuse_repeated(file, units, source)
+    whole = file.model_copy(update={"unit": [each.section for each in units]})
+    judge = Judge(source)
+    made = put_together(whole, name, judge, changes=changes)
+    made = replace(made, warnings=judge.end())
+    state = None if file.simulation.keep is None else within(name, file.simulation.keep)
+    return SimulationDeclaration(made, whole, tuple(units), state)
+
+
+class _Count:
+    """How many more files may be taken in."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._left = most
+
+    def take(self) -> None:
+        """Take one. Raises `ConfigError` where there are none left."""
+        if not self._left:
+            raise ConfigError(f"more than {self._most} files would be included, with all that they include")
+        self._left -= 1
+
+
+class _Including:
+    """Takes in what files include.
+
+    Args:
+        read: gives the text of a file.
+        chain: the files that are being taken in, the outermost first.
+        count: of all files that are taken in.
+    """
+
+    def __init__(self, read: Reader, chain: tuple[str, ...], count: _Count) -> None:
+        self._read = read
+        self._chain = chain
+        self._count = count
+
+    def all_of(self, file: ParameterKeys, source: Source) -> Iterator[DeclaredUnit]:
+        """The units of all includes of a file."""
+        for index, section in enumerate(file.include):
+            yield from self._one(section, source, ("include", index))
+
+    def _one(self, section: IncludeSection, parent: Source, at: Path) -> Iterator[DeclaredUnit]:
+        name = section.file if section.file.startswith(PREFIX) else within(parent.name, section.file)
+        identity = _identity(name)
+        if identity in self._chain:
+            raise FileError([parent.problem((*at, "file"), f"{name} would include itself")])
+        if len(self._chain) > MOST_LEVELS:
+            raise FileError([parent.problem((*at, "file"), f"more than {MOST_LEVELS} files would include one another")])
+        try:
+            self._count.take()
+        except ConfigError as error:
+            raise FileError([parent.problem((*at, "file"), error.message)]) from None
+        try:
+            text = self._read(name)
+        except ConfigError as error:
+            if error.line is not None:
+                raise
+            raise FileError([parent.problem((*at, "file"), f"{name}: {error.message}")]) from None
+        try:
+            source = read_source(text, name)
+            parameters = _declared_parameters(source, section.with_, (parent, at))
+            numbers = section.numbers()
+            if numbers is None:
+                yield from self._whole(source, parameters, identity)
+            else:
+                yield from self._several(source, parameters, numbers, (parent, (*at, "units")))
+        except FileError as error:
+            line = parent.problem(at, "").line
+            raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
+
+    def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
+        """The units of a file as they are, and those that it includes itself."""
+        filled = replace(source, data=_own_units(_Filled(source, parameters)))
+        profile = filled.checked(ProfileFile)
+        if not profile.unit and not profile.include:
+            raise FileError([source.problem(("unit",), "is missing")])
+        for index in range(len(profile.unit)):
+            yield _checked_unit(filled, index)
+        yield from _Including(self._read, (*self._chain, identity), self._count).all_of(profile, filled)
+
+    def _several(
+        self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
+    ) -> Iterator[DeclaredUnit]:
+        """Units of the one section of a file: one for each number, or one for all where none differs."""
+        sections = source.data.get("unit")
+        if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
+            parent, at = asked
+            raise FileError([parent.problem(at, f"needs a file with one [[unit]] and no [[include]]: {source.name}")])
+        for index, number in enumerate(numbers):
+            filled = _Filled(source, {**parameters, "unit": number, "index": index})
+            data = filled.filled(source.data, ())
+            depends = filled.used & {*_OF_UNITS}
+            if isinstance(data["unit"][0], dict):
+                data["unit"][0]["unit"] = [number] if depends else list(numbers)
+            made = replace(source, data=data)
+            made.checked(ProfileFile)
+            yield _checked_unit(made, 0)
+            if not depends:
+                return
+
+
+def _checked_unit(source: Source, index: int) -> DeclaredUnit:
+    try:
+        section = SimulatedUnitSection.model_validate(source.data["unit"][index])
+    except ValidationError as error:
+        raise FileError(
+            in_order(
+                source.problem(("unit", index, *path), sentence)
+                for each in error.errors()
+                for path, sentence in faults_of(each, SimulatedUnitSection)
+            )
+        ) from None
+    return DeclaredUnit(section, source, ("unit", index))
+
+
+def _included(error: ConfigError, name: str, where: str) -> ConfigError:
+    """A problem of an included file, with who includes it; of any other file, as it is."""
+    if error.file != name:
+        return error
+    return ConfigError(f"{error.message} (included by {where})", file=error.file, line=error.line, key=error.key)
+
+
+def _identity(name: str) -> str:
+    return os.path.realpath(name)
+
+
+def _declared_parameters(
+    source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
+) -> dict[str, Parameter]:
+    """The parameters of a file, as they hold in the end: its defaults, and what an include gives."""
+    defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
+    if not isinstance(defaults, dict) or not isinstance(required, list):
+        return dict(given)  # the schema will say what is wrong
+    problems = [
+        source.problem(("parameters", name), f"{shown(name)} can not be a name of a parameter")
+        for name in defaults
+        if not name.isidentifier() or name in _OF_UNITS
+    ]
+    known = [*defaults, *(name for name in required if isinstance(name, str))]
+    if asked is not None:
+        parent, at = asked
+        problems += [
+            parent.problem((*at, "with", name), f"{source.name} has no such parameter; {_there_are(known)}")
+            for name in given
+            if name not in known
+        ]
+        problems += [
+            parent.problem((*at, "with"), f"{source.name} needs {name}")
+            for name in required
+            if isinstance(name, str) and name not in given
+        ]
+    elif required:
+        problems.append(source.problem(("required",), f"can only be given by who includes this file: {required[0]}"))
+    if problems:
+        raise FileError(problems)
+    return {**defaults, **given}
+
+
+def _there_are(names: Sequence[str]) -> str:
+    return f"there are {', '.join(names)}" if names else "it has none"
+
+
+class _Filled:
+    """The data of a file with its parameters put in.
+
+    Args:
+        source: the file.
+        parameters: values by name.
+
+    Attributes:
+        source: the file.
+        used: the parameters that were put in so far.
+    """
+
+    def __init__(self, source: Source, parameters: Mapping[str, Parameter]) -> None:
+        self.source = source
+        self.used: set[str] = set()
+        self._parameters = dict(parameters)
+
+    def with_more(self, more: Mapping[str, Parameter]) -> "_Filled":
+        """The same with other parameters beside."""
+        return _Filled(self.source, {**self._parameters, **more})
+
+    def filled(self, node: Any, path: Path) -> Any:  # what TOML has
+        """A part of the data; a new object."""
+        if isinstance(node, str):
+            return self._text(node, path)
+        if isinstance(node, list):
+            return [self.filled(each, (*path, index)) for index, each in enumerate(node)]
+        if isinstance(node, dict):
+            return {key: self.filled(each, (*path, key)) for key, each in node.items()}
+        return node
+
+    def _text(self, text: str, path: Path) -> Parameter:
+        if "${" not in text:
+            return text
+        whole = _INSERT.fullmatch(text)
+        if whole is not None:
+            return self._value(whole[1], path)
+        parts = text.split(_ESCAPED)
+        put_in = 0
+
+        def written(match: re.Match[str]) -> str:
+            nonlocal put_in
+            try:
+                found = _written(self._value(match[1], path))
+            except FileError:
+                raise
+            except ConfigError as error:
+                raise FileError([self.source.problem(path, error.message)]) from None
+            put_in += len(found)
+            if put_in > LONGEST_TEXT:
+                sentence = f"more than {LONGEST_TEXT} characters of parameters would be put into it"
+                raise FileError([self.source.problem(path, sentence)])
+            return found
+
+        return "${".join(_INSERT.sub(written, part) for part in parts)
+
+    def _value(self, text: str, path: Path) -> Parameter:
+        name = text.strip()
+        try:
+            if name not in self._parameters and name.isidentifier():
+                raise ConfigError(f"there is no parameter {shown(name)}; {_there_are(list(self._parameters))}")
+            if name in self._parameters:
+                self.used.add(name)
+                return self._parameters[name]
+            return self._computed(text)
+        except ConfigError as error:
+            raise FileError([self.source.problem(path, error.message)]) from None
+
+    def _computed(self, text: str) -> Parameter:
+        expression = parse_expression(text)
+        values: dict[str, Any] = {}  # parameters that are numbers
+        for name in expression.names:
+            if name not in self._parameters:
+                raise ConfigError(f"there is no parameter {shown(name)}; {_there_are(list(self._parameters))}")
+            if not isinstance(self._parameters[name], int | float):
+                raise ConfigError(f"{name} is no number, but {shown(self._parameters[name])}")
+            self.used.add(name)
+            values[name] = self._parameters[name]
+        return expression.result(values)
+
+
+def _written(value: Parameter) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int) and value.bit_length() > WHOLE_BITS:
+        raise ConfigError(f"a whole number of {value.bit_length()} bits is put in, and {WHOLE_BITS} are the limit")
+    return str(value)
+
+
+def _own_units(filled: _Filled) -> dict[str, Any]:  # what TOML has
+    """The data of a file; in a section for one unit, that unit's number is a parameter too."""
+    data = filled.source.data
+    rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())
+    sections = data.get("unit")
+    if isinstance(sections, list):
+        rest["unit"] = [_own_unit(filled, section, index) for index, section in enumerate(sections)]
+    elif sections is not None:
+        rest["unit"] = sections
+    return rest
+
+
+def _own_unit(filled: _Filled, section: Any, index: int) -> Any:  # what TOML has
+    number = section.get("unit") if isinstance(section, dict) else None
+    if isinstance(number, list) and len(number) == 1:
+        number = number[0]
+    if isinstance(number, int) and not isinstance(number, bool):
+        filled = filled.with_more({"unit": number, "index": 0})
+    return filled.filled(section, ("unit", index))
+
+
+def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source: Source) -> None:
+    """A unit that is there twice, which the schema sees only within one file."""
+    owners: dict[int, DeclaredUnit] = {}
+    problems: list[ConfigError] = []
+    for each in units:
+        for number in each.section.unit:
+            if number in owners:
+                other = owners[number].problem((), "")
+                problems.append(each.problem((), f"unit {number} is there already: {other.file}:{other.line}"))
+            owners.setdefault(number, each)
+    if file.server.unit_policy == "any" and len(owners) > 1:
+        problems.append(
+            source.problem(("server", "unit_policy"), f"any needs exactly one device, but there are {len(owners)}")
+        )
+    if problems:
+        raise FileError(in_order(problems))

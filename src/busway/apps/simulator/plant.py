@@ -1,0 +1,220 @@
+"""A small plant: a tank that consumers empty, with a pump that fills it; a meter; a thermometer. Three devices.
+
+Knows its physics as functions of state and time, and its points; knows no clock and no connection.
+
+1. A second of the demonstration is a minute of the plant, so that a level can be seen to move.
+2. The pump keeps the level around ``tank.target`` while ``pump.enabled`` is on: both can be written by Modbus, and the
+   plant obeys.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+from ...config.devices import build_device
+from ...config.files.device import parse_device_file
+from ...server.device import Device
+from .points import Points
+
+PLANT_FILE: Final = """\
+listen = ["tcp://127.0.0.1:5020"]
+
+[[unit]]
+unit = 1
+name = "tank"
+identification = { vendor_name = "busway", product_code = "tank", revision = "1.0" }
+server_id = "tank"
+
+[[unit.point]]
+name = "tank.level"
+address = "3x1"
+type = "float32"
+unit_of_measure = "m"
+
+[[unit.point]]
+name = "tank.target"
+address = "4x1"
+type = "float32"
+value = 2.0
+unit_of_measure = "m"
+description = "The level that the pump keeps."
+
+[[unit.point]]
+name = "pump.enabled"
+address = "0x1"
+value = true
+
+[[unit.point]]
+name = "pump.running"
+address = "1x1"
+
+[[unit.point]]
+name = "pump.speed"
+address = "3x4"
+type = "uint16"
+unit_of_measure = "rpm"
+
+[[unit]]
+unit = 2
+name = "meter"
+
+[[unit.point]]
+name = "meter.flow"
+address = "3x5"
+type = "float32"
+order = "CDAB"
+unit_of_measure = "m³/h"
+description = "Its registers come low word first, as many meters have them."
+
+[[unit.point]]
+name = "meter.volume"
+address = "3x7"
+type = "uint32"
+unit_of_measure = "L"
+
+[[unit.point]]
+name = "meter.power"
+address = "3x9"
+type = "uint32"
+unit_of_measure = "W"
+
+[[unit]]
+unit = 3
+name = "thermometer"
+
+[[unit.point]]
+name = "tank.temperature"
+address = "3x1"
+type = "int16"
+scale = 0.1
+unit_of_measure = "°C"
+"""
+"""The plant's device file; `busway serve` takes one like it."""
+
+TANK: Final = 1
+METER: Final = 2
+THERMOMETER: Final = 3
+"""Their units."""
+HASTE: Final = 60.0
+"""Seconds of the plant in one second of the clock."""
+TANK_AREA: Final = 1.5
+"""Square metres."""
+TANK_HEIGHT: Final = 4.0
+"""Metres; what is pumped beyond runs over."""
+PUMP_FLOW: Final = 36.0
+"""Cubic metres per hour at full speed."""
+PUMP_SPEED: Final = 1450
+"""Revolutions per minute."""
+PUMP_POWER: Final = 4000
+"""Watts at full speed."""
+IDLE_POWER: Final = 35
+"""Watts of the controls."""
+BAND: Final = 0.3
+"""Metres below the target at which the pump starts, and above it at which it stops."""
+_LONGEST_STEP: Final = 0.2
+"""Seconds of the clock; a longer step is divided, so that the pump still switches in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Controls:
+    """What the plant is told: the level to keep, in metres, and whether the pump may run."""
+
+    target: float = 2.0
+    pump_enabled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class PlantState:
+    """How the plant stands.
+
+    Attributes:
+        time: seconds of the clock since it began.
+        level: of the tank, in metres.
+        is_pumping: whether the pump runs.
+        volume: litres that the pump has delivered.
+    """
+
+    time: float = 0.0
+    level: float = 1.8
+    is_pumping: bool = True
+    volume: float = 1000.0
+
+
+def advance(state: PlantState, controls: Controls, seconds: float) -> PlantState:
+    """The plant some seconds of the clock later."""
+    while seconds > 0:
+        step = min(seconds, _LONGEST_STEP)
+        seconds -= step
+        state = _step(state, controls, step)
+    return state
+
+
+def _step(state: PlantState, controls: Controls, seconds: float) -> PlantState:
+    hours = seconds * HASTE / 3600
+    state = replace(state, is_pumping=_pumps(state, controls))
+    rise = (flow(state) - consumption(state.time)) * hours / TANK_AREA
+    return replace(
+        state,
+        time=state.time + seconds,
+        level=min(max(state.level + rise, 0.0), TANK_HEIGHT),
+        volume=(state.volume + 1000 * flow(state) * hours) % 2**32,
+    )
+
+
+def _pumps(state: PlantState, controls: Controls) -> bool:
+    """Whether the pump runs: started below the band, stopped above it, and as before within."""
+    if not controls.pump_enabled or state.level >= controls.target + BAND:
+        return False
+    return state.is_pumping or state.level <= controls.target - BAND
+
+
+def flow(state: PlantState) -> float:
+    """What the pump delivers, in cubic metres per hour: a little less against a full tank."""
+    return PUMP_FLOW * (1 - 0.04 * state.level) if state.is_pumping else 0.0
+
+
+def consumption(time: float) -> float:
+    """What the consumers take, in cubic metres per hour, ``time`` seconds after the beginning."""
+    return 15.0 + 5.0 * math.sin(time * 2 * math.pi / 7)
+
+
+def temperature(time: float) -> float:
+    """Of the tank, in degrees Celsius, in steps of 0.1."""
+    return round(18.0 + 1.5 * math.sin(time * 2 * math.pi / 30), 1)
+
+
+def power(state: PlantState) -> int:
+    """What the plant draws, in watts."""
+    return IDLE_POWER + (round(PUMP_POWER * (0.9 + 0.03 * state.level)) if state.is_pumping else 0)
+
+
+class Plant:
+    """The plant and the devices that show it.
+
+    Attributes:
+        devices: what is served, by unit.
+        points: their values by name, by unit.
+        state: how it stands.
+    """
+
+    def __init__(self) -> None:
+        sections = parse_device_file(PLANT_FILE, "plant").unit
+        self.devices: dict[int, Device] = {section.unit[0]: build_device(section) for section in sections}
+        self.points = {section.unit[0]: Points(self.devices[section.unit[0]], section.point) for section in sections}
+        self.state = PlantState()
+        self.tick(0.0)
+
+    def tick(self, seconds: float) -> None:
+        """Move on by some seconds of the clock: obey what was written, and show how it stands, each device at once."""
+        tank, meter = self.points[TANK], self.points[METER]
+        controls = Controls(tank["tank.target"], tank["pump.enabled"])
+        self.state = state = advance(self.state, controls, seconds)
+        with tank.update():
+            tank["tank.level"] = state.level
+            tank["pump.running"] = state.is_pumping
+            tank["pump.speed"] = PUMP_SPEED if state.is_pumping else 0
+        with meter.update():
+            meter["meter.flow"] = flow(state)
+            meter["meter.volume"] = int(state.volume)
+            meter["meter.power"] = power(state)
+        self.points[THERMOMETER]["tank.temperature"] = temperature(state.time)

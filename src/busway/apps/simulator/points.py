@@ -1,0 +1,55 @@
+"""The named points of a device: what its application reads and writes, in the points' units of measure.
+
+Knows points and the device that holds them; knows no connection.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
+from typing import Any
+
+from ...config.files.device import PointSection
+from ...errors import InvalidRequest
+from ...server.device import Device
+from ...values.refusal import shown
+
+
+class Points:
+    """Values by name, ``points["tank.level"]``, from any thread.
+
+    Args:
+        device: the device that holds them.
+        sections: the points, as the device's file declares them.
+    """
+
+    def __init__(self, device: Device, sections: list[PointSection]) -> None:
+        self._device = device
+        self._sections = {section.name: section for section in sections}
+
+    @property
+    def sections(self) -> Mapping[str, PointSection]:
+        """The declarations by name, in the order of the file."""
+        return self._sections
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._sections)
+
+    def __getitem__(self, name: str) -> Any:  # what the point's type says
+        """The value, in the unit of measure. Raises `InvalidRequest` if there is no such point."""
+        section = self._section(name)
+        return section.physical(self._device.read(section.place, section.form))
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Set the value. Raises `InvalidRequest` if it does not fit, or if there is no such point."""
+        section = self._section(name)
+        raw = section.raw(value)
+        self._device.write(section.place, raw if section.form is None else [raw], section.form)
+
+    def update(self) -> AbstractContextManager[None]:
+        """A group of changes that become visible together, as `Device.update`."""
+        return self._device.update()
+
+    def _section(self, name: str) -> PointSection:
+        section = self._sections.get(name)
+        if section is None:
+            raise InvalidRequest(f"there is no point {shown(name)}; there are {', '.join(self._sections)}")
+        return section

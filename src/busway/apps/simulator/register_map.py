@@ -1,0 +1,368 @@
+"""Register maps as manuals and spreadsheets have them, CSV → the points of a unit.
+
+Knows the columns and how their cells are written; what a point may be is known by the schema of device files.
+
+::
+
+    name,address,type,scale,unit,access,value
+    voltage,3x1,uint16,0.1,V,read,230.0
+    setpoint,4x11,float32,,°C,read-write,21.5
+
+Rules:
+
+1. The first line that is neither empty nor begins with ``#`` names the columns; capitals and spaces around a name do
+   not matter. Columns that there are not are refused by name; one whose name begins with ``#`` is not read.
+2. Separated by comma, semicolon or tab, whichever makes known columns of the first line. Text is UTF-8 with or without
+   a byte order mark, UTF-16 with one, or else Latin-1.
+3. A file is read as a whole; each thing that is wrong is said with file, line and column.
+4. Where commas do not separate, a number may have a decimal comma.
+5. Nothing is guessed: an empty cell is the default of its key, and what can not be read is refused.
+"""
+
+import csv
+import io
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+from ...codes import Table
+from ...config.files.lines import Path as Place
+from ...config.files.problems import FileError
+from ...config.files.schema import Source, in_order
+from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
+from ...errors import ConfigError, InvalidRequest
+from ...values import Address, format_address, parse_address, value_type
+from ...values.refusal import shown
+
+_ENCODINGS: Final = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+_DELIMITERS: Final = (",", ";", "\t")
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
+_WHOLE: Final = re.compile(r"[+-]?\d{1,20}|0[xX][0-9a-fA-F]{1,16}|0[bB][01]{1,64}")
+_ENTRY: Final = re.compile(r"\s*(?P<number>[^=:]*?)\s*[=:]\s*(?P<label>.*?)\s*")
+_ACCESS: Final = {
+    "read": ("r", "ro", "read", "read-only", "read only"),
+    "read-write": ("rw", "r/w", "wr", "w", "read-write", "read/write", "read write"),
+}
+_BIT_TYPES: Final = ("bit", "bool", "boolean")
+_TRUE: Final = ("1", "true", "on", "yes")
+_FALSE: Final = ("0", "false", "off", "no")
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column that a register map may have.
+
+    Attributes:
+        name: as its header has it.
+        key: the key of a point that it gives; empty if it only helps to read another.
+        says: what stands in it, for the documentation.
+        also: other headers that mean the same.
+    """
+
+    name: str
+    key: str
+    says: str
+    also: tuple[str, ...] = ()
+
+
+COLUMNS: Final = (
+    Column("name", "name", "the name, one of a kind; must be there", ("point", "parameter")),
+    Column(
+        "address",
+        "address",
+        "a notation that names its table (`4x1`, `40001`, `input:0x10`, `%MW0`, `4x1.3`), or, with a column `table`, "
+        "an offset counted from 0; must be there",
+        ("register",),
+    ),
+    Column("table", "", "`coil`, `discrete`, `input` or `holding`, where `address` is a plain number"),
+    Column(
+        "type", "type", "type of the value, `uint16` if empty; for bits empty, or `bool`", ("data type", "datatype")
+    ),
+    Column("order", "order", "order of bytes and registers, `ABCD` if empty", ("byte order",)),
+    Column("scale", "scale", "the registers hold value / scale, 1 if empty", ("factor",)),
+    Column("unit", "unit_of_measure", "unit of measure", ("unit_of_measure", "unit of measure", "units")),
+    Column("access", "access", "`read` (`r`, `ro`) or `read-write` (`rw`, `r/w`); what the table allows if empty"),
+    Column("min", "minimum", "the lowest value that may be written, in the unit of measure", ("minimum",)),
+    Column("max", "maximum", "the highest", ("maximum",)),
+    Column("enumeration", "enumeration", "names of numbers: `0=off | 1=on`; also with `;` between", ("enum", "values")),
+    Column("description", "description", "text, for people", ("comment", "remarks")),
+    Column("value", "value", "the first value, in the unit of measure; zero if empty", ("default", "start")),
+)
+"""The columns, in the order of the documentation."""
+
+_BY_HEADER: Final = {header: column for column in COLUMNS for header in (column.name, *column.also)}
+_NAME_OF_KEY: Final = {column.key: column.name for column in COLUMNS if column.key}
+
+
+def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSection]:
+    """The points of a register map.
+
+    Args:
+        path: the file.
+
+    Raises:
+        FileError: all that is wrong with it, each with file, line and column.
+        ConfigError: it can not be read.
+    """
+    name = os.fspath(path)
+    try:
+        data = Path(name).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"can not be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
+    return parse_register_map(data, name)
+
+
+def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSection]:
+    """The points that a register map lists, in its order.
+
+    Args:
+        data: the content of the file.
+        name: its name, for the sentences.
+
+    Raises:
+        FileError: all that is wrong with it, each with file, line and column.
+    """
+    text = data if isinstance(data, str) else _decoded(data)
+    reader = _Reader(name, text)
+    rows = reader.rows()
+    problems = reader.problems
+    lines: dict[Place, int] = {(): 1}
+    points: list[dict[str, Any]] = []  # Any: what a key of a point takes
+    for row in rows:
+        keys, faults = _keys_of(row)
+        problems += [ConfigError(sentence, file=name, line=row.line, key=column) for column, sentence in faults]
+        if faults:
+            continue
+        lines[("point", len(points))] = row.line
+        lines |= {("point", len(points), key): row.line for key in keys}
+        points.append(keys)
+    found: list[SimulatedPointSection] = []
+    if points:
+        try:
+            found = list(Source(name, {"unit": 1, "point": points}, lines).checked(SimulatedUnitSection).point)
+        except FileError as error:
+            problems += [
+                ConfigError(each.message, file=name, line=each.line, key=_column_of(each.key))
+                for each in error.problems
+            ]
+    if not points and not problems:
+        problems.append(ConfigError("there is no point", file=name, line=1))
+    if problems:
+        raise FileError(in_order(problems))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A line of the map: its cells by column, without the empty ones."""
+
+    line: int
+    cells: Mapping[str, str]
+    decimal_comma: bool
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Text → rows; keeps what is wrong with the text as such."""
+
+    name: str
+    text: str
+    problems: list[ConfigError] = field(default_factory=list)
+
+    def rows(self) -> list[_Row]:
+        """The rows below the line with the columns."""
+        begin, header = self._header_line()
+        if header is None:
+            self._complain("there is no line with columns; there are " + ", ".join(_NAME_OF_KEY.values()), begin)
+            return []
+        delimiter = max(_DELIMITERS, key=lambda each: _known_in(header, each))
+        columns: list[Column | None] | None = None
+        found = []
+        for line, cells in self._records(delimiter, begin):
+            if not any(cells) or cells[0].startswith("#"):
+                continue
+            if columns is None:
+                columns = self._columns(cells, line)
+                if columns is None:
+                    return []
+                continue
+            if len(cells) > len(columns) and any(cells[len(columns) :]):
+                self._complain(f"{len(cells)} cells, but there are {len(columns)} columns", line)
+                continue
+            pairs = zip(columns, cells, strict=False)
+            found.append(_Row(line, {column.name: cell for column, cell in pairs if column and cell}, delimiter != ","))
+        return found
+
+    def _header_line(self) -> tuple[int, str | None]:
+        """The first line that says something, and its number."""
+        for number, line in enumerate(self.text.splitlines(), 1):
+            if line.strip(" \t,;") and not line.lstrip(" \t\"'").startswith("#"):
+                return number, line
+        return 1, None
+
+    def _records(self, delimiter: str, begin: int) -> Iterator[tuple[int, list[str]]]:
+        """The records from a line on, each with the line it begins in."""
+        body = "\n".join(self.text.splitlines()[begin - 1 :])
+        reader = csv.reader(io.StringIO(body, newline=""), delimiter=delimiter, strict=True)
+        line = begin
+        try:
+            for cells in reader:
+                yield line, [cell.strip() for cell in cells]
+                line = begin + reader.line_num
+        except csv.Error as error:
+            self._complain(f"is no CSV: {error}", line)
+
+    def _columns(self, cells: list[str], line: int) -> list[Column | None] | None:
+        """The columns that a line names; None where it does not do."""
+        columns: list[Column | None] = []
+        wrong = len(self.problems)
+        for number, cell in enumerate(cells, 1):
+            header = " ".join(cell.lower().split())
+            column = _BY_HEADER.get(header)
+            if column is None and header and not header.startswith("#"):
+                near = get_close_matches(header, _BY_HEADER, 1)
+                known = f"is it {near[0]}?" if near else f"there are {', '.join(each.name for each in COLUMNS)}"
+                self._complain(f"there is no such column; {known}", line, cell)
+            if column is not None and column in columns:
+                self._complain(f"column {number} is {column.name} once more", line, cell)
+            columns.append(column)
+        for needed in ("name", "address"):
+            if not any(column and column.name == needed for column in columns):
+                self._complain("this column is missing", line, needed)
+        return None if len(self.problems) > wrong else columns
+
+    def _complain(self, sentence: str, line: int, column: str | None = None) -> None:
+        self.problems.append(ConfigError(sentence, file=self.name, line=line, key=column))
+
+
+def _decoded(data: bytes) -> str:
+    for mark, encoding in _ENCODINGS:
+        if data.startswith(mark):
+            return data.decode(encoding, errors="replace")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _known_in(header: str, delimiter: str) -> int:
+    """How many known columns a line names with this delimiter."""
+    return sum(" ".join(cell.strip(' "').lower().split()) in _BY_HEADER for cell in header.split(delimiter))
+
+
+def _column_of(key: str | None) -> str | None:
+    """``point[3].unit_of_measure`` → ``unit``."""
+    last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
+    return _NAME_OF_KEY.get(last, last or None)
+
+
+def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """The keys of the point in a row, and what its cells can not be: column and sentence."""
+    cells = row.cells
+    keys: dict[str, Any] = {}
+    faults = [(needed, "is empty") for needed in ("name", "address") if needed not in cells]
+
+    def take(column: str, read: Callable[[str], Any]) -> Any:
+        try:
+            return read(cells[column]) if column in cells else None
+        except (ValueError, InvalidRequest) as error:
+            faults.append((column, getattr(error, "message", None) or str(error)))
+            return None
+
+    for key in ("name", "type", "order", "description"):
+        keys[key] = cells.get(key)
+    keys["unit_of_measure"] = cells.get("unit")
+    for column, key in (("scale", "scale"), ("min", "minimum"), ("max", "maximum")):
+        keys[key] = take(column, lambda text: _number(text, row))
+    keys["access"] = take("access", _access)
+    keys["enumeration"] = take("enumeration", _enumeration)
+    table = take("table", _table)
+    can_place = table is not None or "table" not in cells
+    place = take("address", lambda text: _place(text, table)) if can_place else None
+    keys = {key: value for key, value in keys.items() if value is not None}
+    if place is not None:
+        is_bit = place.bit is not None or (place.table is not None and place.table.holds_bits)
+        if is_bit and keys.get("type", "").lower() in _BIT_TYPES:
+            del keys["type"]
+        value = take("value", lambda text: _value(text, row, keys, is_bit=is_bit))
+        keys |= {"address": str(place)} | ({} if value is None else {"value": value})
+    return keys, faults
+
+
+def _table(text: str) -> Table:
+    """``holding``, ``Holding Registers``."""
+    try:
+        found = parse_address(f"{text}:0").table
+    except InvalidRequest:
+        found = None
+    if found is None:
+        raise ValueError(f"there is no table {shown(text)}, but coil, discrete, input and holding")
+    return found
+
+
+def _place(text: str, table: Table | None) -> Address:
+    """The item, its text a notation that names the table."""
+    place = parse_address(text, table=table)
+    try:
+        return parse_address(text)
+    except InvalidRequest:
+        return parse_address(format_address(place))  # a plain number, of the column's table
+
+
+def _number(text: str, row: _Row) -> float:
+    plain = _with_point(text, row)
+    if not _NUMBER.fullmatch(plain):
+        raise ValueError(f"must be a number, not {shown(text)}")
+    return float(plain)
+
+
+def _with_point(text: str, row: _Row) -> str:
+    """A number with a decimal point, where it may have a comma."""
+    return text.replace(",", ".") if row.decimal_comma and text.count(",") == 1 and "." not in text else text
+
+
+def _access(text: str) -> str:
+    word = text.lower()
+    for access, words in _ACCESS.items():
+        if word in words:
+            return access
+    raise ValueError(f"must be read or read-write, not {shown(text)}")
+
+
+def _enumeration(text: str) -> dict[str, int]:
+    """``0=off | 1=on`` → numbers by name."""
+    found: dict[str, int] = {}
+    for entry in re.split(r"[|;\n]", text):
+        if not entry.strip():
+            continue
+        match = _ENTRY.fullmatch(entry)
+        if match is None or not _WHOLE.fullmatch(match["number"]) or not match["label"]:
+            raise ValueError(f"must be written 0=off | 1=on, not {shown(entry.strip())}")
+        if match["label"] in found:
+            raise ValueError(f"{match['label']} is {found[match['label']]} already")
+        found[match["label"]] = _whole(match["number"])
+    return found
+
+
+def _whole(text: str) -> int:
+    """Decimal, also with zeros in front, or ``0x…`` and ``0b…``."""
+    return int(text, 0) if text[1:2] in ("x", "X", "b", "B") else int(text)
+
+
+def _value(text: str, row: _Row, keys: Mapping[str, Any], *, is_bit: bool) -> Any:
+    """The first value: as its type is written, a number in the unit of measure, or a name of the enumeration."""
+    if text in keys.get("enumeration", {}):
+        return text
+    if is_bit:
+        if text.lower() not in (*_TRUE, *_FALSE):
+            raise ValueError(f"one bit is true or false, not {shown(text)}")
+        return text.lower() in _TRUE
+    if keys.get("scale", 1.0) != 1.0:
+        return _number(text, row)
+    form = value_type(keys.get("type", "uint16"), keys.get("order", "ABCD"))
+    return form.parse(_with_point(text, row) if form.name.startswith("float") else text)

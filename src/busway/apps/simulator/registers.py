@@ -1,0 +1,205 @@
+"""Where a point stands in the memory of its device, and how its numbers become bytes there.
+
+Knows sections of points and runs of items; knows no behaviour and no time.
+
+1. What a behaviour gives always becomes something that the registers hold: whole numbers are rounded, and what lies
+   outside the point's range, or that of its type, becomes the nearest end of it. What is no number at all (a formula
+   that divides by zero) leaves whole numbers as they are; a float shows it as NaN.
+2. All that can be found out once is: a tick packs a number by one call of a compiled ``struct``.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ...codes import Table
+from ...config.files.simulation import SimulatedPointSection
+from ...server.blocks import BitRun, RegisterRun
+from ...server.device import Device
+from ...values import ValueType
+
+Put = Callable[[bytearray, int, Any], object]
+"""Puts what the registers hold, a number of the type or ``bool``, into bytes, at an offset in bytes (bits: in bits)."""
+Quantise = Callable[[float], Any]
+"""What the registers hold for a value in the unit of measure; None where it is no number and they can not say so."""
+
+_LETTERS: Final = {
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float16": "e",
+    "float32": "f",
+    "float64": "d",
+}
+_LARGEST: Final = {"float16": 65504.0, "float32": 3.4028234663852886e38, "float64": 1.7976931348623157e308}
+
+
+@dataclass(frozen=True, slots=True)
+class PointForm:
+    """What a point's declaration says, found out once for all units that have it.
+
+    Attributes:
+        section: the declaration.
+        table: its table.
+        address: its first item, 0-based.
+        bit: of a register, 0…15; None for whole items.
+        form: the type of its registers; None for one bit.
+        size: registers or bits that it takes.
+        put: puts a number into bytes.
+        quantise: what the registers hold for a value.
+    """
+
+    section: SimulatedPointSection
+    table: Table
+    address: int
+    bit: int | None
+    form: ValueType[Any] | None
+    size: int
+    put: Put
+    quantise: Quantise
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A point's bytes in the memory of one device: which run, and where in it, in bytes (bits: in bits)."""
+
+    memory: RegisterRun | BitRun
+    offset: int
+
+
+def form_of(section: SimulatedPointSection) -> PointForm:
+    """What a declaration says."""
+    place, form = section.place, section.form
+    return PointForm(
+        section,
+        section.table,
+        place.offset,
+        place.bit,
+        form,
+        section.size,
+        _put_bit if form is None else _putter(form),
+        _quantise_bit if form is None else _quantiser(section, form),
+    )
+
+
+def place_of(form: PointForm, device: Device) -> Place:
+    """Where a point stands in a device that has its items."""
+    run = device.find_run(form.table, form.address, form.size)
+    assert run is not None  # the device was built of these declarations
+    position = form.address - run.first
+    if form.bit is not None:
+        # As bits of the bytes: bit 0 of a register is the lowest of its second byte.
+        return Place(run.memory, 16 * position + (8 + form.bit if form.bit < 8 else form.bit - 8))
+    return Place(run.memory, position if form.form is None else 2 * position)
+
+
+def _put_bit(data: bytearray, offset: int, on: bool) -> None:
+    mask = 1 << (offset & 7)
+    if on:
+        data[offset >> 3] |= mask
+    else:
+        data[offset >> 3] &= 255 - mask
+
+
+def _putter(form: ValueType[Any]) -> Put:
+    """What packs a number of a type; those of everyday orders by ``struct`` alone."""
+    letter = _LETTERS.get(form.name)
+    if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
+        return struct.Struct(f">{letter}").pack_into
+    if letter is not None and form.order == "HGFEDCBA"[-2 * form.registers :]:
+        return struct.Struct(f"<{letter}").pack_into
+    if letter is not None and form.order == "CDAB":
+        return _putter_low_word_first(letter)
+    size, encode = 2 * form.registers, form.encode
+
+    def put(data: bytearray, offset: int, number: Any) -> None:
+        data[offset : offset + size] = encode([number])
+
+    return put
+
+
+def _putter_low_word_first(letter: str) -> Put:
+    pack = struct.Struct(f">{letter}").pack
+
+    def put(data: bytearray, offset: int, number: Any) -> None:
+        packed = pack(number)
+        data[offset : offset + 4] = packed[2:] + packed[:2]
+
+    return put
+
+
+def _quantise_bit(value: float) -> bool | None:
+    return None if value != value else value >= 0.5
+
+
+def _quantiser(section: SimulatedPointSection, form: ValueType[Any]) -> Quantise:
+    scale = section.scale
+    low, high = _range_of_type(form)
+    ends = [end / scale for end in (section.minimum, section.maximum) if end is not None]
+    if form.name.startswith("float"):
+        return _float_quantiser(section, scale, low, high)
+    # The ends of the range in steps of the scale, inwards: 0.25 at a scale of 0.1 is step 3 as a minimum.
+    inward_low = low if section.minimum is None else section.minimum / scale
+    inward_high = high if section.maximum is None else section.maximum / scale
+    if scale < 0 and ends:
+        inward_low, inward_high = (
+            low if section.maximum is None else section.maximum / scale,
+            high if section.minimum is None else section.minimum / scale,
+        )
+    least = max(int(low), math.ceil(inward_low - _ROUNDING))
+    most = max(least, min(int(high), math.floor(inward_high + _ROUNDING)))
+    return _whole_quantiser(scale, least, most)
+
+
+_ROUNDING: Final = 1e-9
+"""What a division by a binary fraction may be off."""
+
+
+def _whole_quantiser(scale: float, least: int, most: int) -> Quantise:
+    def quantise(value: float) -> int | None:
+        try:
+            number = round(value / scale)
+        except (ValueError, OverflowError):
+            return None if value != value else most if (value > 0) == (scale > 0) else least
+        return least if number < least else most if number > most else number
+
+    return quantise
+
+
+def _float_quantiser(section: SimulatedPointSection, scale: float, low: float, high: float) -> Quantise:
+    minimum = -math.inf if section.minimum is None else section.minimum
+    maximum = math.inf if section.maximum is None else section.maximum
+
+    def quantise(value: float) -> float:
+        if value < minimum:
+            value = minimum
+        elif value > maximum:
+            value = maximum
+        number = value / scale
+        return low if number < low else high if number > high else number
+
+    return quantise
+
+
+def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
+    """The smallest and the largest number of a type."""
+    if form.name in _LARGEST:
+        return -_LARGEST[form.name], _LARGEST[form.name]
+    bits = 16 * form.registers
+    if form.name.startswith("bcd"):
+        return 0, 10 ** (bits // 4) - 1
+    if form.name.startswith("uint"):
+        return 0, (1 << bits) - 1
+    return -(1 << bits - 1), (1 << bits - 1) - 1
+
+
+def largest_of(form: PointForm) -> float | None:
+    """Where a counter in this type begins again from 0, in the unit of measure; None for bits and floats."""
+    if form.form is None or form.form.name.startswith("float"):
+        return None
+    return (int(_range_of_type(form.form)[1]) + 1) * abs(form.section.scale)

@@ -1,0 +1,253 @@
+"""A point that behaves, its unit, and a change of its value.
+
+Knows the device that holds the point; knows no behaviour beyond its name, and no clock: times are seconds of the
+simulation since its beginning.
+
+1. The registers are the truth: ``value`` is what a client would read.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ...codes import Table
+from ...config.files.behaviours import described
+from ...config.files.simulation import SimulatedPointSection
+from ...errors import BadReply, InvalidRequest
+from ...server.blocks import BitRun, RegisterRun
+from ...server.device import Device
+from ...values import format_address
+from ...values.refusal import shown
+from .registers import PointForm, place_of
+
+SIMULATION: Final = "simulation"
+"""Who has written what a behaviour gave, or the file."""
+
+
+class SimulatedPoint:
+    """One named value of a simulated unit.
+
+    Attributes:
+        key: ``UNIT/NAME``, its name in the simulation.
+        unit: number of its unit.
+        device: what holds it.
+        form: what its declaration says.
+        memory: the run that holds its bytes.
+        offset: where they begin in it, in bytes (one bit: in bits).
+        held: the number of the hold under which it was set by hand, or 0 while it follows its behaviour.
+        number: its value as formulas see it; NaN for what is no number.
+        stored: what the registers were last given, a number of the type or ``bool``.
+        changed_at: when its value changed last, in seconds of the simulation.
+        last_writer: ``simulation``, ``api``, or the address of a Modbus client.
+    """
+
+    __slots__ = (
+        "changed_at",
+        "device",
+        "form",
+        "held",
+        "key",
+        "last_writer",
+        "memory",
+        "number",
+        "offset",
+        "stored",
+        "unit",
+    )
+
+    def __init__(self, unit: int, form: PointForm, device: Device) -> None:
+        place = place_of(form, device)
+        self.unit = unit
+        self.key = f"{unit}/{form.section.name}"
+        self.device = device
+        self.form = form
+        self.memory: RegisterRun | BitRun = place.memory
+        self.offset = place.offset
+        self.held = 0
+        self.stored: Any = None  # a number of the type, or bool
+        self.number = 0.0
+        self.changed_at = 0.0
+        self.last_writer = SIMULATION
+        self.look()
+
+    @property
+    def section(self) -> SimulatedPointSection:
+        """Its declaration."""
+        return self.form.section
+
+    @property
+    def name(self) -> str:
+        """Its name in its unit."""
+        return self.form.section.name
+
+    @property
+    def table(self) -> Table:
+        """The table it stands in."""
+        return self.form.table
+
+    @property
+    def address(self) -> int:
+        """Its first item, 0-based as on the wire."""
+        return self.form.address
+
+    @property
+    def bit(self) -> int | None:
+        """The bit of its register, 0…15; None for whole items."""
+        return self.form.bit
+
+    @property
+    def notation(self) -> str:
+        """Its address as people write it: ``4x101``."""
+        return format_address(self.form.section.place)
+
+    @property
+    def type(self) -> str:
+        """The type of its registers, or ``bit``."""
+        return "bit" if self.form.form is None else self.form.form.name
+
+    @property
+    def order(self) -> str:
+        """Byte and register order in letters; empty for one bit."""
+        return "" if self.form.form is None else self.form.form.order
+
+    @property
+    def scale(self) -> float:
+        """What a step of the registers is in the unit of measure."""
+        return self.form.section.scale
+
+    @property
+    def unit_of_measure(self) -> str:
+        """``V``, ``°C``."""
+        return self.form.section.unit_of_measure
+
+    @property
+    def description(self) -> str:
+        """What it is."""
+        return self.form.section.description
+
+    @property
+    def access(self) -> str:
+        """What Modbus may: ``read`` or ``read-write``."""
+        return "read-write" if self.form.section.is_writable else "read"
+
+    @property
+    def minimum(self) -> float | None:
+        """The least that may be written."""
+        return self.form.section.minimum
+
+    @property
+    def maximum(self) -> float | None:
+        """The most that may be written."""
+        return self.form.section.maximum
+
+    @property
+    def enumeration(self) -> Mapping[str, int]:
+        """Names of its numbers; empty if they have none."""
+        return self.form.section.enumeration
+
+    @property
+    def behaviour(self) -> str:
+        """What makes it change, in a few words; empty if nothing does."""
+        section = self.form.section.behaviour
+        return "" if section is None else described(section)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it was set by hand and does not follow its behaviour."""
+        return self.held > 0
+
+    @property
+    def value(self) -> Any:  # what its type says
+        """The value in the unit of measure, as a client reads it; None where the registers mean nothing in the type."""
+        try:
+            return self.section.physical(self._decoded())
+        except BadReply:
+            return None
+
+    @property
+    def label(self) -> str | None:
+        """The name of the value, if it has one."""
+        value = self.value
+        return next((name for name, number in self.enumeration.items() if number == value), None)
+
+    @property
+    def raw(self) -> str:
+        """Its registers in hexadecimal, ``4366 8000``; of one bit ``0`` or ``1``."""
+        if self.form.form is None:
+            return str(int(self._decoded()))
+        return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
+
+    def look(self) -> None:
+        """Take over what the registers hold, after somebody else has written them."""
+        try:
+            self.stored = self._decoded()
+        except BadReply:
+            self.stored = None
+        value = None if self.stored is None else self.section.physical(self.stored)
+        self.number = float(value) if isinstance(value, int | float) else math.nan
+
+    def _decoded(self) -> Any:  # what its type says
+        """What the registers hold, in the type."""
+        form, offset = self.form.form, self.offset
+        if form is None:
+            return bool(self.memory.data[offset >> 3] >> (offset & 7) & 1)
+        return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
+
+    def put(self, value: Any) -> None:  # what its type says
+        """Set the registers to a value in the unit of measure, or to its name.
+
+        Raises:
+            InvalidRequest: it does not fit the type, the range or the names.
+        """
+        try:
+            stored = self.section.raw(value)
+        except InvalidRequest as error:
+            raise InvalidRequest(f"{self.key}: {error.message}") from None
+        one = stored if self.form.form is None else [stored]  # sixteen bits are one value
+        self.device.write(self.section.place, one, self.form.form)
+        self.look()
+
+    def __repr__(self) -> str:
+        return f"<{self.key} {self.notation} = {shown(self.value)}>"
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedUnit:
+    """A unit of a simulation.
+
+    Attributes:
+        unit: its number, 0…255.
+        name: its name; empty if the file gives it none.
+        description: what it is.
+        device: what is served.
+        points: its points by their name in the unit, in the order of the file.
+    """
+
+    unit: int
+    name: str
+    description: str
+    device: Device
+    points: Mapping[str, SimulatedPoint]
+
+
+@dataclass(frozen=True, slots=True)
+class PointChange:
+    """A new value of a point.
+
+    Attributes:
+        point: which.
+        value: what it holds now, in the unit of measure; in a float, not yet rounded to the registers.
+        at: when, in seconds of the simulation.
+        who: ``simulation``, ``api``, or the address of a Modbus client.
+    """
+
+    point: SimulatedPoint
+    value: Any  # what the point's type says
+    at: float
+    who: str
+
+    @property
+    def key(self) -> str:
+        """``UNIT/NAME``."""
+        return self.point.key

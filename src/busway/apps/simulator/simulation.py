@@ -1,0 +1,529 @@
+"""A simulation: units whose points follow their behaviours, and what a person or a program does to them meanwhile.
+
+Knows files of simulations, the engine and a clock; knows no page. What goes wrong on purpose is the fault board's.
+
+>>> simulation = Simulation("plant.toml")                                    # doctest: +SKIP
+>>> async with simulation.running("tcp://127.0.0.1:5020"): ...               # doctest: +SKIP
+
+1. Values are functions of the simulation's time, which begins at 0 and goes on where it stopped if values are kept.
+   The same file, seed and times give the same values.
+2. Without a clock nothing happens by itself: `tick` moves on to the time it is given.
+3. A point that was set by hand, or written by Modbus, does not follow its behaviour until it is released, by
+   `release` or after the ``resume_after`` seconds of its behaviour.
+4. A program that could not keep up leaves moments out; it is never late for ever.
+"""
+
+import asyncio
+import logging
+import math
+import os
+import threading
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+from ...access.rules import AccessRules, Policy
+from ...config.files.simulation import SimulationFile
+from ...errors import ConfigError, InvalidRequest, ModbusError
+from ...faults.board import FaultBoard
+from ...server.listener import Listener
+from ...session.handler import Handler
+from ...values.refusal import shown
+from .engine import Engine
+from .fault_sections import put_on
+from .includes import SimulationDeclaration, load_declaration
+from .simulated import SIMULATION, PointChange, SimulatedPoint, SimulatedUnit
+from .state import KeptPoint, KeptState, check_state, load_state, save_state
+from .wiring import wire
+from .writes import watch_writes
+
+if TYPE_CHECKING:
+    from ...faults.fault import Faults
+    from ...server.server import Server
+
+_log = logging.getLogger("busway.apps.simulator")
+
+SLICE: Final = 0.002
+"""Seconds after which the engine lets requests be answered before it goes on."""
+
+Watcher = Callable[[list[PointChange]], object]
+
+
+class Timer(Protocol):
+    """Something that is to be done."""
+
+    def cancel(self) -> None:
+        """Do it no more."""
+
+
+class Clock(Protocol):
+    """What tells the time and does things at it; `busway.testing.FakeClock` is one."""
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+
+    def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
+        """Call ``callback`` once, when ``now()`` has reached ``when``."""
+
+
+class _LoopClock:
+    """The clock of the running event loop."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self.now = self._loop.time
+        self.call_at = self._loop.call_at
+
+
+class Simulation:
+    """Units that behave as a file says.
+
+    Args:
+        file: path of a simulation file; or what `busway.apps.simulator.includes.parse_declaration` gave.
+        clock: what tells the time; None for the event loop's, from the moment on that it runs in one.
+        seed: of all that is drawn; None for that of the file, which is 0 if it says nothing.
+        speed: seconds of the simulation in one second of the clock, above 0.
+
+    Raises:
+        ConfigError: a file can not be read, or something in it can not be; then it has all ``problems``, each with
+            file, line and key.
+
+    Attributes:
+        declaration: the file, includes and all.
+        units: the units by number.
+        points: all points by ``UNIT/NAME``.
+        board: the faults by name, those of the file and more; played by every server that `serve` makes.
+        speed: as given, or changed since.
+        is_paused: whether time stands still.
+        warnings: what is odd, a sentence each: values that were kept and can not be taken up again.
+    """
+
+    def __init__(
+        self,
+        file: str | os.PathLike[str] | SimulationDeclaration,
+        *,
+        clock: Clock | None = None,
+        seed: int | None = None,
+        speed: float = 1.0,
+    ) -> None:
+        _check_speed(speed)
+        self.declaration = file if isinstance(file, SimulationDeclaration) else load_declaration(file)
+        settings = self.declaration.file.simulation
+        self.seed = settings.seed if seed is None else seed
+        self.speed = speed
+        self.is_paused = False
+        wired = wire(self.declaration.units, self.seed)
+        self.units: Mapping[int, SimulatedUnit] = MappingProxyType(wired.units)
+        self.points: Mapping[str, SimulatedPoint] = MappingProxyType(wired.points)
+        self.board = FaultBoard(seed=self.seed, clock=clock)
+        put_on(self.board, self.declaration.file.fault)
+        self.warnings: list[str] = []
+        self._watchers: tuple[Watcher, ...] = ()
+        self._wraps: list[Callable[[Handler], Handler]] = []
+        self._server: Server | None = None
+        self._clock = clock
+        self._time = 0.0
+        self._origin: tuple[float, float] | None = None if clock is None else (clock.now(), 0.0)
+        self._timer: Timer | None = None
+        self._thread: int | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._engine = Engine(wired.driven, self._followed)
+        self._begin()
+        for unit in self.units.values():
+            watch_writes(unit.device, list(unit.points.values()), self._written)
+
+    # ---- points
+
+    @property
+    def time(self) -> float:
+        """Seconds of the simulation since its beginning."""
+        return self._time if self._clock is None else self._time_at(self._clock.now())
+
+    @property
+    def changes(self) -> int:
+        """New values that behaviours gave so far."""
+        return self._engine.changes
+
+    @property
+    def left_out(self) -> int:
+        """Moments of units that were left out so far, because the program could not keep up."""
+        return self._engine.left_out
+
+    def point(self, key: str) -> SimulatedPoint:
+        """The point of a key ``UNIT/NAME``. Raises `InvalidRequest` if there is none."""
+        point = self.points.get(key)
+        if point is None:
+            raise InvalidRequest(f"there is no point {shown(key)}; a point is UNIT/NAME")
+        return point
+
+    def set(self, key: str, value: Any, who: str = "api") -> None:  # Any: what the point's type says
+        """Set a point by hand: it holds the value until it is released. From any thread.
+
+        Args:
+            key: ``UNIT/NAME``.
+            value: in the unit of measure; or the name of a number; what Modbus can not write can be set, too.
+            who: what `SimulatedPoint.last_writer` says from then on.
+
+        Raises:
+            InvalidRequest: there is no such point, or the value does not fit its type, its range or its names.
+        """
+        point = self.point(key)
+        with point.device.lock:
+            point.put(value)
+            changes = self._held([point], who)
+        self._tell(changes)
+
+    def release(self, key: str) -> None:
+        """Let a point follow its behaviour again, from its next moment on. A counter, a lag and a random walk go on
+        from what the point holds. From any thread.
+
+        Raises:
+            InvalidRequest: there is no such point.
+        """
+        point = self.point(key)
+        with point.device.lock:
+            self._engine.release(point, self.time)
+
+    def watch(self, callback: Watcher) -> Callable[[], None]:
+        """Call a function with the changes of values whenever there are some, several at a time.
+
+        Args:
+            callback: called in the thread that made the change; what it raises is logged.
+
+        Returns:
+            What ends it.
+        """
+        self._watchers = (*self._watchers, callback)
+
+        def end() -> None:
+            self._watchers = tuple(each for each in self._watchers if each is not callback)
+
+        return end
+
+    @property
+    def faults(self) -> "Faults":
+        """What goes wrong on purpose; by their names on ``board``."""
+        return self.board.faults
+
+    # ---- time
+
+    def tick(self, now: float) -> None:
+        """Let all points follow until a time; none of the moments before it is left out.
+
+        Args:
+            now: seconds of the clock, monotonic. Without a clock, the first time is the beginning.
+        """
+        if self._origin is None:
+            self._origin = (now, self._time)
+        self._time = self._time_at(now)
+        self._engine.run(self._time)
+
+    def deadline(self) -> float | None:
+        """When something is to be done next, in seconds of the clock; None if nothing is, or before a first time."""
+        due = self._engine.deadline()
+        if due is None or self._origin is None:
+            return None
+        if self.is_paused:
+            return None
+        began, time = self._origin
+        return began + (due - time) / self.speed
+
+    def change_speed(self, speed: float) -> None:
+        """Let time go faster or slower from now on; where it runs, in the thread of its event loop.
+
+        Args:
+            speed: seconds of the simulation in one second of the clock, above 0.
+
+        Raises:
+            ConfigError: it can not be.
+        """
+        _check_speed(speed)
+        self._count_from_here()
+        self.speed = speed
+        self._arm_if_running()
+
+    def pause(self) -> None:
+        """Let time stand still: points keep their values, and can be set as ever. Thread as of `change_speed`."""
+        self._count_from_here()
+        self.is_paused = True
+        self._arm_if_running()
+
+    def resume(self) -> None:
+        """Let time go on where it stood. Thread as of `change_speed`."""
+        self._count_from_here()
+        self.is_paused = False
+        self._arm_if_running()
+
+    def _arm_if_running(self) -> None:
+        if self._loop is not None:
+            self._arm()
+
+    def _count_from_here(self) -> None:
+        """Count time from this moment on; without a clock, from the next `tick`."""
+        if self._clock is None:
+            self._origin = None
+        elif self._origin is not None:
+            now = self._clock.now()
+            self._origin = (now, self._time_at(now))
+
+    def _time_at(self, now: float) -> float:
+        if self._origin is None:
+            return self._time
+        began, time = self._origin
+        passed = 0.0 if self.is_paused else (now - began) * self.speed
+        return max(time + passed, self._time)
+
+    # ---- what a server needs (`busway.apps.server.service.Declared`)
+
+    @property
+    def file(self) -> SimulationFile:
+        """The sections of the file, with the units of all includes."""
+        return self.declaration.file
+
+    @property
+    def listeners(self) -> tuple[Listener, ...]:
+        """Where it listens."""
+        return self.declaration.configuration.listeners
+
+    @property
+    def access(self) -> AccessRules | None:
+        """The rules that the file has."""
+        return self.declaration.configuration.access
+
+    @property
+    def audit(self) -> str | None:
+        """Path of the audit log."""
+        return self.declaration.configuration.audit
+
+    @property
+    def control(self) -> str | None:
+        """Where it is controlled; None for the usual place."""
+        return self.declaration.configuration.control
+
+    @property
+    def at_once(self) -> frozenset[str]:
+        """Sections that hold at once when the file is read again."""
+        return self.declaration.configuration.at_once
+
+    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> "Server":  # Any: as `busway.serve`
+        """A server for the units, not started yet: as `Configuration.serve`, which it asks."""
+        server = self.declaration.configuration.serve(
+            listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
+        )
+        self.board.attach(server)
+        for wrap in self._wraps:
+            server.wrap_handler(wrap)
+        return server
+
+    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Nothing: units and listeners need a new start."""
+        return []
+
+    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
+        """Put a handler around what answers, in every server that is made from now on."""
+        self._wraps.append(wrap)
+
+    # ---- running
+
+    @property
+    def server(self) -> "Server":
+        """The server. Raises `ConfigError` while there is none."""
+        if self._server is None:
+            raise ConfigError("the simulation does not run", key="server")
+        return self._server
+
+    @asynccontextmanager
+    async def running(self, *listen: str) -> AsyncIterator[Self]:
+        """Serve the units, and let their points follow: ``async with simulation.running("tcp://127.0.0.1:0"): …``.
+
+        Args:
+            listen: URLs, instead of those of the file.
+
+        Raises:
+            ConfigError, LinkDown: as of `Server.start`.
+        """
+        server = self.serve(listen)
+        # The server ends first: what it still takes is kept.
+        async with self.driven(server), server:
+            yield self
+
+    @asynccontextmanager
+    async def driven(self, server: Any) -> AsyncIterator[Self]:  # Any: what `serve` gave, or a `Service` started
+        """Let the points follow while a server of `serve` runs.
+
+        Args:
+            server: it; it is started and stopped by who made it.
+        """
+        self._server = server
+        self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
+        if self._clock is None:
+            self._clock = _LoopClock()
+            self._origin = (self._clock.now(), self._time)
+            owns_clock = True
+        else:
+            owns_clock = False
+        self._arm()
+        ended = asyncio.Event()
+        keeping = (
+            None
+            if self.declaration.state is None
+            else asyncio.create_task(self._keep_on(self.declaration.state, ended))
+        )
+        try:
+            yield self
+        finally:
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+            ended.set()
+            if keeping is not None:
+                with suppress(asyncio.CancelledError):
+                    await keeping
+            self._time = self.time
+            if owns_clock:
+                self._clock = self._origin = None
+            self._server = self._loop = self._thread = None
+            self.keep()
+
+    def _arm(self) -> None:
+        """Set the one timer to what is due next."""
+        clock, deadline = self._clock, self.deadline()
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = None if clock is None or deadline is None else clock.call_at(deadline, self._on_timer)
+
+    def _on_timer(self) -> None:
+        clock = self._clock
+        assert clock is not None  # it called
+        began = clock.now()
+        self._time = self._time_at(began)
+        due, deadline = self._engine.deadline(), self.deadline()
+        if due is not None and deadline is not None and began >= deadline:
+            # Speed times seconds may be a little less than what is due, and the timer would be set to this same moment.
+            self._time = max(self._time, due)
+        ends = began + SLICE
+        is_done = self._engine.run(self._time, skip=isinstance(clock, _LoopClock), pause=lambda: clock.now() > ends)
+        if is_done:
+            self._arm()
+        else:
+            self._timer = clock.call_at(clock.now(), self._on_timer)
+
+    # ---- changes
+
+    def _followed(self, points: list[SimulatedPoint], time: float) -> None:
+        """The engine has given points new values."""
+        if self._watchers:
+            self._tell([PointChange(point, point.section.physical(point.stored), time, SIMULATION) for point in points])
+
+    def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
+        """Modbus has written points; the device's lock is held."""
+        for point in points:
+            point.look()
+        self._tell(self._held(points, peer))
+
+    def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChange]:
+        """Points have values that somebody set."""
+        time = self.time
+        changes = []
+        for point in points:
+            point.changed_at = time
+            point.last_writer = who
+            self._engine.hold(point, time)
+            if self._watchers:
+                changes.append(PointChange(point, point.value, time, who))
+        if self._loop is not None:
+            # A hold may end before whatever was due next.
+            if threading.get_ident() == self._thread:
+                if self._timer is not None:
+                    self._arm()
+            else:
+                self._loop.call_soon_threadsafe(self._arm)
+        return changes
+
+    def _tell(self, changes: list[PointChange]) -> None:
+        if not changes:
+            return
+        for watcher in self._watchers:
+            try:
+                watcher(changes)
+            except Exception:
+                _log.exception("a watcher of points failed")
+
+    # ---- values over restarts
+
+    def _begin(self) -> None:
+        """The first moment: of a new simulation, or of one that goes on."""
+        path = self.declaration.state
+        kept = None
+        if path is not None:
+            check_state(path)  # what is no state ends the start: it would never be written
+            try:
+                kept = load_state(path)
+            except ConfigError as error:
+                self._warn(f"{error}; it begins anew")
+        if kept is None:
+            self._engine.run(0.0)
+            return
+        self._time = kept.time
+        if self._origin is not None:
+            self._origin = (self._origin[0], kept.time)
+        behaviours = {key: each.behaviour for key, each in kept.points.items() if each.behaviour is not None}
+        self._engine.begin(kept.time, behaviours)
+        for key, each in kept.points.items():
+            if each.value is not None:
+                self._take_up(key, each)
+        self._engine.run(kept.time)
+
+    def _take_up(self, key: str, kept: KeptPoint) -> None:
+        point = self.points.get(key)
+        if point is None:
+            self._warn(f"there is no point {shown(key)} any more; its value is forgotten")
+            return
+        try:
+            point.put(kept.value)
+        except InvalidRequest as error:
+            self._warn(f"the value that was kept is forgotten: {error}")
+            return
+        if kept.is_held:
+            self._engine.hold(point, self._time)
+
+    def keep(self) -> None:
+        """Put the values into the file in which they are kept, now; nothing where they are not. Failures are logged."""
+        if self.declaration.state is not None:
+            self._save(self.declaration.state, self._snapshot())
+
+    async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
+        """Keep the values from time to time, and never stop for a full disk."""
+        while True:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)
+            if ended.is_set():
+                return
+            await asyncio.to_thread(self._save, path, self._snapshot())
+
+    def _save(self, path: str, state: KeptState) -> None:
+        try:
+            save_state(path, state)
+        except ModbusError as error:
+            _log.warning("%s", error)
+
+    def _snapshot(self) -> KeptState:
+        time = self.time
+        points = {}
+        for key, point in self.points.items():
+            is_free = not self._engine.drives(point)
+            if point.held or (is_free and point.section.is_writable):
+                points[key] = KeptPoint(point.value, point.is_held)
+            elif (state := self._engine.state_of(point, time)) is not None:
+                points[key] = KeptPoint(behaviour=state)
+        return KeptState(time, points)
+
+    def _warn(self, sentence: str) -> None:
+        self.warnings.append(sentence)
+        _log.warning("%s", sentence)
+
+
+def _check_speed(speed: float) -> None:
+    if not 0 < speed < math.inf:
+        raise ConfigError(f"must be above 0, not {speed:g}", key="speed")

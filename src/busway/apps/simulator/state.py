@@ -1,0 +1,140 @@
+"""Values of a simulation over a restart: a file of JSON.
+
+Knows the file; knows no device.
+
+1. It is written beside its place and then put there in one step: who reads it sees all of it, or the one before.
+2. A state that cannot be understood is put aside, never overwritten, and said; the simulation begins anew.
+3. A file that is no state is refused and stays as it is. So is one that a link of another user leads to.
+4. It is made for its owner alone (0600): it holds what clients wrote.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from ...errors import ConfigError
+from ...safe_files import check_replaceable, read_safely
+
+_KIND: Final = "busway simulation state"
+_VERSION: Final = 1
+_RIGHTS: Final = 0o600
+_LARGEST: Final = 256 << 20
+"""Bytes of a state: a hundred thousand units have 100 MB."""
+ASIDE: Final = ".broken"
+"""What is appended to the name of a file that could not be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPoint:
+    """What is kept of a point.
+
+    Attributes:
+        value: in the unit of measure; None where the behaviour alone is kept.
+        is_held: whether it was set by hand and does not follow its behaviour.
+        behaviour: what its behaviour goes on from; None where that follows from the time.
+    """
+
+    value: Any = None  # what the point's type says
+    is_held: bool = False
+    behaviour: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class KeptState:
+    """What is kept of a simulation.
+
+    Attributes:
+        time: seconds since its beginning.
+        points: by ``UNIT/NAME``.
+    """
+
+    time: float
+    points: Mapping[str, KeptPoint] = field(default_factory=dict)
+
+
+def save_state(path: str, state: KeptState) -> None:
+    """Put a state into a file. Raises `ConfigError` where that can not be; then the one before still stands."""
+    document = {
+        "kind": _KIND,
+        "version": _VERSION,
+        "time": state.time,
+        "points": {
+            key: {"value": point.value, "held": point.is_held, "behaviour": point.behaviour}
+            for key, point in state.points.items()
+        },
+    }
+    place = check_state(path)
+    fresh = Path(f"{place}.{os.getpid()}.new")
+    try:
+        fresh.unlink(missing_ok=True)  # of a process of the same number that was killed
+        handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _RIGHTS)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump(document, file, ensure_ascii=False, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(place)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            fresh.unlink()
+        raise ConfigError(f"the values can not be kept: {error.strerror or error}", file=path) from error
+
+
+def check_state(path: str) -> str:
+    """The path without links of a state, or of a file that is not there yet.
+
+    Raises:
+        ConfigError: it is no regular file, is no state, or is reached by a link of another user; it stays as it is.
+    """
+    return check_replaceable(
+        path, is_ours=lambda head: f'"{_KIND}"'.encode("ascii") in head, kind="state of a simulation"
+    )
+
+
+def load_state(path: str) -> KeptState | None:
+    """The state in a file; None where there is no file.
+
+    Raises:
+        ConfigError: it is there and means nothing; it now stands beside, with ``.broken`` after its name. Or as of
+            `check_state`.
+    """
+    place = check_state(path)
+    if not os.path.lexists(place):
+        return None
+    data = read_safely(place, most=_LARGEST)
+    try:
+        return _state(json.loads(data))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        where = _put_aside(place)
+        raise ConfigError(f"the values that were kept can not be understood, and {where}", file=path) from error
+
+
+def _put_aside(place: str) -> str:
+    """Rename a state that means nothing; where it stands then, for a sentence."""
+    aside = f"{place}{ASIDE}"
+    try:
+        os.replace(place, check_state(aside))
+    except ConfigError as error:
+        return f"stand where they stood, because {error}"
+    except OSError as error:
+        return f"stand where they stood: {error.strerror or error}"
+    return f"stand in {aside} now"
+
+
+def _state(document: Any) -> KeptState:  # what JSON has
+    if document["kind"] != _KIND or document["version"] != _VERSION:
+        raise ValueError(document["kind"])
+    time = float(document["time"])
+    if not 0 <= time < 1e12:
+        raise ValueError(time)
+    points = {}
+    for key, point in document["points"].items():
+        value, behaviour = point["value"], point["behaviour"]
+        if isinstance(value, dict) or (behaviour is not None and not isinstance(behaviour, int | float)):
+            raise ValueError(key)
+        # A group of bits is a tuple; JSON makes it a list, which would be several values.
+        points[key] = KeptPoint(tuple(value) if isinstance(value, list) else value, bool(point["held"]), behaviour)
+    return KeptState(time, points)

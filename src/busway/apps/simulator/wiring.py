@@ -1,0 +1,256 @@
+"""Declared units → devices, points, and what each point follows.
+
+Knows declarations, devices and behaviours; knows no time. It reads the recordings that behaviours name, and no other
+file.
+
+1. An expression names a point of its own unit, or ``UNIT/NAME`` of another. What is not there, is no number, or depends
+   on itself at the same moment is refused at the line of the expression.
+2. A counter and a lag see other points as they were at the moment before, so circles through them are no circles.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from ...config.devices import build_device
+from ...config.files.behaviours import BehaviourSection, FormulaSection, ReplaySection
+from ...config.files.lines import Path
+from ...config.files.problems import FileError
+from ...config.files.schema import in_order
+from ...config.files.simulation import SimulatedPointSection
+from ...config.paths import within
+from ...config.reading import read_named_text
+from ...errors import ConfigError
+from ...values.refusal import shown
+from .behaviours.behaviour import Behaviour
+from .behaviours.expression import Expression, Number, parse_expression
+from .behaviours.making import Surroundings, make_behaviour
+from .behaviours.replay import Recording, parse_recording
+from .engine import Driven
+from .includes import DeclaredUnit, Reader
+from .registers import form_of, largest_of
+from .simulated import SimulatedPoint, SimulatedUnit
+
+
+@dataclass(frozen=True, slots=True)
+class Wired:
+    """What a declaration comes to.
+
+    Attributes:
+        units: by number.
+        points: by ``UNIT/NAME``.
+        driven: the points that have a behaviour, each after those that it needs.
+    """
+
+    units: Mapping[int, SimulatedUnit]
+    points: Mapping[str, SimulatedPoint]
+    driven: Sequence[Driven]
+
+
+def wire(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_named_text) -> Wired:
+    """The units of a declaration, their points holding their first values.
+
+    Args:
+        declared: the units.
+        seed: of all that is drawn.
+        read: gives the text of a recording.
+
+    Raises:
+        FileError: all that is wrong with behaviours, each with file, line and key.
+    """
+    plans = _plans(declared, read)
+    units: dict[int, SimulatedUnit] = {}
+    planned: dict[SimulatedPoint, _Plan] = {}
+    for unit in declared:
+        forms = [form_of(section) for section in unit.section.point]
+        for number in unit.section.unit:
+            device = build_device(unit.section)
+            points = [SimulatedPoint(number, form, device) for form in forms]
+            planned |= {point: plan for point in points if (plan := plans.get(id(point.section))) is not None}
+            units[number] = SimulatedUnit(
+                number,
+                unit.section.name,
+                unit.section.description,
+                device,
+                {point.name: point for point in points},
+            )
+    points_by_key = {point.key: point for unit in units.values() for point in unit.points.values()}
+    needed = _needed(units, planned)
+    driven = [
+        _driven(point, planned[point], units, seed, rank, order)
+        for order, (point, rank) in enumerate(_in_order(planned, needed).items())
+    ]
+    return Wired(units, points_by_key, driven)
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """A behaviour of a section, as far as it is the same for all units that have it.
+
+    Attributes:
+        section: what the file says.
+        problem: makes a problem at a path in it.
+        expressions: those of the section, by key.
+        recording: of a replay.
+    """
+
+    section: BehaviourSection
+    problem: Callable[[Path, str], ConfigError]
+    expressions: dict[str, Expression] = field(default_factory=dict)
+    recording: Recording | None = None
+
+
+def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
+    """The plans by the identity of their point's section."""
+    problems: list[ConfigError] = []
+    plans: dict[int, _Plan] = {}
+    recordings: dict[str, Recording] = {}
+    for unit in declared:
+        for index, point in enumerate(unit.section.point):
+            if point.behaviour is not None:
+                problem = _problems_at(unit, ("point", index, "behaviour"))
+                try:
+                    plans[id(point)] = _plan(point.behaviour, problem, unit.source.name, read, recordings)
+                except FileError as error:
+                    problems += error.problems
+    if problems:
+        raise FileError(in_order(problems))
+    return plans
+
+
+def _problems_at(unit: DeclaredUnit, path: Path) -> Callable[[Path, str], ConfigError]:
+    return lambda inner, sentence: unit.problem((*path, *inner), sentence)
+
+
+def _plan(
+    section: BehaviourSection,
+    problem: Callable[[Path, str], ConfigError],
+    name: str,
+    read: Reader,
+    recordings: dict[str, Recording],
+) -> _Plan:
+    expressions: dict[str, Expression] = {}
+    for key in section.expressions:
+        text = getattr(section, key)
+        if isinstance(text, str):
+            try:
+                expressions[key] = parse_expression(text)
+            except ConfigError as error:
+                raise FileError([problem((key,), error.message)]) from None
+    recording = None
+    if isinstance(section, ReplaySection):
+        path = within(name, section.file)
+        try:
+            recording = recordings.get(path) or recordings.setdefault(path, parse_recording(read(path), path))
+        except FileError:
+            raise
+        except ConfigError as error:
+            raise FileError([problem(("file",), f"{path}: {error.message}")]) from None
+    return _Plan(section, problem, expressions, recording)
+
+
+def _needed(
+    units: Mapping[int, SimulatedUnit], planned: Mapping[SimulatedPoint, _Plan]
+) -> dict[SimulatedPoint, list[SimulatedPoint]]:
+    """What each formula needs at the same moment. Refuses names that nothing has."""
+    problems: list[ConfigError] = []
+    found: dict[SimulatedPoint, list[SimulatedPoint]] = {}
+    for point, plan in planned.items():
+        for key, expression in plan.expressions.items():
+            inputs = []
+            for name in expression.names:
+                other = find_point(units, point.unit, name)
+                if other is None:
+                    problems.append(plan.problem((key,), _absent(units, point.unit, name)))
+                elif not _is_number(other.section):
+                    problems.append(plan.problem((key,), f"{shown(name)} holds no number, but {other.type}"))
+                else:
+                    inputs.append(other)
+            if isinstance(plan.section, FormulaSection):
+                found[point] = inputs
+    if problems:
+        raise FileError(in_order(problems))
+    return found
+
+
+def find_point(units: Mapping[int, SimulatedUnit], unit: int, name: str) -> SimulatedPoint | None:
+    """The point that a name means in a unit: its own, or that of another unit by ``UNIT/NAME``."""
+    own = units[unit].points.get(name)
+    if own is not None:
+        return own
+    number, slash, rest = name.partition("/")
+    other = units.get(int(number)) if slash and number.isascii() and number.isdecimal() else None
+    return None if other is None else other.points.get(rest)
+
+
+def _absent(units: Mapping[int, SimulatedUnit], unit: int, name: str) -> str:
+    there = list(units[unit].points)
+    more = ", …" if len(there) > _SHOWN_NAMES else ""
+    return f"there is no point {shown(name)}; there are {', '.join(there[:_SHOWN_NAMES])}{more}"
+
+
+_SHOWN_NAMES: Final = 12
+
+
+def _is_number(section: SimulatedPointSection) -> bool:
+    return section.is_number or section.form is None
+
+
+def _in_order(
+    planned: Mapping[SimulatedPoint, _Plan], needed: Mapping[SimulatedPoint, Sequence[SimulatedPoint]]
+) -> dict[SimulatedPoint, int]:
+    """The points, each after those that it needs, with their ranks (`Driven.rank`). Refuses circles."""
+    ranks: dict[SimulatedPoint, int] = {point: 0 for point in planned if point not in needed}
+    for first in planned:
+        if first in ranks:
+            continue
+        path: dict[SimulatedPoint, Iterator[SimulatedPoint]] = {first: iter(needed[first])}
+        while path:
+            point = next(reversed(path))
+            other = next((each for each in path[point] if each in planned and each not in ranks), None)
+            if other is None:
+                handed = (ranks.get(each, 0) + (each.unit != point.unit) for each in needed[point])
+                ranks[point] = max(handed, default=0)
+                del path[point]
+            elif other in path:
+                circle = [*list(path)[list(path).index(other) :], other]
+                names = " → ".join(each.key if _spans(circle) else each.name for each in circle)
+                raise FileError([planned[other].problem(("formula",), f"depends on itself: {names}")])
+            else:
+                path[other] = iter(needed[other])
+    return ranks
+
+
+def _spans(points: Sequence[SimulatedPoint]) -> bool:
+    """Whether points are of several units."""
+    return len({point.unit for point in points}) > 1
+
+
+def _driven(
+    point: SimulatedPoint, plan: _Plan, units: Mapping[int, SimulatedUnit], seed: int, rank: int, order: int
+) -> Driven:
+    def source(name: str) -> Callable[[], Number]:
+        other = find_point(units, point.unit, name)
+        assert other is not None  # `_needed` has seen it
+        return lambda: other.number
+
+    section = point.section
+    around = Surroundings(
+        point.key,
+        seed,
+        _start(section, point.number),
+        section.minimum,
+        section.maximum,
+        largest_of(point.form),
+        plan.expressions,
+        plan.recording,
+        source,
+    )
+    behaviour: Behaviour = make_behaviour(plan.section, around)
+    return Driven(point, behaviour, plan.section.every, rank, order)
+
+
+def _start(section: SimulatedPointSection, number: float) -> float:
+    """The first value, not rounded to what the registers hold."""
+    value = section.value
+    return float(value) if isinstance(value, int | float) else number

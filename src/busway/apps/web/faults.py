@@ -1,0 +1,109 @@
+"""Faults of a simulation as the API shows and changes them.
+
+Knows a board of faults and the personalities they are made of; knows no HTTP.
+"""
+
+from dataclasses import fields
+from typing import Any
+
+from ...errors import ConfigError
+from ...faults.fault import Schedule, Selection
+from ...faults.profile import Personality
+from .messages import FaultAnswer, NewFault, ParameterAnswer, PersonalityAnswer, plain_value, plain_values
+from .subject import Board
+
+
+def all_faults(board: Board) -> list[FaultAnswer]:
+    """All that were put on, in the order in which they act."""
+    return [_fault(one) for one in board.list()]
+
+
+def all_personalities(board: Board) -> list[PersonalityAnswer]:
+    """All that can be put on."""
+    return [_personality(one) for one in board.personalities.values()]
+
+
+def fault_named(board: Board, name: str) -> FaultAnswer:
+    """One of them. Raises `ConfigError` for an unknown name."""
+    return _fault(board.status(name))
+
+
+def put_on(board: Board, wanted: NewFault) -> FaultAnswer:
+    """Put one on. Raises `ConfigError` for a name, a parameter or an address range that can not be."""
+    name = board.add(
+        wanted.personality,
+        name=wanted.name,
+        units=None if wanted.units is None else frozenset(wanted.units),
+        functions=None if wanted.functions is None else frozenset(wanted.functions),
+        addresses=_addresses(wanted.first, wanted.last),
+        probability=wanted.probability,
+        schedule=Schedule(**wanted.schedule.model_dump()),
+        on=wanted.on,
+        parameters=wanted.parameters,
+    )
+    return fault_named(board, name)
+
+
+# Inside.
+
+
+def _fault(status: Any) -> FaultAnswer:
+    return FaultAnswer(
+        name=status.name,
+        personality=status.personality,
+        happens=status.happens,
+        on=status.is_on,
+        struck=status.struck,
+        parameters=plain_values(status.parameters),
+        selection=_selection(status.selection),
+    )
+
+
+def _addresses(first: int | None, last: int | None) -> range | None:
+    if first is None and last is None:
+        return None
+    low, high = first or 0, 65535 if last is None else last
+    if low > high:
+        raise ConfigError(f"must be at least first, {low}, not {high}", key="last")
+    return range(low, high + 1)
+
+
+def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of several types
+    """What chooses; what chooses everything is left out."""
+    shown: dict[str, Any] = {}
+    if selection.units is not None:
+        shown["units"] = sorted(selection.units)
+    if selection.functions is not None:
+        shown["functions"] = sorted(selection.functions)
+    if selection.addresses is not None:
+        shown["first"], shown["last"] = selection.addresses.start, selection.addresses.stop - 1
+    items = getattr(selection, "items", None)
+    if items:
+        shown["items"] = {table.value: [list(one) for one in ranges] for table, ranges in items.items()}
+    if selection.probability < 1:
+        shown["probability"] = selection.probability
+    usual = Schedule()
+    for one in fields(Schedule):
+        value = getattr(selection.schedule, one.name)
+        if value != getattr(usual, one.name):
+            shown[one.name] = value
+    return shown
+
+
+def _personality(personality: Personality) -> PersonalityAnswer:
+    return PersonalityAnswer(
+        name=personality.name,
+        happens=personality.happens,
+        answer=personality.answer,
+        carriers=sorted(one.value for one in personality.carriers),
+        parameters=[
+            ParameterAnswer(
+                name=one.name,
+                default=plain_value(one.default),
+                kind="" if one.kind is None else one.kind.__name__,
+                meaning=one.says.meaning,
+                range=one.range_text,
+            )
+            for one in personality.parameters.values()
+        ],
+    )

@@ -1,0 +1,313 @@
+"""Starts and stops the control API with its page, on one address, in the event loop that runs already.
+
+Knows sockets, the files of the page and the HTTP server; knows nothing of what is asked.
+
+1. On loopback no token is needed. Elsewhere one is made, if none is given; it stands behind ``#`` in the address of the
+   page, where a browser keeps it to itself.
+2. The page comes from files of this package alone: its policy (CSP) lets nothing else in, and no script within HTML.
+3. Everything has a limit: connections, bytes of a request and of a message, seconds of a connection that says nothing.
+"""
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import logging
+import secrets
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from http import HTTPStatus
+from importlib.resources import files
+from types import TracebackType
+from typing import Any, Final, Self, cast
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route, WebSocketRoute
+
+from ...errors import ConfigError
+from ...observe.http import bind_tcp, bound_name, parse_host_port
+from ...options.endpoints import parse_endpoint
+from ...version import __version__
+from ..control.addresses import is_loopback
+from .access import Access, AccessRules, Application, Message, Receive, Refused, Scope, Send
+from .api import Api
+from .connections import Doors, Throttle
+from .operations import failed, openapi
+from .stream import Streams
+from .subject import Subject
+from .traffic import Traffic
+
+_errors = logging.getLogger("busway.apps.web.errors")
+"""Once a minute: whoever has found how to make one, makes many."""
+_errors.addFilter(Throttle())
+
+DEFAULT_ADDRESS: Final = "127.0.0.1:8502"
+KEY: Final = "api"
+SHORTEST_TOKEN: Final = 16
+"""Characters of a token that somebody chose."""
+_TOKEN_BYTES: Final = 24
+_WISH_LIMIT: Final = 256 * 1024
+"""Bytes of a message by WebSocket from a browser."""
+_KEEP_ALIVE: Final = 15
+_STOP_SECONDS: Final = 1
+_FILES: Final = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/style.css": ("style.css", "text/css; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+    "/uplot/uPlot.min.css": ("uplot/uPlot.min.css", "text/css; charset=utf-8"),
+    "/uplot/uPlot.esm.js": ("uplot/uPlot.esm.js", "text/javascript; charset=utf-8"),
+    "/uplot/LICENSE": ("uplot/LICENSE", "text/plain; charset=utf-8"),
+} | {
+    f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
+    for name in ("app", "link", "points", "trends", "traffic", "faults", "status", "dom")
+}
+_OPENAPI: Final = "/openapi.json"
+_HEADERS: Final = (
+    (
+        b"content-security-policy",
+        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
+        b" base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A file of the page."""
+
+    content: bytes
+    kind: str
+    tag: str
+
+
+class ControlPage:
+    """The API and the page of a simulation while the ``async with`` block lasts::
+
+        async with ControlPage(simulation) as page:
+            print(page.url)
+
+    Args:
+        subject: the simulation, which runs.
+        at: host and port; port 0 takes a free one.
+        token: what every request to the API must show. None: none on loopback, and one that is made elsewhere.
+        name: of the simulation, for the page.
+
+    Attributes:
+        url: where the page is, without the token; empty while stopped.
+        token: what must be shown; empty where none is needed.
+        api: the resources.
+        streams: the WebSockets.
+
+    Raises:
+        ConfigError: the address can not be, or the token is too short.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        at: str = DEFAULT_ADDRESS,
+        *,
+        token: str | None = None,
+        name: str = "simulation",
+    ) -> None:
+        if token is not None and (len(token) < SHORTEST_TOKEN or not _is_token(token)):
+            raise ConfigError(
+                f"a token has at least {SHORTEST_TOKEN} characters, letters, digits, - . _ and ~ alone", key="token"
+            )
+        self._address = parse_host_port(at, KEY)
+        self._given = token
+        self.url = ""
+        self.token = ""
+        self.traffic = Traffic(self._ports)
+        self.api = Api(subject, self.traffic, name)
+        self.streams = Streams(self.api)
+        self._server: _Server | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def page_url(self) -> str:
+        """Where the page is, with the token if there is one: what a person opens. Whoever sees it has the token."""
+        return f"{self.url}#token={self.token}" if self.token else self.url
+
+    @property
+    def announced_url(self) -> str:
+        """Where the page is, for logs and terminals: with the token only if it was made here, and so is told nowhere
+        else. One that was given stays with who gave it."""
+        return self.url if self._given is not None else self.page_url
+
+    async def start(self) -> None:
+        """Answer from now on. Raises `LinkDown` if the address can not be had, `ConfigError` for a page elsewhere."""
+        if self._task is not None:
+            return
+        bound = await asyncio.to_thread(bind_tcp, *self._address)
+        try:
+            local = is_loopback(bound.getsockname()[0])
+            self.token = (
+                self._given if self._given is not None else "" if local else secrets.token_urlsafe(_TOKEN_BYTES)
+            )
+            self.url = f"http://{_reachable_name(bound)}/"
+            self.traffic.start()
+            server = self._server = _Server(_configured(self.application(AccessRules(self.token, local))))
+            self._task = asyncio.create_task(server.serve([bound]))
+            await server.answering.wait()
+        except BaseException:
+            bound.close()
+            raise
+
+    async def stop(self) -> None:
+        """Answer no more; connections are closed."""
+        task, self._task = self._task, None
+        if task is not None and self._server is not None:
+            self._server.should_exit = True
+            await task
+        self.traffic.stop()
+        self.url = ""
+
+    def application(self, rules: AccessRules) -> Application:
+        """The whole as an ASGI application, with these rules of access."""
+        page = _page()
+        operations = self.api.operations()
+        document = json.dumps(
+            openapi(
+                operations,
+                title="busway simulator",
+                version=__version__,
+                description="What a simulated plant holds, what goes wrong in it, and what passes. The WebSocket"
+                " /stream tells of it as it happens.",
+            ),
+            ensure_ascii=False,
+        ).encode()
+
+        async def show_document(request: Request) -> Response:
+            return Response(document, media_type="application/json")
+
+        async def show_file(request: Request) -> Response:
+            found = page[request.url.path]
+            headers = {"ETag": found.tag, "Cache-Control": "no-cache"}
+            if request.headers.get("if-none-match") == found.tag:
+                return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+            return Response(found.content, media_type=found.kind, headers=headers)
+
+        inner = Starlette(
+            routes=[
+                *(one.route() for one in operations),
+                Route(_OPENAPI, show_document),
+                *(Route(path, show_file) for path in page),
+                WebSocketRoute("/stream", self.streams.serve),
+            ],
+            exception_handlers={HTTPException: _not_here, Refused: _refused, Exception: _failed},
+        )
+        return _with_headers(Access(inner, rules, lambda path: path in page))
+
+    def _ports(self) -> set[int]:
+        endpoints = [parse_endpoint(url) for url in self.api.server.endpoints]
+        return {one.port for one in endpoints if one.port is not None}
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.stop()
+
+
+class _Server(uvicorn.Server):
+    """The HTTP server, which leaves the signals to the program, and says when it answers."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.answering = asyncio.Event()
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave them to the program."""
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen."""
+        await super().startup(sockets)
+        self.answering.set()
+
+
+def _configured(application: Application) -> uvicorn.Config:
+    return uvicorn.Config(
+        application,
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        log_level="warning",
+        proxy_headers=False,
+        server_header=False,
+        http=cast("Any", Doors().protocols()),  # a class is asked for, and called like any callable
+        ws="websockets-sansio",
+        ws_max_size=_WISH_LIMIT,
+        timeout_keep_alive=_KEEP_ALIVE,
+        timeout_graceful_shutdown=_STOP_SECONDS,
+    )
+
+
+def _page() -> dict[str, _File]:
+    """The files of the page by path."""
+    place = files(__package__) / "page"
+    found = {}
+    for path, (name, kind) in _FILES.items():
+        content = place.joinpath(name).read_bytes()
+        found[path] = _File(content, kind, f'"{hashlib.sha256(content).hexdigest()[:16]}"')
+    return found
+
+
+def _with_headers(inner: Application) -> Application:
+    """Add what every answer carries."""
+
+    async def application(scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_more(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers: list[tuple[bytes, bytes]] = [*message["headers"], *_HEADERS]
+                if not any(name.lower() == b"cache-control" for name, _ in headers):
+                    headers.append((b"cache-control", b"no-store"))
+                message = {**message, "headers": headers}
+            await send(message)
+
+        await inner(scope, receive, send_more)
+
+    return application
+
+
+async def _not_here(request: Request, error: Exception) -> Response:
+    status = error.status_code if isinstance(error, HTTPException) else HTTPStatus.NOT_FOUND
+    if status == HTTPStatus.NOT_FOUND:
+        return failed(status, "there is nothing of this name here; /openapi.json says what there is")
+    return failed(status, f"{request.method} is not what this takes" if status == 405 else HTTPStatus(status).phrase)
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    assert isinstance(error, Refused)
+    return failed(error.status, str(error))
+
+
+async def _failed(request: Request, error: Exception) -> Response:
+    _errors.error("a request could not be answered", exc_info=error)
+    return failed(HTTPStatus.INTERNAL_SERVER_ERROR, "it could not be answered; the log says why")
+
+
+def _is_token(text: str) -> bool:
+    """Whether a text can be a token in a header, in a subprotocol and behind ``#``."""
+    return text.isascii() and all(one.isalnum() or one in "-._~" for one in text)
+
+
+def _reachable_name(bound: socket.socket) -> str:
+    """Host and port under which a browser finds it: of every interface, the name of this machine."""
+    host, port = bound.getsockname()[:2]
+    return f"{socket.gethostname()}:{port}" if host in ("0.0.0.0", "::") else bound_name(bound)

@@ -1,0 +1,172 @@
+"""What is controlled, as far as the API needs to know it: a simulation.
+
+Knows the shape of a simulation; knows no implementation. `busway.apps.simulator.simulation` has it.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Protocol
+
+from ...codes import Table
+from ...faults.fault import Schedule
+from ...faults.profile import PersonalityTable
+from ...server.status import ServerStatus
+
+
+class Point(Protocol):
+    """A named value of a unit; `busway.apps.simulator.simulated.SimulatedPoint` says what each of these is."""
+
+    @property
+    def key(self) -> str: ...
+    @property
+    def unit(self) -> int: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def table(self) -> Table: ...
+    @property
+    def notation(self) -> str: ...
+    @property
+    def type(self) -> str: ...
+    @property
+    def order(self) -> str: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def unit_of_measure(self) -> str: ...
+    @property
+    def description(self) -> str: ...
+    @property
+    def access(self) -> str: ...
+    @property
+    def minimum(self) -> float | None: ...
+    @property
+    def maximum(self) -> float | None: ...
+    @property
+    def enumeration(self) -> Mapping[str, int]: ...
+    @property
+    def behaviour(self) -> str: ...
+    @property
+    def is_held(self) -> bool: ...
+    @property
+    def value(self) -> Any: ...  # Any: what the point's type says
+    @property
+    def raw(self) -> str: ...
+    @property
+    def changed_at(self) -> float: ...
+    @property
+    def last_writer(self) -> str: ...
+
+
+class Unit(Protocol):
+    """A simulated device."""
+
+    @property
+    def unit(self) -> int: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def points(self) -> Mapping[str, Any]: ...  # Any: not looked at, only counted
+
+
+class PointChange(Protocol):
+    """A new value of a point."""
+
+    @property
+    def key(self) -> str:
+        """``UNIT/NAME``."""
+
+
+class Served(Protocol):
+    """The server in front of the units."""
+
+    @property
+    def endpoints(self) -> list[str]:
+        """URLs as they are bound."""
+
+    def status(self) -> ServerStatus:
+        """How it stands."""
+
+    def reset_counters(self) -> None:
+        """Set the counters to zero."""
+
+
+Watcher = Callable[[Sequence[Any]], None]  # Any: `PointChange`
+
+
+class Board(Protocol):
+    """Faults by name; `busway.faults.board.FaultBoard` says what each of these does."""
+
+    @property
+    def personalities(self) -> PersonalityTable: ...
+
+    def add(
+        self,
+        personality: str,
+        *,
+        name: str = "",
+        units: Collection[int] | None = None,
+        functions: Collection[int] | None = None,
+        addresses: range | None = None,
+        probability: float = 1.0,
+        schedule: Schedule | None = None,
+        on: bool = True,
+        parameters: Mapping[str, Any] | None = None,  # Any: as the personality declares them
+    ) -> str: ...
+
+    def switch(self, name: str, *, on: bool) -> None: ...
+
+    def remove(self, name: str) -> None: ...
+
+    def list(self) -> Sequence[Any]: ...  # Any: `FaultStatus`
+
+    def status(self, name: str) -> Any: ...
+
+    def watch(self, changed: Callable[[], None]) -> Callable[[], None]: ...
+
+
+class Subject(Protocol):
+    """A simulation."""
+
+    @property
+    def units(self) -> Mapping[int, Any]:  # Any: `Unit`
+        """The units by number."""
+
+    @property
+    def points(self) -> Mapping[str, Any]:  # Any: `Point`
+        """The points by key."""
+
+    @property
+    def server(self) -> Served:
+        """What answers by Modbus."""
+
+    @property
+    def board(self) -> Board:
+        """What goes wrong on purpose."""
+
+    def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says
+        """Give a point a value, which holds against its behaviour until `release`. Raises `InvalidRequest`."""
+
+    def release(self, key: str) -> Any:
+        """Let its behaviour go on."""
+
+    def watch(self, callback: Watcher) -> Any:
+        """Call ``callback`` with each group of changes; what is given back ends that when it is called."""
+
+    # Time.
+
+    seed: int
+    speed: float
+    is_paused: bool
+
+    @property
+    def time(self) -> float:
+        """Seconds since its beginning."""
+
+    def change_speed(self, speed: float) -> None:
+        """Seconds of the simulation in a second, from now on."""
+
+    def pause(self) -> None:
+        """Stand still."""
+
+    def resume(self) -> None:
+        """Go on."""

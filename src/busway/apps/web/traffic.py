@@ -1,0 +1,357 @@
+"""The frames that pass, kept for whoever looks at them: a bounded tail, taken apart only when it is asked for.
+
+Knows frames and times; knows no page. It stands where a capture file would (`busway.observe.trace`), and passes
+everything on to the file if there is one.
+
+1. Keeping a frame costs 8 µs and holds its bytes; describing it costs ten times as much, and is done only for
+   those that somebody gets to see, once.
+2. Each frame has a number that counts up, so that whoever comes back asks for what came after, and learns how many are
+   not kept any more.
+3. Frames of connections that this program made itself, as a client, are left out.
+"""
+
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection, Iterator
+from typing import TYPE_CHECKING, Any, Final
+
+from ...errors import ConfigError
+from ...framing.mbap import FrameKind, MbapReceiver
+from ...framing.received import Damaged, Direction, Received
+from ...observe.ends import Ends
+from ...observe.trace import TRACE
+from ...observe.wording import described, in_words
+from ...pdu.functions import STANDARD, FunctionTable
+from ...pdu.message import Message
+from ...server.peers import peer_name
+from .messages import FieldAnswer, FrameAnswer
+
+if TYPE_CHECKING:
+    from ...observe.trace import ConnectionRecorder, LineRecorder, Recorder
+
+KEPT: Final = 2000
+"""Frames of the tail."""
+_ASKED: Final = 16
+"""Requests of a connection that wait for their replies; more are not allowed anyway."""
+
+
+class Passed:
+    """A frame that passed, or damaged bytes.
+
+    Attributes:
+        number: counts up by one.
+        at: seconds since 1970.
+        is_reply: whether it left; None where a line does not tell.
+        pdu: the PDU; of damaged bytes those.
+        asked: of a reply, the PDU of its request, if that is known.
+        seconds: of a reply, since its request.
+        reason: why the bytes are damaged; empty if they are not.
+    """
+
+    __slots__ = (
+        "asked",
+        "at",
+        "is_reply",
+        "number",
+        "pdu",
+        "peer",
+        "reason",
+        "seconds",
+        "shown",
+        "transaction",
+        "unit",
+    )
+
+    def __init__(
+        self,
+        number: int,
+        at: float,
+        peer: str,
+        pdu: bytes,
+        *,
+        is_reply: bool,
+        unit: int | None = None,
+        transaction: int | None = None,
+        reason: str = "",
+    ) -> None:
+        self.number = number
+        self.at = at
+        self.peer = peer
+        self.pdu = pdu
+        self.is_reply = is_reply
+        self.unit = unit
+        self.transaction = transaction
+        self.reason = reason
+        self.asked = b""
+        self.seconds: float | None = None
+        self.shown: FrameAnswer | None = None
+
+
+class Traffic:
+    """The tail of what passes, from `start` to `stop`.
+
+    Args:
+        ports: the ports that the server listens on, asked again for each new connection.
+        kept: frames that are kept.
+        functions: the table of functions.
+        clock: seconds since 1970.
+
+    Attributes:
+        last: number of the last frame; 0 before the first.
+    """
+
+    def __init__(
+        self,
+        ports: Callable[[], Collection[int]] = tuple,
+        *,
+        kept: int = KEPT,
+        functions: FunctionTable = STANDARD,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.last = 0
+        self._ports = ports
+        self._functions = functions
+        self._clock = clock
+        self._tail: deque[Passed] = deque(maxlen=kept)
+        self._watchers: tuple[Callable[[], None], ...] = ()
+        self._before: Recorder | None = None
+        self._is_on = False
+
+    def start(self) -> None:
+        """See what passes on connections made from now on. Raises `ConfigError` if it does so already."""
+        if self._is_on:
+            raise ConfigError("the traffic is recorded already", key="traffic")
+        self._is_on = True
+        self._before = TRACE.capture
+        TRACE.capture_into(self)
+
+    def stop(self) -> None:
+        """See nothing more; what is kept stays."""
+        self._is_on = False
+        if TRACE.capture is self:
+            below = self._before
+            while isinstance(below, Traffic) and not below._is_on:  # it was stopped while this one stood on it
+                below = below._before
+            TRACE.capture_into(below)
+
+    def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
+        """Have ``passed`` called after each frame; calling what is given back ends that."""
+        self._watchers = (*self._watchers, passed)
+
+        def unwatch() -> None:
+            self._watchers = tuple(one for one in self._watchers if one is not passed)
+
+        return unwatch
+
+    # What was seen.
+
+    def after(self, number: int, limit: int) -> list[Passed]:
+        """The last frames with a higher number, at most ``limit``, the oldest first."""
+        found: list[Passed] = []
+        for one in reversed(self._tail):
+            if one.number <= number or len(found) == limit:
+                break
+            found.append(one)
+        return found[::-1]
+
+    @property
+    def first(self) -> int:
+        """Number of the oldest frame that is kept; one more than the last if none is."""
+        return self._tail[0].number if self._tail else self.last + 1
+
+    def shown(self, passed: Passed) -> FrameAnswer:
+        """A frame taken apart."""
+        if passed.shown is None:
+            passed.shown = self._described(passed)
+        return passed.shown
+
+    # What the trace asks of whatever records.
+
+    def connection(self, ends: Ends) -> "ConnectionRecorder":
+        """A connection between these ends."""
+        onward = None if self._before is None else self._before.connection(ends)
+        local = ends.local
+        port = local[1] if isinstance(local, tuple) and len(local) > 1 else None
+        if not self._is_on or port not in self._ports():
+            return onward if onward is not None else _NOTHING
+        return _Connection(self, peer_name(ends.peer), onward)
+
+    def line(self, name: str) -> "LineRecorder":
+        """A serial line, or a connection with its framing."""
+        onward = None if self._before is None else self._before.line(name)
+        if not self._is_on:
+            return onward if onward is not None else _NOTHING
+        return _Line(self, name, onward)
+
+    def add(
+        self,
+        peer: str,
+        pdu: bytes,
+        *,
+        is_reply: bool,
+        unit: int | None = None,
+        transaction: int | None = None,
+        reason: str = "",
+        at: float | None = None,
+    ) -> Passed:
+        """Keep a frame."""
+        self.last += 1
+        passed = Passed(
+            self.last,
+            self._clock() if at is None else at,
+            peer,
+            pdu,
+            is_reply=is_reply,
+            unit=unit,
+            transaction=transaction,
+            reason=reason,
+        )
+        self._tail.append(passed)
+        for told in self._watchers:
+            told()
+        return passed
+
+    # Inside.
+
+    def _described(self, passed: Passed) -> FrameAnswer:
+        shown: dict[str, Any] = {  # Any: keys of several types
+            "number": passed.number,
+            "at": passed.at,
+            "peer": passed.peer,
+            "unit": passed.unit,
+            "transaction": passed.transaction,
+            "raw": passed.pdu.hex(" ").upper(),
+            "seconds": passed.seconds,
+        }
+        if passed.reason:
+            title = f"{len(passed.pdu)} damaged bytes, {'sent' if passed.is_reply else 'received'}"
+            return FrameAnswer(
+                direction="damaged", title=title, text=f"{title}: {passed.reason}", problems=[passed.reason], **shown
+            )
+        direction = Direction.REPLY if passed.is_reply else Direction.REQUEST
+        found = described(passed.pdu, direction, request=self._request(passed), functions=self._functions)
+        return FrameAnswer(
+            direction=direction.value,
+            function=passed.pdu[0] & 0x7F if passed.pdu else None,
+            title=found.title,
+            text=in_words(found),
+            fields=[
+                FieldAnswer(name=part.name, data=part.data.hex(" ").upper(), text=part.text, problem=part.problem)
+                for part in found.parts
+            ],
+            problems=list(found.problems),
+            exception=bool(passed.is_reply and passed.pdu and passed.pdu[0] & 0x80),
+            **shown,
+        )
+
+    def _request(self, passed: Passed) -> Message | None:
+        if not passed.asked:
+            return None
+        request = self._functions.decode_request(passed.asked)
+        return request if isinstance(request, Message) else None
+
+
+class _Requests:
+    """The requests of one connection that were not answered yet."""
+
+    __slots__ = ("_asked",)
+
+    def __init__(self) -> None:
+        self._asked: OrderedDict[object, Passed] = OrderedDict()
+
+    def asked(self, key: object, request: Passed) -> None:
+        self._asked[key] = request
+        if len(self._asked) > _ASKED:
+            self._asked.popitem(last=False)
+
+    def answered(self, key: object, reply: Passed) -> None:
+        request = self._asked.pop(key, None)
+        if request is not None and reply.pdu and request.pdu[:1] == bytes([reply.pdu[0] & 0x7F]):
+            reply.asked = request.pdu
+            reply.seconds = max(reply.at - request.at, 0.0)
+
+
+class _Connection:
+    """A connection of Modbus over TCP, TLS or UDP."""
+
+    __slots__ = ("_incoming", "_onward", "_outgoing", "_peer", "_requests", "_traffic")
+
+    def __init__(self, traffic: Traffic, peer: str, onward: "ConnectionRecorder | None") -> None:
+        self._traffic = traffic
+        self._peer = peer
+        self._onward = onward
+        self._incoming = MbapReceiver()
+        self._outgoing = MbapReceiver()
+        self._requests = _Requests()
+
+    def received(self, data: bytes) -> None:
+        """Bytes that came in."""
+        if self._onward is not None:
+            self._onward.received(data)
+        for passed in self._frames(self._incoming, data, is_reply=False):
+            self._requests.asked(passed.transaction, passed)
+
+    def sent(self, data: bytes) -> None:
+        """Bytes that went out."""
+        if self._onward is not None:
+            self._onward.sent(data)
+        for passed in self._frames(self._outgoing, data, is_reply=True):
+            self._requests.answered(passed.transaction, passed)
+
+    def _frames(self, receiver: MbapReceiver, data: bytes, *, is_reply: bool) -> Iterator[Passed]:
+        if receiver.broken:  # a device that misbehaves goes on after what no client can follow
+            self._traffic.add(self._peer, data, is_reply=is_reply, reason="nothing can be found in it any more")
+            return
+        for frame in receiver.receive(data):
+            if frame.kind is FrameKind.FRAME:
+                yield self._traffic.add(
+                    self._peer, frame.pdu, is_reply=is_reply, unit=frame.unit, transaction=frame.transaction
+                )
+            else:
+                reason = frame.reason or f"protocol {frame.protocol}, where only 0 is Modbus"
+                self._traffic.add(self._peer, frame.pdu, is_reply=is_reply, reason=reason)
+
+
+class _Line:
+    """A serial line, or a connection with its framing."""
+
+    __slots__ = ("_onward", "_peer", "_requests", "_traffic")
+
+    def __init__(self, traffic: Traffic, peer: str, onward: "LineRecorder | None") -> None:
+        self._traffic = traffic
+        self._peer = peer
+        self._onward = onward
+        self._requests = _Requests()
+
+    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+        """A frame or damaged chunk."""
+        if self._onward is not None:
+            self._onward.heard(found, at=at, is_outgoing=is_outgoing)
+        if isinstance(found, Damaged):
+            self._traffic.add(self._peer, found.raw, is_reply=is_outgoing, reason=found.reason.value, at=at)
+            return
+        # What leaves is a reply, whatever it looks like: requests and replies of 05 and 06 are alike.
+        is_reply = is_outgoing or found.direction is Direction.REPLY
+        passed = self._traffic.add(self._peer, found.pdu, is_reply=is_reply, unit=found.unit, at=at)
+        if is_reply:
+            self._requests.answered(found.unit, passed)
+        else:
+            self._requests.asked(found.unit, passed)
+
+
+class _Nothing:
+    """Where nothing is recorded."""
+
+    __slots__ = ()
+
+    def received(self, data: bytes) -> None:
+        """Bytes that came in."""
+
+    def sent(self, data: bytes) -> None:
+        """Bytes that went out."""
+
+    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+        """A frame or damaged chunk."""
+
+
+_NOTHING: Final = _Nothing()

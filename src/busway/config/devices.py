@@ -1,0 +1,82 @@
+"""Device files → devices that can be served.
+
+Knows the schema and `Device`; reads no file.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..codes import Table
+from ..server.cells import Cells
+from ..server.device import Device
+from .files.device import DeviceFile, PointSection, TableSection, UnitSection
+from .files.simulation import SimulatedUnitSection
+
+
+def build_units(file: DeviceFile) -> dict[int, Device]:
+    """The devices of a file by unit, each with a memory of its own."""
+    return {number: build_device(section) for section in file.unit for number in section.unit}
+
+
+def build_device(section: UnitSection) -> Device:
+    """The device that a unit's section declares, its points holding their first values."""
+    # Any: arguments of different types
+    options: dict[str, Any] = {
+        table.value: _cells(section.table(table), section.points_in(table), _hole(section, table)) for table in Table
+    }
+    if section.server_id is not None:
+        options["server_id"] = section.server_id
+    device = Device(
+        files={file.number: _declared(file, file.read_only) for file in section.file},
+        fifos={fifo.place.offset: fifo.values for fifo in section.fifo},
+        identification=section.objects(),
+        exception_status=section.exception_status,
+        functions=section.functions,
+        **options,
+    )
+    for point in section.point:
+        if point.value is not None:
+            raw = point.raw(point.value)
+            device.write(point.place, raw if point.form is None else [raw], point.form)  # sixteen bits are one value
+    return device
+
+
+def _hole(section: UnitSection, table: Table) -> int | None:
+    """What is read between the points of a table; None where that is refused."""
+    return section.holes.value(table) if isinstance(section, SimulatedUnitSection) else None
+
+
+def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
+    """The items of a table: as declared, or else those of its points, and of the holes between them."""
+    read_only = [
+        [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
+    ]
+    if declared is not None:
+        return _declared(declared, [*declared.read_only, *read_only])
+    values = {offset: 0 for point in points for offset in range(point.place.offset, point.place.offset + point.size)}
+    if not values:
+        return None
+    if hole is not None:
+        holes = [offset for offset in range(min(values), max(values)) if offset not in values]
+        values |= dict.fromkeys(holes, hole)
+        read_only += _ranges(holes)
+    return Cells(values=dict(sorted(values.items())), read_only=_pairs(read_only))
+
+
+def _ranges(offsets: Sequence[int]) -> list[list[int]]:
+    """Ascending offsets as ranges, each first and count."""
+    found: list[list[int]] = []
+    for offset in offsets:
+        if found and offset == sum(found[-1]):
+            found[-1][1] += 1
+        else:
+            found.append([offset, 1])
+    return found
+
+
+def _declared(table: TableSection, read_only: Sequence[Sequence[int]]) -> Cells:
+    return Cells(table.first, table.size, table.values, _pairs(read_only))
+
+
+def _pairs(ranges: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
+    return [(first, count) for first, count in ranges]

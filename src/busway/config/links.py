@@ -1,0 +1,120 @@
+"""The named links of a configuration: endpoint and options, checked as `busway.open` would.
+
+Knows which options go before which; what they mean is known by the client.
+
+1. An option of the link itself goes before one in its URL, and that before one of ``[client]``.
+2. An option of ``[client]`` holds for the links whose scheme has it, and for no other; so do the certificates of
+   ``[security]``, behind all.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ..client.settings import LinkSettings, link_settings, options_of
+from ..options.endpoints import parse_endpoint
+from ..transport.tls.parameters import OF_SERVERS
+from .files.lines import Path
+from .files.system import SystemFile
+from .report import Judge, nearest
+
+
+@dataclass(frozen=True, slots=True)
+class NamedLink:
+    """A link that a configuration declares.
+
+    Attributes:
+        name: its name.
+        url: the endpoint, with the options that stand in the URL.
+        options: the others, as `busway.open` and `busway.connect` take them.
+        settings: all of it, checked.
+    """
+
+    name: str
+    url: str
+    options: Mapping[str, Any]  # of several types
+    settings: LinkSettings
+
+
+class Declared(Protocol):
+    """A section that declares a link."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def url(self) -> str:
+        """Where it leads."""
+
+    def options(self) -> dict[str, Any]:  # of several types
+        """Its options, by name."""
+
+
+def named_links(
+    file: SystemFile, root: Callable[[Mapping[str, Any]], dict[str, Any]], judge: Judge
+) -> dict[str, NamedLink]:
+    """The links of a file by name; what is wrong with one is told to the judge.
+
+    Args:
+        file: the file.
+        root: makes paths among options independent of the file's folder.
+        judge: collects what is wrong.
+    """
+    general, security = for_all_links(file)
+    links: dict[str, NamedLink] = {}
+    for index, section in enumerate(file.client.link):
+        made = named_link(section, general, security, root, ("client", "link", index), judge)
+        if made is not None:
+            links[made.name] = made
+    return links
+
+
+def for_all_links(file: SystemFile) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The options of ``[client]``, and those of ``[security]`` that concern links."""
+    security = {name: value for name, value in file.security.options().items() if name not in OF_SERVERS}
+    return file.client.options(), security
+
+
+def named_link(
+    section: Declared,
+    general: Mapping[str, Any],
+    security: Mapping[str, Any],
+    root: Callable[[Mapping[str, Any]], dict[str, Any]],
+    at: Path,
+    judge: Judge,
+) -> NamedLink | None:
+    """A link as its section declares it; None, and a word to the judge, where it can not be.
+
+    Args:
+        section: its own options.
+        general, security: those for all links, and certificates for all.
+        root: makes paths among options independent of the file's folder.
+        at: where the section stands.
+        judge: collects what is wrong.
+    """
+    endpoint = parse_endpoint(section.url)
+    offered = options_of(endpoint)
+    own = section.options()
+    behind = {
+        name: value
+        for name, value in {**security, **general}.items()
+        if name in offered and name not in endpoint.options
+    }
+    options = root(behind | own)
+
+    def place(key: str | None) -> Path:
+        if key in endpoint.options and key not in own:
+            return (*at, "url")
+        if key in security and key not in general and key not in own:
+            return ("security", str(key))
+        return nearest(key, own, at, general, ("client",))
+
+    def make() -> LinkSettings:
+        made = link_settings(endpoint, options)
+        if made.security is not None:
+            made.security.check_client()
+        return made
+
+    settings = judge.make(make, place)
+    return None if settings is None else NamedLink(section.name, section.url, options, settings)

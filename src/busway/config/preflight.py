@@ -1,0 +1,84 @@
+"""What can be said about a configuration before it runs: rules that can never fit, files that can not be used.
+
+Knows what goes together; opens files, and no connection.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from ..errors import ConfigError
+from ..options.endpoints import parse_endpoint
+from ..server.listener import Listener
+from .certificates import try_certificates
+from .files.lines import Path as Place
+from .files.system import SystemFile
+from .paths import TLS_FILES, within
+from .report import Judge, nearest
+
+
+def judge_roles(file: SystemFile, judge: Judge) -> None:
+    """Warn of rules for roles where no client can have one."""
+    if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
+        return
+    for index, rule in enumerate(file.policy.rule):
+        if rule.roles is not None:
+            judge.warn(("policy", "rule", index, "roles"), "nobody has a role: there is no tls:// listener")
+
+
+def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], judge: Judge) -> None:
+    """Open what the file names, and tell the judge what can not be used."""
+    wrong = len(judge.problems)
+    for place, path in _named_files(file):
+        readable(place, within(name, path), judge)
+    if file.audit is not None:
+        folder = Path(within(name, file.audit.path)).parent
+        if not folder.is_dir() or not os.access(folder, os.W_OK):
+            judge.refuse(("audit", "path"), f"nothing can be written in {folder}")
+    if len(judge.problems) > wrong:
+        return
+    for (place, _), listener in zip(file.places(), listeners, strict=True):
+        _usable(listener, _Keys(file, place), judge)
+
+
+class _Keys:
+    """Where the keys of the certificates of a listener stand: with the listener, or in ``[security]``."""
+
+    def __init__(self, file: SystemFile, place: Place) -> None:
+        self._own = file.listener[int(place[1])].options() if place[0] == "listener" else {}
+        self._general = file.security.options()
+        self._at = place[:2]
+
+    def __call__(self, key: str | None) -> Place:
+        return nearest(key, self._own, self._at, self._general, ("security",))
+
+
+def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
+    sections: list[tuple[Place, object]] = [(("security",), file.security), (("client",), file.client)]
+    sections += [(("listener", index), each) for index, each in enumerate(file.listener)]
+    sections += [(("client", "link", index), each) for index, each in enumerate(file.client.link)]
+    for place, section in sections:
+        for key in TLS_FILES:
+            path = getattr(section, key)
+            if path is not None:
+                yield (*place, key), path
+
+
+def readable(place: Place, path: str, judge: Judge) -> None:
+    """Open a file, or a folder of authorities, and tell the judge where it can not be read."""
+    if Path(path).is_dir() and place[-1] == "authority":
+        return
+    try:
+        with open(path, "rb"):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        judge.refuse(place, f"{path} can not be read: {reason[:1].lower()}{reason[1:]}")
+
+
+def _usable(listener: Listener, place: Callable[[str | None], Place], judge: Judge) -> None:
+    """Certificates and keys that can be read, but do not fit."""
+    try:
+        try_certificates(listener)
+    except ConfigError as error:
+        judge.refuse(place(error.key), f"{error.file}: {error.message}" if error.file else error.message)

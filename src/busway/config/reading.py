@@ -1,0 +1,44 @@
+"""The text of a file that people write."""
+
+from typing import Final
+
+from ..errors import ConfigError
+from ..safe_files import read_safely, size_text
+
+MOST_BYTES: Final = 32 * 1024 * 1024
+"""Bytes of a file in TOML: several times a policy with as many rules as there may be."""
+
+
+def read_text(name: str) -> str:
+    """The text of a file in UTF-8 that was named by who started the program: a pipe will do.
+
+    Raises:
+        ConfigError: it cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; names the file.
+    """
+    try:
+        with open(name, "rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"can not be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
+    if len(data) > MOST_BYTES:
+        raise ConfigError(f"is larger than {size_text(MOST_BYTES)}, the limit for such a file", file=name)
+    return _decoded(data, name)
+
+
+def read_named_text(name: str) -> str:
+    """The text of a file in UTF-8 whose name stands in another file: a regular one, by no link of another user.
+
+    Raises:
+        ConfigError: as of `read_text`, or as `read_safely` refuses it; names the file.
+    """
+    return _decoded(read_safely(name, most=MOST_BYTES), name)
+
+
+def _decoded(data: bytes, name: str) -> str:
+    try:
+        # Line ends as they are: the reader of TOML judges them.
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"byte 0x{data[error.start]:02X} is no UTF-8", file=name, line=line) from error

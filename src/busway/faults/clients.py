@@ -1,0 +1,65 @@
+"""Clients that misbehave: what they send, and then nothing.
+
+Knows bytes, and for `misbehaving_client` a socket; knows no server.
+"""
+
+import contextlib
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ..options.endpoints import parse_endpoint
+
+
+@dataclass(frozen=True, slots=True)
+class ClientPersonality:
+    """One way for a client to misbehave; documented as `Personality` is.
+
+    Attributes:
+        name: as the documentation has it.
+        happens: what happens, in words.
+        seen_in: where it was reported.
+        answer: what a server that is up to it does.
+        make: the bytes that are sent before the silence; its keyword arguments are the options.
+    """
+
+    name: str
+    happens: str
+    seen_in: tuple[str, ...]
+    answer: str
+    make: Callable[..., bytes]
+
+
+def _slow_loris(size: int = 3) -> bytes:
+    """Args: size: bytes of the request that are sent, 1…11."""
+    return bytes.fromhex("0001 0000 0006 01 03 0000 0001")[:size]
+
+
+SLOW_LORIS: Final = ClientPersonality(
+    "slow-loris",
+    "sends half a header and waits",
+    (),
+    "frees the place after `frame_timeout`",
+    _slow_loris,
+)
+
+CLIENT_PERSONALITIES: Final = {one.name: one for one in (SLOW_LORIS,)}
+"""The personalities of clients."""
+
+
+@contextlib.contextmanager
+def misbehaving_client(
+    endpoint: str, personality: ClientPersonality, **options: Any
+) -> Iterator[socket.socket]:  # Any: what the personality takes
+    """A connection on which the personality has sent its bytes.
+
+    Args:
+        endpoint: URL of the server.
+        personality: how it misbehaves.
+        options: of the personality.
+    """
+    where = parse_endpoint(endpoint)
+    with socket.create_connection((where.host, where.port or 0), 5.0) as connection:
+        connection.sendall(personality.make(**options))
+        yield connection

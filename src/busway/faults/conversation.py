@@ -1,0 +1,156 @@
+"""What is said on one connection of a device that misbehaves: requests in, bytes out, faults between.
+
+Knows frames, the faults and ``now``; knows no socket, no clock and no device: whoever drives it asks the device.
+
+1. For each request: `strike` decides which faults it meets; `asked` gives what answers it instead of the device, if
+   anything does; `answered` takes the reply, and plans what leaves.
+2. Replies leave in the order of their requests, however late one is. While anything waits to leave
+   (`is_behind`), replies that no fault touches go the same way.
+3. What is due is given by `FaultyConversation.tick`, one item per write; `deadline` says when there will be more.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from ..framing.ascii import encode_ascii
+from ..framing.mbap import HEAD
+from ..framing.rtu import encode_rtu
+from .fault import SAME_MOMENT, AppliedFault, Contact, Emission, Exchange, Faults
+
+Struck = Sequence[tuple[AppliedFault, Exchange]]
+"""The faults that a request meets, each with what it is to see."""
+
+
+def _mbap(transaction: int, unit: int, pdu: bytes, length: int | None) -> bytes:
+    return HEAD.pack(transaction, 0, 1 + len(pdu) if length is None else length, unit) + pdu
+
+
+ENCODERS: Final[Mapping[str, Callable[[int, int, bytes, int | None], bytes]]] = {
+    "mbap": _mbap,
+    "rtu": lambda transaction, unit, pdu, length: encode_rtu(unit, pdu),
+    "ascii": lambda transaction, unit, pdu, length: encode_ascii(unit, pdu),
+}
+"""Transaction, unit, PDU and a length that may be false → frame. The checks of serial frames are always right."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Due:
+    when: float
+    data: bytes
+    glued: bool
+    closes: bool
+
+
+class FaultyConversation:
+    """What is said on one connection.
+
+    Args:
+        faults: what goes wrong.
+        contact: the connection, as faults see it.
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+        gap: seconds of silence before an answer.
+
+    Attributes:
+        contact: as given.
+        closed: whether the connection is to be closed, after what `tick` gave has been written.
+    """
+
+    def __init__(self, faults: Faults, contact: Contact, framing: str = "mbap", *, gap: float = 0.0) -> None:
+        self._faults = faults
+        self._encode = ENCODERS[framing]
+        self._gap = gap
+        self._outbox: deque[_Due] = deque()
+        self._last_due = contact.opened
+        self.contact = contact
+        self.closed = not faults.admit(contact)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether something waits to leave, so that nothing may overtake it."""
+        return bool(self._outbox)
+
+    # Requests.
+
+    def frame(self, transaction: int, unit: int, pdu: bytes) -> bytes:
+        """The frame of a PDU, as a client sends it."""
+        return self._encode(transaction, unit, pdu, None)
+
+    def strike(self, exchange: Exchange) -> Struck:
+        """Which faults a request meets; it counts as received from now on."""
+        struck = self._faults.strike(exchange)
+        self.contact.last_received = exchange.now
+        return struck
+
+    @staticmethod
+    def asked(struck: Struck) -> bytes | None:
+        """The PDU that answers instead of the device, `SILENCE` for none; None if the device is to be asked."""
+        for applied, seen in struck:
+            asked = applied.fault.asked
+            answer = asked(seen) if asked is not None else None
+            if answer is not None:
+                applied.struck += 1
+                return answer
+        return None
+
+    def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> None:
+        """Plan what leaves.
+
+        Args:
+            exchange: the request.
+            struck: what `strike` gave for it.
+            answer: the PDU of the reply; empty for none.
+            now: when it is there.
+        """
+        is_said = answer and not exchange.is_broadcast
+        emissions = [Emission(exchange.transaction, exchange.unit, answer)] if is_said else []
+        for applied, seen in struck:
+            if applied.fault.answered is not None:
+                made = applied.fault.answered(seen, emissions)
+                if made != emissions:
+                    applied.struck += 1
+                emissions = made
+        for emission in emissions:
+            self._plan(emission, now)
+
+    # Time.
+
+    def tick(self, now: float) -> list[bytes]:
+        """What is to be written now, each item by itself."""
+        writes: list[bytes] = []
+        glued = False
+        while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:
+            due = self._outbox.popleft()
+            if due.data:
+                if glued and due.glued:
+                    writes[-1] += due.data
+                else:
+                    writes.append(due.data)
+                glued = due.glued
+            self.closed = due.closes
+        if writes:
+            self.contact.last_sent = now
+        if not self.closed and self._faults.closes(self.contact, now):
+            self.closed = True
+        return writes
+
+    def deadline(self, now: float) -> float | None:
+        """When `tick` has something to do; None while only the client can change that."""
+        closes_at = self._faults.closes_at(self.contact, now)
+        due = self._outbox[0].when if self._outbox else None
+        return min((when for when in (closes_at, due) if when is not None), default=None)
+
+    # Inside.
+
+    def _plan(self, emission: Emission, now: float) -> None:
+        when = max(now + self._gap + emission.delay, self._last_due)
+        data = emission.before
+        if emission.pdu:
+            data += self._encode(emission.transaction, emission.unit, emission.pdu, emission.length) + emission.after
+        size = emission.piece or len(data) or 1
+        pieces = [data[at : at + size] for at in range(0, len(data), size)] or [b""]
+        for number, piece in enumerate(pieces):
+            closes = emission.closes and number == len(pieces) - 1
+            self._outbox.append(_Due(when + number * emission.pause, piece, emission.glued, closes))
+        self._last_due = self._outbox[-1].when

@@ -1,0 +1,171 @@
+"""Personalities: the ways in which real devices and clients misbehave, each under one name.
+
+Knows what is said of one and how its fault is made; knows no conversation.
+
+1. One name means the same thing in tests, in the simulator, in the options of the client and in the documentation; the
+   documentation's table is made from these objects.
+2. A table is immutable; a new one with more comes from `PersonalityTable.with_personalities`.
+3. An option is declared where it is used, in the signature of what makes the fault: type, default, and by `Says` its
+   meaning and range. From there come the checks, the documentation and what other programs are told.
+"""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import UnionType
+from typing import Annotated, Any, get_args, get_origin
+
+from ..errors import ConfigError
+from ..values.refusal import shown
+from .fault import EVERYWHERE, Carrier, Fault
+
+LONGEST = 86_400.0
+"""Seconds, the most that a personality takes for anything: a day."""
+
+
+@dataclass(frozen=True, slots=True)
+class Says:
+    """What an option of a personality means, and its range; stands in its annotation.
+
+    Attributes:
+        meaning: in words, with the unit of measure.
+        least, most: the range, both included; None for no end.
+    """
+
+    meaning: str
+    least: float | None = None
+    most: float | None = None
+
+
+def in_seconds(meaning: str) -> Says:
+    """An option that is a time, 0 s to a day."""
+    return Says(f"seconds {meaning}", 0.0, LONGEST)
+
+
+_TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false"}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One option of a personality.
+
+    Attributes:
+        name, default: as its signature has them.
+        kind: ``float``, ``int`` or ``bool``; None where nothing is declared, and anything is taken.
+        is_optional: whether None is a value.
+        says: meaning and range.
+    """
+
+    name: str
+    default: Any  # of the declared type
+    kind: type | None
+    is_optional: bool
+    says: Says
+
+    @property
+    def range_text(self) -> str:
+        """``0…86400``, ``at least 1``; empty without a range."""
+        least, most = self.says.least, self.says.most
+        if least is None:
+            return ""
+        return f"at least {least:g}" if most is None else f"{least:g}…{most:.6g}"
+
+    def check(self, value: Any) -> None:  # Any: what somebody has written
+        """Raises `ConfigError`, with the name as key, for a value that can not be."""
+        if self.kind is None or (value is None and self.is_optional):
+            return
+        fits = isinstance(value, self.kind) or (self.kind is float and isinstance(value, int))
+        if not fits or (isinstance(value, bool) and self.kind is not bool):
+            raise ConfigError(f"must be {_TYPE_WORDS[self.kind]}, not {shown(value)}", key=self.name)
+        least, most = self.says.least, self.says.most
+        # Asked so that what is no number at all (nan) is in no range.
+        is_within = (least is None or value >= least) and (most is None or value <= most)
+        if self.kind is not bool and not is_within:
+            raise ConfigError(f"must be {self.range_text}, not {shown(value)}", key=self.name)
+
+
+def _parameter(declared: inspect.Parameter) -> Parameter:
+    annotation, says = declared.annotation, Says("")
+    if get_origin(annotation) is Annotated:
+        annotation, says = get_args(annotation)[0], annotation.__metadata__[0]
+    kinds = get_args(annotation) if get_origin(annotation) is UnionType or isinstance(annotation, UnionType) else ()
+    kind = next((one for one in kinds or (annotation,) if one in _TYPE_WORDS), None)
+    return Parameter(declared.name, declared.default, kind, type(None) in kinds, says)
+
+
+@dataclass(frozen=True, slots=True)
+class Personality:
+    """One way to misbehave; calling it with its options makes its fault.
+
+    Attributes:
+        name: as the documentation has it.
+        happens: what happens, in words.
+        seen_in: where it was reported, repository and issue.
+        answer: what a client (or server) that is up to it does.
+        make: makes the fault; its keyword arguments are the options, each with a default.
+        carriers: where it is met.
+    """
+
+    name: str
+    happens: str
+    seen_in: tuple[str, ...]
+    answer: str
+    make: Callable[..., Fault]
+    carriers: frozenset[Carrier] = EVERYWHERE
+
+    @property
+    def options(self) -> Mapping[str, Any]:  # Any: an option has the type of its default
+        """The options with their defaults."""
+        return {name: one.default for name, one in self.parameters.items()}
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """The options with all that is declared of them, by name."""
+        return {name: _parameter(one) for name, one in inspect.signature(self.make).parameters.items()}
+
+    def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
+        """The fault. Raises `ConfigError`, its key the option, for one that there is not or a value that can not be."""
+        parameters = self.parameters
+        for name, value in options.items():
+            if name not in parameters:
+                known = ", ".join(parameters) or "none"
+                raise ConfigError(f"{self.name} has no such option; there are: {known}", key=name)
+            parameters[name].check(value)
+        fault = self.make(**options)
+        return Fault(self.name, fault.admits, fault.asked, fault.answered, fault.closes_at, self.carriers, options)
+
+
+class PersonalityTable(Mapping[str, Personality]):
+    """Personalities by name, in the order of the documentation. Raises `ConfigError` for two of one name."""
+
+    __slots__ = ("_by_name",)
+
+    def __init__(self, *personalities: Personality) -> None:
+        self._by_name: dict[str, Personality] = {}
+        for one in personalities:
+            if one.name in self._by_name:
+                raise ConfigError(f"there are two personalities {one.name}", key=one.name)
+            self._by_name[one.name] = one
+
+    def with_personalities(self, *personalities: Personality) -> "PersonalityTable":
+        """A new table that also holds ``personalities``."""
+        return PersonalityTable(*self.values(), *personalities)
+
+    def named(self, name: str) -> Personality:
+        """The personality of a name. Raises `ConfigError` that lists those there are."""
+        found = self._by_name.get(name)
+        if found is None:
+            raise ConfigError(f"there is no personality {name!r}; there are {', '.join(self._by_name)}", key=name)
+        return found
+
+    def __getitem__(self, name: str) -> Personality:
+        return self._by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self._by_name)
+
+
+__all__ = ["Carrier", "Parameter", "Personality", "PersonalityTable", "Says", "in_seconds"]

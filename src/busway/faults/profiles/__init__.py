@@ -1,0 +1,59 @@
+"""All personalities that there are, in one table.
+
+Knows the list; each personality stands in the file of its kind.
+"""
+
+from typing import Final
+
+from ..profile import PersonalityTable
+from .connections import CLOSE_IF_SILENT, EXECUTE_THEN_DROP, IDLE_CLOSE, SINGLE_CLIENT
+from .contents import DRIBBLE, GLUE, LONG, SHORT, WIDE_REGISTER, WRONG_ECHO
+from .identifiers import (
+    FOREIGN_TRANSACTION,
+    TRANSACTION_PLUS_ONE,
+    TRANSACTION_RANDOM,
+    TRANSACTION_ZERO,
+    UNIT_0,
+    UNIT_1,
+    UNIT_255,
+)
+from .lines import BROADCAST_REPLY, ECHO, LEADING_ZERO, NOISE
+from .refusals import BUSY, FC6_ONLY, FC16_ONLY, HOLE, MAX_BLOCK, ODD_EXCEPTION
+from .timing import LATE, MIN_GAP, MUTE_AFTER_CONNECT, QUEUE_LAG, UNIT_SWITCH, WEDGED
+
+PERSONALITIES: Final = PersonalityTable(
+    LATE,
+    QUEUE_LAG,
+    FOREIGN_TRANSACTION,
+    TRANSACTION_PLUS_ONE,
+    TRANSACTION_ZERO,
+    TRANSACTION_RANDOM,
+    UNIT_255,
+    UNIT_0,
+    UNIT_1,
+    MUTE_AFTER_CONNECT,
+    CLOSE_IF_SILENT,
+    SINGLE_CLIENT,
+    IDLE_CLOSE,
+    WEDGED,
+    MIN_GAP,
+    UNIT_SWITCH,
+    MAX_BLOCK,
+    HOLE,
+    WIDE_REGISTER,
+    SHORT,
+    LONG,
+    DRIBBLE,
+    GLUE,
+    BUSY,
+    EXECUTE_THEN_DROP,
+    WRONG_ECHO,
+    ODD_EXCEPTION,
+    FC6_ONLY,
+    FC16_ONLY,
+    LEADING_ZERO,
+    NOISE,
+    ECHO,
+    BROADCAST_REPLY,
+)
+"""The personalities of servers."""

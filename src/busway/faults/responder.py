@@ -1,0 +1,201 @@
+"""A handler around a handler: the device inside is right, and what comes out is not.
+
+Knows requests, faults and the ways of replies; knows no socket.
+
+1. While no fault is on, the short road and the plans of reads are those of the handler inside: it costs nothing.
+   Switching changes ``generation``, and conversations ask anew before their next request.
+2. A request that no fault strikes is answered by the handler inside as if nothing were around it, unless something
+   that was asked before on the same way has not left yet: then its reply waits its turn.
+3. What a fault strikes leaves by its way (`busway.faults.connections`). The conversation is told `SILENCE`: its
+   counters say that there was no answer, as the device that misbehaves would have to admit.
+"""
+
+from collections.abc import Awaitable, Callable, Container, Mapping
+
+from ..pdu.direct import Answer, ReadPlan
+from ..pdu.functions import AnyRequest, FunctionTable
+from ..pdu.general import ExceptionResponse
+from ..pdu.message import Message, Request
+from ..session.handler import (
+    LATER,
+    SILENCE,
+    Deferral,
+    Handler,
+    ListedUnits,
+    Outcome,
+    ReadPlanner,
+    Refusal,
+    RequestContext,
+    UnitHolder,
+    WriteObserver,
+)
+from .connections import FaultyWires, Way
+from .conversation import Struck
+from .fault import Exchange, Faults
+
+
+class FaultyHandler:
+    """Plays faults on what a handler answers.
+
+    Args:
+        inner: what answers rightly.
+        faults: what goes wrong.
+        wires: where replies leave; the server has to be given the same.
+        heard: called with every request; with it, none takes the short road.
+
+    Attributes:
+        serial_units: as the handler inside has it, if it has.
+    """
+
+    serial_units: Container[int]
+    listed_unit: Callable[[int], int]
+
+    def __init__(
+        self, inner: Handler, faults: Faults, wires: FaultyWires, *, heard: Callable[[Exchange], None] | None = None
+    ) -> None:
+        self.inner = inner
+        self._faults = faults
+        self._wires = wires
+        self._heard = heard
+        self._planner = inner if isinstance(inner, ReadPlanner) else None
+        self._observer = inner if isinstance(inner, WriteObserver) else None
+        # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
+        if isinstance(inner, UnitHolder):
+            self.serial_units = inner.serial_units
+        if isinstance(inner, ListedUnits):  # or a rule for a unit could be walked around by asking 0 or 255
+            self.listed_unit = inner.listed_unit
+
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions of the handler inside."""
+        return self.inner.functions
+
+    @property
+    def generation(self) -> int:
+        """Changes with the faults, with the handler inside, and when the last late reply has left."""
+        return self.inner.generation + self._faults.generation + self._wires.drained
+
+    @property
+    def _is_aside(self) -> bool:
+        return not (self._faults.is_any_on or self._heard or self._wires.is_any_behind)
+
+    # The short road.
+
+    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
+        """The answers of the handler inside, while no fault is on."""
+        return self.inner.direct(context) if self._is_aside else {}
+
+    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
+        """The plans of the handler inside, while no fault is on."""
+        return self._planner.plans(context) if self._planner is not None and self._is_aside else {}
+
+    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
+        """The plan of a read, while no fault is on."""
+        return self._planner.plan(context, pdu) if self._planner is not None and self._is_aside else None
+
+    # The long road.
+
+    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """Answer a request, rightly or not."""
+        return self._answer(context, request, lambda inside: self.inner.handle(inside, request))
+
+    def observe_write(
+        self, context: RequestContext, request: Request, see: Callable[[tuple[bytes | None, ...]], None]
+    ) -> Outcome:
+        """As `WriteObserver.observe_write`; ``see`` is called where the handler inside does."""
+        observer = self._observer
+        if observer is None:
+            return self.handle(context, request)
+        return self._answer(context, request, lambda inside: observer.observe_write(inside, request, see))
+
+    def _answer(
+        self, context: RequestContext, request: AnyRequest, perform: Callable[[RequestContext], Outcome]
+    ) -> Outcome:
+        way = self._wires.find(context.listener, context.peer)
+        if way is None or self._is_aside:
+            return perform(context)
+        conversation = way.conversation
+        exchange = _exchange(context, request, way)
+        if self._heard is not None:
+            self._heard(exchange)
+        struck = conversation.strike(exchange)
+        if not struck and (exchange.is_broadcast or not way.is_behind):
+            conversation.contact.last_sent = exchange.now
+            return perform(context)
+        said = conversation.asked(struck)
+        turn = _Turn(way, exchange, struck)
+        if said is None:
+            return turn.take(context, perform)
+        turn.say(said)
+        return SILENCE
+
+
+class _Turn:
+    """One request whose reply leaves by its way."""
+
+    def __init__(self, way: Way, exchange: Exchange, struck: Struck) -> None:
+        self._way = way
+        self._exchange = exchange
+        self._struck = struck
+
+    def say(self, answer: bytes) -> None:
+        """Plan what leaves in place of a PDU; none if it is empty."""
+        way = self._way
+        way.conversation.answered(self._exchange, self._struck, answer, way.clock.now())
+        way.pump_soon()
+
+    def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
+        """Let the handler inside answer, now or later, and send that by the way."""
+        inside = RequestContext(
+            unit=context.unit,
+            function=context.function,
+            diagnostics=context.diagnostics,
+            peer=context.peer,
+            listener=context.listener,
+            role=context.role,
+            transaction=context.transaction,
+            finish=lambda _, reply: self._later(context, reply),
+        )
+        inside.executed = context.executed
+        try:
+            outcome = perform(inside)
+        except Refusal as refusal:
+            outcome = ExceptionResponse(context.function, refusal.code)
+        if inside.replied:
+            return SILENCE  # said already, before the handler returned
+        if outcome is LATER:
+            context.gone = inside.abandon
+            return LATER
+        if isinstance(outcome, Message | Deferral):
+            inside._finish = None
+            self.say(outcome.encode() if isinstance(outcome, Message) else b"")
+            return SILENCE
+        return self._awaited(context, outcome)
+
+    def _later(self, context: RequestContext, reply: Message | Deferral) -> None:
+        self.say(reply.encode() if isinstance(reply, Message) else b"")
+        context.reply(SILENCE)
+
+    async def _awaited(self, context: RequestContext, awaitable: Awaitable[Message]) -> Message:
+        try:
+            reply = await awaitable
+        except Refusal as refusal:
+            reply = ExceptionResponse(context.function, refusal.code)
+        self._later(context, reply)
+        return reply  # nobody takes it: `SILENCE` was the reply
+
+
+def _exchange(context: RequestContext, request: AnyRequest, way: Way) -> Exchange:
+    pdu = request.encode()
+    is_broadcast = context.executed is not None
+    conversation = way.conversation
+    return Exchange(
+        conversation.contact,
+        context.transaction,
+        context.unit,
+        pdu,
+        request,
+        way.clock.now(),
+        adu=conversation.frame(context.transaction, context.unit, pdu),
+        is_broadcast=is_broadcast,
+    )

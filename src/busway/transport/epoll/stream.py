@@ -1,0 +1,388 @@
+"""A connected stream socket in a `Crowd`, with the face and the manners of a transport of asyncio.
+
+Knows sockets and `asyncio.BufferedProtocol`; knows no Modbus.
+
+1. What asyncio says about its transports holds here: `connection_lost` is called once, after everything else and never
+   from within a call of the protocol's own; a protocol that raises is reported to the loop's exception handler, and
+   loses its connection alone.
+2. As long as nothing waits to be sent, a write is one system call. What the system does not take is kept, and
+   `WRITABLE` is watched for until it has gone.
+3. A descriptor that nothing is wanted of is not watched at all: the system would go on to say that its peer has gone.
+4. The end of what the peer sends is told once, whatever is paused and resumed behind it.
+"""
+
+import asyncio
+import contextlib
+import socket
+import warnings
+from asyncio.trsock import TransportSocket
+from typing import Any, Final
+
+from .watcher import READABLE, WRITABLE, Crowd
+
+_USUAL_HIGH: Final = 64 * 1024
+"""Bytes that may wait to be sent until the protocol is asked to pause, where nothing else is said: as in asyncio."""
+
+
+class CrowdStream(asyncio.Transport):
+    """The transport of one connection. Made with its socket; `begin` tells the protocol.
+
+    Args:
+        crowd: where it waits.
+        connection: connected and non-blocking; from now on the transport's own.
+        protocol: whom it serves. One that receives is an `asyncio.BufferedProtocol`.
+        peer: the address of the other end.
+    """
+
+    __slots__ = (
+        "_closing",
+        "_crowd",
+        "_descriptor",
+        "_ended",
+        "_events",
+        "_finished",
+        "_high",
+        "_is_full",
+        "_is_plain",
+        "_lost",
+        "_low",
+        "_paused",
+        "_peer",
+        "_protocol",
+        "_socket",
+        "_unsent",
+    )
+
+    def __init__(self, crowd: Crowd, connection: socket.socket, protocol: asyncio.BaseProtocol, peer: object) -> None:
+        # Without the dictionary that the base class would make: `get_extra_info` asks the socket.
+        self._crowd = crowd
+        # A socket, and None behind the end. To say so would cost an assertion at every receive and every write.
+        self._socket: Any = connection
+        self._descriptor = connection.fileno()
+        self._protocol: Any = protocol  # of either kind, and buffered where it receives
+        self._peer = peer
+        self._events = 0  # what is watched for; 0: not watched
+        self._unsent: bytearray | None = None  # made when it is needed: most connections never need it
+        self._high = _USUAL_HIGH
+        self._low = _USUAL_HIGH // 4
+        self._is_plain = True  # a write can go straight to the socket
+        self._is_full = False  # the protocol was asked to pause writing
+        self._paused = False
+        self._ended = False  # the peer sends no more
+        self._finished = False  # we send no more
+        self._closing = False
+        self._lost = False  # `connection_lost` was called, or is about to be
+
+    def begin(self) -> None:
+        """Tell the protocol that the connection stands, and read.
+
+        Raises:
+            OSError: the system can not watch another descriptor; the protocol is told so by `connection_lost`, too.
+        """
+        try:
+            self._protocol.connection_made(self)
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            self._fail(error, "protocol.connection_made() call failed")
+            return
+        try:
+            self._watch()
+        except OSError as error:
+            self._force_close(error)
+            raise
+
+    # What the crowd calls.
+
+    def ready(self, events: int) -> None:
+        """The socket is ready to be read or to be written to, or has come to its end."""
+        if events != READABLE and self._events & WRITABLE:
+            self._send_rest()
+        if not self._events & READABLE or events == WRITABLE:
+            return
+        protocol = self._protocol
+        try:
+            buffer = protocol.get_buffer(-1)
+            size = self._socket.recv_into(buffer)
+        except (BlockingIOError, InterruptedError):
+            return
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            self._fail(error, "nothing could be received into protocol.get_buffer()")
+            return
+        if size:
+            try:
+                protocol.buffer_updated(size)
+            except (SystemExit, KeyboardInterrupt):
+                raise
+            except BaseException as error:
+                self._fail(error, "protocol.buffer_updated() call failed")
+        elif len(buffer):
+            self._end()
+        else:
+            self._fail(RuntimeError("get_buffer() returned an empty buffer"), "nowhere to receive into")
+
+    def _end(self) -> None:
+        """The peer sends no more: close, unless the protocol has something left to say."""
+        self._ended = True
+        try:
+            stays = self._protocol.eof_received()
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            self._fail(error, "protocol.eof_received() call failed")
+            return
+        if stays:
+            self._watch()
+        else:
+            self.close()
+
+    # Sending.
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Send bytes, behind those that wait. After the connection has ended they go nowhere.
+
+        Raises:
+            TypeError: these are no bytes.
+            RuntimeError: after `write_eof`.
+        """
+        if not self._is_plain:
+            self._write_behind(data)
+            return
+        try:
+            sent = self._socket.send(data)
+        except (BlockingIOError, InterruptedError):
+            sent = 0
+        except OSError as error:
+            self._force_close(error)
+            return
+        if sent != len(data):
+            self._keep(memoryview(data).cast("B")[sent:])
+
+    def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
+        """Where a write is more than one system call, or none."""
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
+        if self._finished:
+            raise RuntimeError("Cannot call write() after write_eof()")
+        if not self._lost:
+            self._keep(memoryview(data).cast("B"))
+
+    def _keep(self, data: memoryview) -> None:
+        if not data:
+            return
+        if self._unsent is None:
+            self._unsent = bytearray()
+        self._unsent += data
+        self._is_plain = False
+        if not self._events & WRITABLE:
+            try:
+                self._watch()
+            except OSError as error:  # it was paused, and the system can not watch another one
+                self._force_close(error)
+                return
+        self._ask_to_pause()
+
+    def _send_rest(self) -> None:
+        assert self._unsent is not None  # since it is watched for
+        try:
+            sent = self._socket.send(self._unsent)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as error:
+            self._force_close(error)
+            return
+        del self._unsent[:sent]
+        if self._is_full and len(self._unsent) <= self._low:
+            self._is_full = False
+            self._call("resume_writing")  # which may write
+        if self._unsent or self._lost:
+            return
+        self._unsent = None
+        if self._closing:
+            self._lose_soon(None)
+            return
+        if self._finished:
+            self._shut_down_sending()
+        else:
+            self._is_plain = True
+        self._watch()
+
+    def write_eof(self) -> None:
+        """Send no more, behind what waits; the other direction stays open."""
+        if self._closing or self._finished:
+            return
+        self._finished = True
+        self._is_plain = False
+        if not self._unsent:
+            self._shut_down_sending()
+
+    def can_write_eof(self) -> bool:
+        """That it can be said."""
+        return True
+
+    def _shut_down_sending(self) -> None:
+        with contextlib.suppress(OSError):  # it has ended, which will be heard of otherwise
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def get_write_buffer_size(self) -> int:
+        """Bytes that wait to be sent."""
+        return len(self._unsent) if self._unsent else 0
+
+    def get_write_buffer_limits(self) -> tuple[int, int]:
+        """Bytes: how few let the protocol go on, and how many ask it to pause."""
+        return self._low, self._high
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Bytes that may wait until the protocol is asked to pause, and that may still wait when it may go on.
+
+        Raises:
+            ValueError: not high ≥ low ≥ 0.
+        """
+        if high is None:
+            high = _USUAL_HIGH if low is None else 4 * low
+        if low is None:
+            low = high // 4
+        if not high >= low >= 0:
+            raise ValueError(f"high ({high!r}) must be >= low ({low!r}) must be >= 0")
+        self._high, self._low = high, low
+        self._ask_to_pause()
+
+    def _ask_to_pause(self) -> None:
+        if not self._is_full and self.get_write_buffer_size() > self._high:
+            self._is_full = True
+            self._call("pause_writing")
+
+    def _call(self, name: str) -> None:
+        """Call a method of the protocol that only advises; the connection goes on whatever it raises."""
+        try:
+            getattr(self._protocol, name)()
+        except (SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            self._report(error, f"protocol.{name}() failed")
+
+    # Reading and the protocol.
+
+    def is_reading(self) -> bool:
+        """Whether the protocol may be given bytes."""
+        return not (self._paused or self._closing)
+
+    def pause_reading(self) -> None:
+        """Give the protocol nothing more, for now."""
+        if not (self._closing or self._paused):
+            self._paused = True
+            self._watch()
+
+    def resume_reading(self) -> None:
+        """Give it bytes again."""
+        if not self._closing and self._paused:
+            self._paused = False
+            try:
+                self._watch()
+            except OSError as error:  # the system can not watch another one
+                self._force_close(error)
+
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Serve another protocol from now on."""
+        self._protocol = protocol
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        """Whom it serves."""
+        protocol: asyncio.BaseProtocol = self._protocol
+        return protocol
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
+        """``peername``, ``sockname`` or ``socket``."""
+        if name == "peername":
+            return self._peer
+        if self._socket is not None:
+            if name == "socket":
+                return TransportSocket(self._socket)
+            if name == "sockname":
+                with contextlib.suppress(OSError):
+                    return self._socket.getsockname()
+        return default
+
+    def _watch(self) -> None:
+        """Wait for what is wanted now. Raises `OSError` only where nothing was."""
+        wanted = 0
+        if not (self._lost or self._closing or self._paused or self._ended):
+            wanted = READABLE
+        if self._unsent and not self._lost:
+            wanted |= WRITABLE
+        watched = self._events
+        if wanted == watched:
+            return
+        if not wanted:
+            self._events = 0
+            self._crowd.forget(self._descriptor)
+        elif watched:
+            self._events = wanted
+            self._crowd.watch_for(self._descriptor, wanted)
+        else:
+            self._crowd.watch(self._descriptor, wanted, self)
+            self._events = wanted
+
+    # The end.
+
+    def is_closing(self) -> bool:
+        """Whether it is closed, or about to be."""
+        return self._closing
+
+    def close(self) -> None:
+        """Read no more, and close after what waits has gone out."""
+        if not self._closing:
+            self._closing = True
+            if self._unsent:
+                self._watch()
+            else:
+                self._lose_soon(None)
+
+    def abort(self) -> None:
+        """Close at once; what waits is dropped."""
+        self._force_close(None)
+
+    def _fail(self, error: BaseException, what: str) -> None:
+        """Close for an error; one of the network is nothing to report, the protocol is told."""
+        if not isinstance(error, OSError):
+            self._report(error, f"Fatal error: {what}")
+        self._force_close(error)
+
+    def _report(self, error: BaseException, message: str) -> None:
+        context = {"message": message, "exception": error, "transport": self, "protocol": self._protocol}
+        self._crowd.loop.call_exception_handler(context)
+
+    def _force_close(self, error: BaseException | None) -> None:
+        if not self._lost:
+            self._unsent = None
+            self._closing = True
+            self._lose_soon(error)
+
+    def _lose_soon(self, error: BaseException | None) -> None:
+        self._lost = True
+        self._is_plain = False
+        self._watch()
+        self._crowd.loop.call_soon(self._lose, error)
+
+    def _lose(self, error: BaseException | None) -> None:
+        """Tell the protocol, and close the socket: in a turn of the loop of its own (rule 3 of `Crowd`)."""
+        connection, protocol = self._socket, self._protocol
+        assert connection is not None  # once
+        try:
+            protocol.connection_lost(error)
+        finally:
+            with contextlib.suppress(OSError):  # the system says once more that it has ended; it is closed all the same
+                connection.close()
+            self._socket = None
+            self._protocol = None
+
+    def __repr__(self) -> str:
+        state = "closed" if self._socket is None else "closing" if self._closing else "open"
+        return f"<{type(self).__name__} {state} fd={self._descriptor} peer={self._peer!r}>"
+
+    def __del__(self) -> None:
+        if self._socket is not None:
+            warnings.warn(f"unclosed transport {self!r}", ResourceWarning, stacklevel=2, source=self)
+            self._socket.close()

@@ -1,0 +1,1 @@
+"""TLS on connections of our own: parameters, contexts, certificates, roles, and the failures of a handshake."""

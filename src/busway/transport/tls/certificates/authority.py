@@ -1,0 +1,258 @@
+"""A test authority, and the certificates it signs: EC keys on P-256, SHA-256.
+
+Knows how such certificates look; a real installation has its own authority.
+
+1. Certificates of servers are for servers, those of clients for clients (extended key usage).
+2. A role stands in the extension that MODBUS/TCP Security names.
+3. A private key is written so that its owner alone can read it.
+"""
+
+import datetime
+import ipaddress
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ....errors import ConfigError
+from ..roles import ROLE_EXTENSION, encode_role, require_cryptography
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+
+_BACKDATED: Final = datetime.timedelta(minutes=5)
+"""Clocks of devices that are a little behind accept a new certificate too."""
+KEY_MODE: Final = 0o600
+
+
+@dataclass(frozen=True, slots=True)
+class Issued:
+    """A certificate with its private key.
+
+    Attributes:
+        certificate, key: of ``cryptography``.
+        chain: the authorities between the certificate and the root, the nearest first.
+    """
+
+    certificate: "x509.Certificate"
+    key: "EllipticCurvePrivateKey"
+    chain: "tuple[x509.Certificate, ...]" = ()
+
+    def certificate_pem(self) -> bytes:
+        """The certificate in PEM, followed by its chain."""
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        return b"".join(one.public_bytes(Encoding.PEM) for one in (self.certificate, *self.chain))
+
+    def key_pem(self, password: bytes | None = None) -> bytes:
+        """The private key in PEM, encrypted where there is a password."""
+        from cryptography.hazmat.primitives import serialization
+
+        encryption = (
+            serialization.NoEncryption() if password is None else serialization.BestAvailableEncryption(password)
+        )
+        return self.key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
+
+    def write(self, certificate: Path, key: Path, *, password: bytes | None = None) -> None:
+        """Write both files, in place of old ones; the key first, readable by its owner alone. Raises `ConfigError`."""
+        write_private(key, self.key_pem(password))
+        try:
+            certificate.write_bytes(self.certificate_pem())
+        except OSError as error:
+            raise _unwritable(certificate, error) from error
+
+
+class Authority:
+    """What signs certificates.
+
+    Args:
+        issued: its own certificate and key.
+    """
+
+    def __init__(self, issued: Issued) -> None:
+        self.issued = issued
+
+    @classmethod
+    def create(cls, name: str = "busway test authority", *, days: float = 3650.0) -> "Authority":
+        """A new one, signed by itself; valid for ``days``. Raises `ConfigError` without ``cryptography``."""
+        require_cryptography("making certificates")
+        return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
+
+    def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
+        """An authority below this one."""
+        return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
+
+    def server(
+        self, hosts: Sequence[str], *, name: str | None = None, days: float = 825.0, starts_in: float = 0.0
+    ) -> Issued:
+        """A certificate for a server that is reached by ``hosts``, names and addresses."""
+        from cryptography import x509
+        from cryptography.x509.oid import ExtendedKeyUsageOID
+
+        if not hosts:
+            raise ConfigError("a server's certificate needs at least one host", key="host")
+        extensions: list[x509.ExtensionType] = [
+            x509.SubjectAlternativeName([_host_name(one) for one in hosts]),
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]),
+        ]
+        subject = hosts[0] if name is None else name
+        return _build(subject, self.issued, days=days, starts_in=starts_in, extensions=extensions)
+
+    def client(self, name: str, *, role: str | None = None, days: float = 825.0, starts_in: float = 0.0) -> Issued:
+        """A certificate for a client, with or without a role."""
+        return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
+
+    def client_with(
+        self,
+        name: str,
+        role_values: Sequence[bytes],
+        *,
+        days: float = 825.0,
+        starts_in: float = 0.0,
+        more: Mapping[str, bytes] | None = None,
+        states_purpose: bool = True,
+    ) -> Issued:
+        """A certificate for a client whose role extension holds these bytes (at most one value), with ``more``.
+
+        ``states_purpose``: whether it says that it is for clients (extended key usage).
+        """
+        from cryptography import x509
+        from cryptography.x509.oid import ExtendedKeyUsageOID
+
+        extensions: list[x509.ExtensionType] = []
+        if states_purpose:
+            extensions.append(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]))
+        raw = [(ROLE_EXTENSION, one) for one in role_values] + list((more or {}).items())
+        extensions += [x509.UnrecognizedExtension(x509.ObjectIdentifier(number), one) for number, one in raw]
+        return _build(name, self.issued, days=days, starts_in=starts_in, extensions=extensions)
+
+    def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
+        """A revocation list in PEM with these serial numbers, valid for ``days`` from now; negative: it has expired."""
+        from cryptography import x509
+        from cryptography.hazmat.primitives import hashes
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        now = datetime.datetime.now(datetime.UTC)
+        ends = now + datetime.timedelta(days=days)
+        begins = min(now - _BACKDATED, ends - _BACKDATED)
+        builder = (
+            x509.CertificateRevocationListBuilder()
+            .issuer_name(self.issued.certificate.subject)
+            .last_update(begins)
+            .next_update(ends)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self.issued.key.public_key()), critical=False
+            )
+        )
+        for serial in serials:
+            one = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(begins).build()
+            builder = builder.add_revoked_certificate(one)
+        return builder.sign(self.issued.key, hashes.SHA256()).public_bytes(Encoding.PEM)
+
+    @staticmethod
+    def self_signed(name: str, hosts: Sequence[str], *, days: float = 825.0) -> Issued:
+        """A certificate that is signed by itself and is no authority, for servers and clients."""
+        from cryptography import x509
+
+        require_cryptography("making certificates")
+        return _build(name, None, days=days, extensions=[x509.SubjectAlternativeName([_host_name(h) for h in hosts])])
+
+
+def _build(
+    name: str,
+    issuer: Issued | None,
+    *,
+    days: float,
+    starts_in: float = 0.0,
+    extensions: "Sequence[x509.ExtensionType]",
+) -> Issued:
+    """Sign; by itself where there is no issuer. ``days`` from now, negative for what has expired."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import NameOID
+
+    if not 1 <= len(name) <= 64:
+        raise ConfigError(f"a name in a certificate has 1…64 characters, not {len(name)}", key="name")
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    now = datetime.datetime.now(datetime.UTC)
+    not_after = now + datetime.timedelta(days=days)
+    not_before = min(now - _BACKDATED, not_after - _BACKDATED) + datetime.timedelta(days=starts_in)
+    signer = key if issuer is None else issuer.key
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject if issuer is None else issuer.certificate.subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(not_before)
+        .not_valid_after(not_after)
+    )
+    is_authority = any(isinstance(one, x509.BasicConstraints) for one in extensions)
+    if not is_authority:
+        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = builder.add_extension(_key_usage(signs=False), critical=True)
+    for one in extensions:
+        builder = builder.add_extension(one, critical=isinstance(one, x509.BasicConstraints | x509.KeyUsage))
+    builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    builder = builder.add_extension(
+        x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key()), critical=False
+    )
+    chain: tuple[x509.Certificate, ...] = ()
+    if issuer is not None and issuer.certificate.subject != issuer.certificate.issuer:
+        chain = (issuer.certificate, *issuer.chain)
+    return Issued(builder.sign(signer, hashes.SHA256()), key, chain)
+
+
+def _authority_extensions(path_length: int | None) -> "list[x509.ExtensionType]":
+    from cryptography import x509
+
+    return [x509.BasicConstraints(ca=True, path_length=path_length), _key_usage(signs=True)]
+
+
+def _key_usage(*, signs: bool) -> "x509.KeyUsage":
+    from cryptography import x509
+
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=not signs,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _host_name(host: str) -> "x509.GeneralName":
+    from cryptography import x509
+
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
+    except ValueError:
+        pass
+    try:
+        return x509.DNSName(host)
+    except ValueError:
+        raise ConfigError(f"{host!r} is no host name or address", key="host") from None
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write a file that its owner alone can read, in place of an old one. Raises `ConfigError`."""
+    try:
+        path.unlink(missing_ok=True)  # an old file would keep its mode, and whoever holds it open
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, KEY_MODE)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> ConfigError:
+    reason = error.strerror or str(error)
+    return ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=str(path))

@@ -1,0 +1,268 @@
+"""From parameters to an ``ssl`` context: files are read here, and what is wrong with one is said with its name.
+
+Knows files and OpenSSL; knows no connection.
+
+1. TLS 1.2 and 1.3 only, suites and curve of the parameters only, no compression, no renegotiation, security level 2
+   (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1).
+2. A server asks every client for a certificate. Sessions to be resumed stay in the server's memory and not in tickets,
+   because only there a fatal alert can forget them; with them stays the client's certificate.
+3. `WatchedContext` gives the context to each new connection: files that have changed are read again, and where they
+   are wrong the context before stays.
+"""
+
+import logging
+import os
+import ssl
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from ...errors import ConfigError
+from .parameters import NULL_SUITES, Curve, TlsParameters, TlsVersion, Verify
+
+_log = logging.getLogger("busway.tls")
+
+_VERSIONS: Final = {TlsVersion.TLS_1_2: ssl.TLSVersion.TLSv1_2, TlsVersion.TLS_1_3: ssl.TLSVersion.TLSv1_3}
+_BEGIN_CERTIFICATE: Final = "-----BEGIN CERTIFICATE-----"
+_ANY_CERTIFICATE: Final = "CERTIFICATE-----"
+_BEGIN_REVOCATIONS: Final = "-----BEGIN X509 CRL-----"
+_OPENSSL_NAME: Final = {Curve.P_256: "prime256v1"}
+_SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
+"""What of a directory of authorities is read."""
+_NO_CHECK_TIME: Final = 0x20_0000
+"""X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
+_LOOK_SECONDS: Final = 1.0
+"""The files of a context are looked at this often at most, however many connections come."""
+
+
+def server_context(parameters: TlsParameters) -> ssl.SSLContext:
+    """A context for listeners. Raises `ConfigError` that names the file and what is wrong with it."""
+    parameters.check_server()
+    context = _context(ssl.PROTOCOL_TLS_SERVER, parameters)
+    context.verify_mode = ssl.CERT_REQUIRED
+    context.options |= ssl.OP_NO_TICKET | ssl.OP_CIPHER_SERVER_PREFERENCE
+    return context
+
+
+def client_context(parameters: TlsParameters) -> ssl.SSLContext:
+    """A context for connections to servers. Raises `ConfigError` that names the file and what is wrong with it."""
+    parameters.check_client()
+    context = _context(ssl.PROTOCOL_TLS_CLIENT, parameters)
+    if parameters.verify is Verify.OFF_INSECURE:
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    return context
+
+
+def timeless_context(parameters: TlsParameters) -> ssl.SSLContext:
+    """As `client_context`, but certificates never expire: to find out when one did. Nothing is ever sent over it."""
+    context = client_context(parameters)
+    context.verify_flags |= ssl.VerifyFlags(_NO_CHECK_TIME)
+    return context
+
+
+def _context(protocol: int, parameters: TlsParameters) -> ssl.SSLContext:
+    context = ssl.SSLContext(protocol)
+    context.minimum_version = _VERSIONS[parameters.minimum_version]
+    context.maximum_version = _VERSIONS[parameters.maximum_version]
+    context.options |= ssl.OP_NO_COMPRESSION | ssl.OP_NO_RENEGOTIATION
+    unencrypted = [name for name in parameters.suites if name in NULL_SUITES]
+    # OpenSSL has suites without encryption at its lowest level only.
+    context.set_ciphers(":".join([*parameters.suites, f"@SECLEVEL={0 if unencrypted else 2}"]))
+    if unencrypted:
+        _log.warning("%s: what is said over such a connection can be read by everybody", ", ".join(unencrypted))
+    if parameters.curve is not Curve.ANY:
+        # Of both sides and, by OpenSSL 3, for TLS 1.3 too: it sets the list of groups to this one.
+        context.set_ecdh_curve(_OPENSSL_NAME[parameters.curve])
+    if parameters.certificate is not None:
+        _load_own(context, parameters, parameters.certificate)
+    if parameters.authority is not None:
+        _load_authority(context, parameters.authority)
+    if parameters.revocation_list is not None:
+        _load_revocations(context, parameters.revocation_list)
+    return context
+
+
+def _load_own(context: ssl.SSLContext, parameters: TlsParameters, certificate: str) -> None:
+    key = parameters.key or certificate
+    if _BEGIN_CERTIFICATE not in _text(certificate, "certificate"):
+        raise ConfigError("there is no certificate in it (a PEM file is needed)", file=certificate, key="certificate")
+    if "PRIVATE KEY-----" not in _text(key, "key"):
+        raise ConfigError("there is no private key in it (a PEM file is needed)", file=key, key="key")
+    password = _Password(parameters.password_file)
+    try:
+        context.load_cert_chain(certificate, key, password)
+    except ssl.SSLError as error:
+        if error.reason in ("KEY_VALUES_MISMATCH", "KEY_TYPE_MISMATCH"):
+            raise ConfigError(
+                f"the key does not belong to the certificate {certificate}", file=key, key="key"
+            ) from error
+        if password.was_asked:
+            where = parameters.password_file
+            raise ConfigError(
+                f"the password in {where} does not open the key", file=key, key="password_file"
+            ) from error
+        if error.reason in ("EE_KEY_TOO_SMALL", "CA_MD_TOO_WEAK", "CA_KEY_TOO_SMALL"):
+            sentence = "the certificate is too weak (a short key, or signed with MD5 or SHA-1)"
+            raise ConfigError(sentence, file=certificate, key="certificate") from error
+        reason = (error.reason or str(error)).lower().replace("_", " ")
+        raise ConfigError(
+            f"certificate and key can not be used: {reason}", file=certificate, key="certificate"
+        ) from error
+    except _NoPasswordError:
+        raise ConfigError(
+            "the key is encrypted: name the file with its password", file=key, key="password_file"
+        ) from None
+
+
+class _NoPasswordError(Exception):
+    """A key is encrypted and nobody named a password; OpenSSL would ask at the terminal."""
+
+
+class _Password:
+    """Reads the password when it is wanted."""
+
+    def __init__(self, file: str | None) -> None:
+        self._file = file
+        self.was_asked = False
+
+    def __call__(self) -> str:
+        if self._file is None:
+            raise _NoPasswordError
+        self.was_asked = True
+        return _text(self._file, "password_file").partition("\n")[0].rstrip("\r")
+
+
+def _load_authority(context: ssl.SSLContext, name: str) -> None:
+    for file in _authority_files(name):
+        text = _text(file, "authority")
+        if _BEGIN_CERTIFICATE not in text:
+            raise ConfigError("there is no certificate in it (a PEM file is needed)", file=file, key="authority")
+        try:
+            context.load_verify_locations(cadata=text)
+        except ssl.SSLError as error:
+            reason = (error.reason or str(error)).lower().replace("_", " ")
+            raise ConfigError(f"the certificates can not be read: {reason}", file=file, key="authority") from error
+
+
+def _load_revocations(context: ssl.SSLContext, name: str) -> None:
+    text = _text(name, "revocation_list")
+    if _BEGIN_REVOCATIONS not in text:
+        raise ConfigError("there is no revocation list in it (a PEM file is needed)", file=name, key="revocation_list")
+    if _ANY_CERTIFICATE in text:  # OpenSSL would take it for one of an authority that is trusted
+        raise ConfigError(
+            "there is a certificate in it; it holds revocation lists alone", file=name, key="revocation_list"
+        )
+    try:
+        context.load_verify_locations(cafile=name)
+    except (ssl.SSLError, OSError) as error:
+        reason = (getattr(error, "reason", None) or str(error)).lower().replace("_", " ")
+        raise ConfigError(
+            f"the revocation lists can not be read: {reason}", file=name, key="revocation_list"
+        ) from error
+    context.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN
+
+
+def _authority_files(name: str) -> list[str]:
+    path = Path(name)
+    if not path.is_dir():
+        return [name]
+    try:
+        files = sorted(str(one) for one in path.iterdir() if one.suffix.lower() in _SUFFIXES and one.is_file())
+    except OSError as error:
+        raise ConfigError(f"can not be read: {_system_words(error)}", file=name, key="authority") from error
+    if not files:
+        raise ConfigError(
+            f"there is no file {', '.join(f'*{one}' for one in _SUFFIXES)} in it", file=name, key="authority"
+        )
+    return files
+
+
+def _text(name: str, key: str) -> str:
+    try:
+        return Path(name).read_text(encoding="ascii", errors="replace")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"can not be read: {_system_words(error)}", file=name, key=key) from error
+
+
+def _system_words(error: OSError | ValueError) -> str:
+    words = getattr(error, "strerror", None) or str(error)
+    return f"{words[:1].lower()}{words[1:]}"
+
+
+class WatchedContext:
+    """The context of a listener or connector, made anew when its files change.
+
+    Args:
+        parameters: which files.
+        make: `server_context` or `client_context`.
+        name: of the listener or link, for the log.
+        clock: monotonic seconds.
+
+    Raises:
+        ConfigError: the files can not be used now.
+    """
+
+    def __init__(
+        self,
+        parameters: TlsParameters,
+        make: Callable[[TlsParameters], ssl.SSLContext],
+        *,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.parameters = parameters
+        self.name = name
+        self.generation = 0
+        """How often the files were read anew."""
+        self._make = make
+        self._clock = clock
+        self._looked = clock()
+        self._state = self._files()
+        self._context = make(parameters)
+
+    def current(self) -> ssl.SSLContext:
+        """The context for a connection that begins now; it never raises."""
+        now = self._clock()
+        if now - self._looked >= _LOOK_SECONDS:
+            self._looked = now
+            state = self._files()
+            if state != self._state:
+                try:
+                    self._renew(state)
+                except ConfigError as error:
+                    self._state = state  # said once; the next change is looked at again
+                    _log.error("%s: the certificates stay as they were: %s", self.name, error)
+        return self._context
+
+    def reload(self) -> None:
+        """Read the files now. Raises `ConfigError`; then the context stays as it was."""
+        self._looked = self._clock()
+        self._renew(self._files())
+
+    def _renew(self, state: tuple[tuple[str, int, int], ...]) -> None:
+        self._context = self._make(self.parameters)
+        self._state = state
+        self.generation += 1
+        _log.info("%s: certificates read anew", self.name)
+
+    def _files(self) -> tuple[tuple[str, int, int], ...]:
+        """What tells whether a file has changed: time and size of each; a file that is not there has none."""
+        chosen = self.parameters
+        own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
+        names = [one for one in own if one is not None]
+        if chosen.authority is not None:
+            try:
+                names += [chosen.authority, *_authority_files(chosen.authority)]
+            except ConfigError:
+                names.append(chosen.authority)
+        found = []
+        for name in names:
+            try:
+                facts = os.stat(name)
+            except (OSError, ValueError):
+                found.append((name, 0, 0))
+            else:
+                found.append((name, facts.st_mtime_ns, facts.st_size))
+        return tuple(found)

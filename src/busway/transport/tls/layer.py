@@ -1,0 +1,292 @@
+"""TLS between a connection of an event loop and the protocol that uses it: a protocol below, a transport above.
+
+Knows transports and a `TlsStream`; knows no Modbus, and no certificate.
+
+::
+
+    protocol (ServerConnection, link)      plain bytes
+        TlsLayer                           its transport; the loop's protocol
+    the loop's transport                   records
+
+1. What arrived is worked through in one call, and what that writes leaves in one write.
+2. The layer has no task; one timer watches the handshake, and the moments after a refusal.
+3. A handshake that fails is answered with its alert. The connection stays for a moment after that: closed at once,
+   with bytes of the peer still unread, the system would reset it, and the peer would never see why.
+4. Whoever opened the layer hears exactly one of ``established`` and ``failed``; after ``established`` the protocol
+   above hears ``connection_lost``, with the `TlsFailure` where TLS ended it.
+"""
+
+import asyncio
+import ssl
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, Final
+
+from ..buffers import receive_buffer
+from .failures import FailureKind, TlsFailure
+from .stream import TlsStream
+
+LINGER_SECONDS: Final = 1.0
+"""After a refusal, what a peer still sends is thrown away for so long, unless it closes before."""
+
+
+class TlsState(Enum):
+    """How far a layer is."""
+
+    HANDSHAKE = "handshake"
+    UP = "up"
+    REFUSED = "refused"
+    """The alert is on its way; the peer is given time to read it."""
+    CLOSED = "closed"
+
+
+class TlsLayer(asyncio.BufferedProtocol):
+    """TLS over one connection.
+
+    Args:
+        loop: the event loop.
+        context: of `server_context` or `client_context`.
+        server_side: which side this is.
+        server_name: the name that a client expects.
+        timeout: seconds for the handshake.
+        established: called with the layer when both sides have agreed; gives the protocol above, or None where it has
+            called `refuse`.
+        failed: called with the layer and the failure where nothing came of it.
+        gone: called with the layer when the connection below has ended, behind all other calls.
+
+    Attributes:
+        state: how far it is.
+        failure: why it ended, where TLS is the reason.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        context: ssl.SSLContext,
+        *,
+        server_side: bool,
+        server_name: str | None = None,
+        timeout: float,
+        established: "Callable[[TlsLayer], asyncio.BufferedProtocol | None]",
+        failed: "Callable[[TlsLayer, TlsFailure], None]",
+        gone: "Callable[[TlsLayer], None] | None" = None,
+    ) -> None:
+        self.state = TlsState.HANDSHAKE
+        self.failure: TlsFailure | None = None
+        self._loop = loop
+        self._stream = TlsStream(context, server_side=server_side, server_name=server_name)
+        self._timeout = timeout
+        self._established = established
+        self._failed = failed
+        self._gone = gone
+        self._buffer = receive_buffer(loop)
+        self._records = memoryview(self._buffer)
+        self._above: Any = None  # the protocol above; its optional methods have no common type
+        self._below: Any = None  # the loop's transport
+        self._timer: asyncio.TimerHandle | None = None
+        self._collecting = False
+        self._reading_paused = False
+        self._ended_told = False
+
+    # What the event loop calls.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The connection below stands: begin."""
+        self._below = transport
+        self._timer = self._loop.call_later(self._timeout, self._too_slow)
+        self._shake_hands()
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        """Where the event loop receives into."""
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Records, or parts of them, have come."""
+        if self.state is TlsState.HANDSHAKE:
+            self._stream.feed(self._records[:nbytes])
+            self._shake_hands()
+        elif self.state is TlsState.UP:
+            self._stream.feed(self._records[:nbytes])
+            self._deliver()
+
+    def eof_received(self) -> bool:
+        """The peer sends no more; some do not say so in TLS."""
+        if self.state is TlsState.UP:
+            return self._tell_end()
+        return False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The connection below has ended, whoever ended it."""
+        state, self.state = self.state, TlsState.CLOSED
+        self._stop_timer()
+        if state is TlsState.HANDSHAKE:
+            reason = "the peer closed the connection before both sides had agreed"
+            self._failed(self, self.failure or TlsFailure(FailureKind.GONE, reason))
+        above, self._above = self._above, None
+        if above is not None:
+            above.connection_lost(self.failure or self._stream.end_reason(exc))
+        if self._gone is not None:
+            self._gone(self)
+
+    def pause_writing(self) -> None:
+        """The peer takes no more for now."""
+        if self._above is not None:
+            self._above.pause_writing()
+
+    def resume_writing(self) -> None:
+        """It takes more again."""
+        if self._above is not None:
+            self._above.resume_writing()
+
+    # The handshake.
+
+    def _shake_hands(self) -> None:
+        try:
+            done = self._stream.handshake()
+        except TlsFailure as failure:
+            self.refuse(failure)
+            return
+        self._flush()
+        if not done:
+            return
+        self._stop_timer()
+        self._above = self._established(self)
+        if self._above is None:
+            return
+        self.state = TlsState.UP
+        self._collecting = True
+        self._above.connection_made(self)
+        self._collecting = False
+        if not self._below.is_closing():
+            self._deliver()
+
+    def refuse(self, failure: TlsFailure) -> None:
+        """End a handshake that came to nothing, or one whose outcome is not wanted; the alert goes out."""
+        if self.state is not TlsState.HANDSHAKE:
+            return
+        self.state = TlsState.REFUSED
+        self.failure = failure
+        self._stop_timer()
+        if not self._below.is_closing():
+            self._stream.finish()
+            self._flush()
+            self._timer = self._loop.call_later(LINGER_SECONDS, self.abort)
+            if self._below.can_write_eof():
+                self._below.write_eof()
+        self._failed(self, failure)
+
+    def _too_slow(self) -> None:
+        self.refuse(TlsFailure(FailureKind.TOO_SLOW, f"TLS was not agreed on within {self._timeout:g} s"))
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    # Plain bytes up.
+
+    def _deliver(self) -> None:
+        """Hand up what can be read, then send what that has written."""
+        self._collecting = True
+        try:
+            while self._above is not None and not self._reading_paused:
+                # The records have been taken out of the buffer that both share.
+                room = memoryview(self._above.get_buffer(-1))
+                size = self._stream.read_into(room)
+                if size:
+                    self._above.buffer_updated(size)
+                if self._stream.ended:
+                    self._tell_end()
+                    break
+                if not size or not self._stream.may_hold_more:
+                    break
+        except TlsFailure as failure:
+            self.failure = failure
+            self._flush()
+            self._below.abort()
+        finally:
+            self._collecting = False
+        self._flush()
+
+    def _tell_end(self) -> bool:
+        """The peer has ended; close, unless replies are still to go out."""
+        if not self._ended_told and self._above is not None:
+            self._ended_told = True
+            if not self._above.eof_received():
+                self.close()
+                return False
+        return not self.is_closing()
+
+    # What the protocol above calls: the transport.
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Send plain bytes."""
+        if self.state is not TlsState.UP or self._below.is_closing():
+            return
+        try:
+            self._stream.write(data)
+        except TlsFailure as failure:
+            self.failure = failure
+            self._below.abort()
+            return
+        if not self._collecting:
+            self._flush()
+
+    def _flush(self) -> None:
+        records = self._stream.outgoing()
+        if records and not self._below.is_closing():
+            self._below.write(records)
+
+    def close(self) -> None:
+        """Say that nothing more comes, and close after what is written has gone out."""
+        if self.state is TlsState.UP and not self._below.is_closing():
+            self._stream.finish()
+            self._flush()
+            self._below.close()
+        else:
+            self.abort()
+
+    def abort(self) -> None:
+        """Close at once."""
+        if self._below is not None:
+            self._below.abort()
+
+    def is_closing(self) -> bool:
+        """Whether it is closed, or about to be."""
+        return self.state in (TlsState.CLOSED, TlsState.REFUSED) or self._below is None or self._below.is_closing()
+
+    def pause_reading(self) -> None:
+        """Hand nothing up for now, and receive nothing."""
+        self._reading_paused = True
+        self._below.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Go on."""
+        if self._reading_paused and not self._below.is_closing():
+            self._reading_paused = False
+            if self._stream.may_hold_more:
+                # Before anything else is received: what waits here would grow with every pause.
+                self._loop.call_soon(self._deliver_left)
+            else:
+                self._below.resume_reading()
+
+    def _deliver_left(self) -> None:
+        if self.state is TlsState.UP and not self._below.is_closing():
+            self._deliver()
+            if not self._reading_paused and not self._below.is_closing():
+                self._below.resume_reading()
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Bytes that may wait to be sent before the protocol above is asked to pause."""
+        self._below.set_write_buffer_limits(high, low)
+
+    def get_write_buffer_size(self) -> int:
+        """Bytes that wait to be sent."""
+        size: int = self._below.get_write_buffer_size()
+        return size
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
+        """What the connection below knows, and ``ssl_object``."""
+        if name == "ssl_object":
+            return self._stream.ssl_object
+        return self._below.get_extra_info(name, default) if self._below is not None else default

@@ -1,0 +1,141 @@
+"""TLS over one blocking connection, with the face of a non-blocking socket.
+
+Knows a socket and a `TlsStream`; knows no Modbus.
+
+1. What one receive call takes out of the socket is decrypted whole and handed over whole: nothing that has come waits
+   inside where ``poll`` would not see it.
+2. What was encrypted can not be encrypted again: where the socket takes only a part, the rest goes out first at the
+   next `send`, and only then are the plain bytes said to be sent.
+"""
+
+import contextlib
+import socket
+import ssl
+import time
+from typing import Final
+
+from ..buffers import RECEIVE_SIZE
+from ..tcp import discard_on_close
+from .failures import FailureKind, TlsFailure
+from .stream import TlsStream
+
+_RECORDS_SIZE: Final = 32_768
+"""Taken out of the socket at once; with what is left of a record before it, 16 KiB, it fits into `RECEIVE_SIZE`."""
+assert _RECORDS_SIZE + 2 * 16_384 <= RECEIVE_SIZE
+
+
+class TlsSocket:
+    """A secure connection of a client.
+
+    Args:
+        connection: connected, blocking; from now on this object closes it.
+        context: of `client_context`.
+        server_name: the name that the server's certificate must have.
+        timeout: seconds for the handshake.
+
+    Raises:
+        TlsFailure, OSError: nothing came of it, and the connection is closed.
+    """
+
+    def __init__(
+        self, connection: socket.socket, context: ssl.SSLContext, *, server_name: str | None, timeout: float
+    ) -> None:
+        self._socket = connection
+        self._records = bytearray(_RECORDS_SIZE)
+        self._unsent = b""
+        self._encrypted = 0  # plain bytes that stand in ``_unsent``
+        try:
+            self._stream = TlsStream(context, server_side=False, server_name=server_name)
+            self._shake_hands(time.monotonic() + timeout, timeout)
+            connection.setblocking(False)
+        except BaseException:
+            connection.close()
+            raise
+
+    def _shake_hands(self, until: float, timeout: float) -> None:
+        while True:
+            try:
+                done = self._stream.handshake()
+            finally:
+                records = self._stream.outgoing()  # or the alert that says why not
+                if records:
+                    self._socket.settimeout(max(until - time.monotonic(), 0.001))
+                    with contextlib.suppress(ConnectionError):  # what the server said before it went tells more
+                        self._socket.sendall(records)
+            if done:
+                return
+            self._socket.settimeout(max(until - time.monotonic(), 0.001))
+            try:
+                size = self._socket.recv_into(self._records)
+            except TimeoutError:
+                raise TlsFailure(FailureKind.TOO_SLOW, f"TLS was not agreed on within {timeout:g} s") from None
+            if not size:
+                raise TlsFailure(FailureKind.GONE, "the server closed the connection before both sides had agreed")
+            self._stream.feed(memoryview(self._records)[:size])
+
+    @property
+    def ssl_object(self) -> ssl.SSLObject:
+        """What ``ssl`` knows of the conversation."""
+        return self._stream.ssl_object
+
+    def fileno(self) -> int:
+        """The descriptor to wait at."""
+        return self._socket.fileno()
+
+    def get_extra_info(self, name: str) -> object:
+        """``socket`` or ``ssl_object``, as transports of an event loop give them."""
+        return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
+
+    def recv_into(self, buffer: bytearray, /) -> int:
+        """Take the plain bytes that have come, into at least `RECEIVE_SIZE` bytes; 0 where the server ended.
+
+        Raises:
+            BlockingIOError: none have come.
+            TlsFailure, OSError: the connection has ended.
+        """
+        plain = 0
+        while not plain:  # what has come may be of TLS alone: tickets of a session
+            try:
+                size = self._socket.recv_into(self._records)
+            except ConnectionError as error:
+                reason = self._stream.end_reason(error)
+                if reason is None or reason is error:
+                    raise
+                raise reason from error
+            if size:
+                self._stream.feed(memoryview(self._records)[:size])
+                plain = self._stream.read_into(memoryview(buffer))
+            if not size or (self._stream.ended and not plain):
+                reason = self._stream.end_reason(None)
+                if reason is not None:
+                    raise reason
+                return 0
+        return plain
+
+    def send(self, data: bytes, /) -> int:
+        """Hand over plain bytes; how many have gone out.
+
+        Where `BlockingIOError` was raised, the next call begins with the same bytes.
+
+        Raises:
+            BlockingIOError: the socket takes no more now.
+            TlsFailure, OSError: the connection has ended.
+        """
+        if not self._unsent:
+            self._stream.write(data)
+            self._encrypted = len(data)
+            self._unsent = self._stream.outgoing()
+        while self._unsent:
+            self._unsent = self._unsent[self._socket.send(self._unsent) :]
+        return self._encrypted
+
+    def close(self) -> None:
+        """Say the end, if it can be said at once, and close; a thread that waits at it wakes up."""
+        with contextlib.suppress(OSError):
+            if self._unsent:
+                discard_on_close(self._socket)
+            else:
+                self._stream.finish()
+                self._socket.send(self._stream.outgoing())
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()

@@ -1,0 +1,120 @@
+"""One TLS conversation as bytes in and bytes out: what all three drivers share (asyncio on both sides, blocking).
+
+Knows ``ssl``; knows no socket, no event loop and no Modbus.
+
+1. Frames and records have nothing to do with each other: what arrives is one stream of bytes (M1).
+2. Whatever happens, `outgoing` is to be sent afterwards: after a failure it is the fatal alert. This is why the drivers
+   do not use the TLS of asyncio, which drops the alert, and keeps a quarter of a megabyte for each connection.
+"""
+
+import ssl
+from typing import Any
+
+from .failures import FailureKind, TlsFailure, failure_of
+
+
+class TlsStream:
+    """One side of a conversation.
+
+    Attributes:
+        ended: whether the peer said that it sends no more.
+        heard: whether any plain bytes have come.
+    """
+
+    __slots__ = ("_failure", "_incoming", "_outgoing", "_server_side", "_ssl", "ended", "heard")
+
+    def __init__(self, context: ssl.SSLContext, *, server_side: bool, server_name: str | None = None) -> None:
+        self._incoming = ssl.MemoryBIO()
+        self._outgoing = ssl.MemoryBIO()
+        self._server_side = server_side
+        self._ssl = context.wrap_bio(
+            self._incoming, self._outgoing, server_side=server_side, server_hostname=server_name
+        )
+        self._failure: TlsFailure | None = None  # found behind bytes that were good
+        self.ended = False
+        self.heard = False
+
+    @property
+    def ssl_object(self) -> ssl.SSLObject:
+        """What ``ssl`` knows of the conversation: version, suite, certificate."""
+        return self._ssl
+
+    def feed(self, data: bytes | bytearray | memoryview) -> None:
+        """Bytes have come from the peer."""
+        self._incoming.write(data)
+
+    def handshake(self) -> bool:
+        """Go on as far as possible; whether both sides have agreed. Raises `TlsFailure`."""
+        try:
+            self._ssl.do_handshake()
+        except ssl.SSLWantReadError:
+            return False
+        except ssl.SSLError as error:
+            raise failure_of(error, server_side=self._server_side) from error
+        except ValueError as error:  # OpenSSL would not even begin, with a name that is none
+            raise TlsFailure(FailureKind.OTHER, f"TLS failed: {error}") from error
+        return True
+
+    def read_into(self, room: memoryview) -> int:
+        """Plain bytes into ``room``, as many as there are and fit; their number. Raises `TlsFailure`."""
+        if self._failure is not None:
+            raise self._failure
+        size = 0
+        while size < len(room):
+            try:
+                got: Any = self._ssl.read(len(room) - size, room[size:])
+            except ssl.SSLWantReadError:
+                break
+            except ssl.SSLZeroReturnError:
+                got = 0
+            except ssl.SSLError as error:
+                self._failure = failure_of(error, server_side=self._server_side)
+                if size:
+                    break
+                raise self._failure from error
+            if not got:
+                self.ended = True
+                break
+            size += got
+            self.heard = True
+            if not self._incoming.pending and not self._ssl.pending():
+                break  # without asking, which costs an exception
+        return size
+
+    @property
+    def may_hold_more(self) -> bool:
+        """Whether plain bytes may be left that did not fit."""
+        return bool(self._ssl.pending() or self._incoming.pending or self._failure)
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Plain bytes for the peer. Raises `TlsFailure`."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._ssl.write(rest) :]
+        except ssl.SSLError as error:
+            raise failure_of(error, server_side=self._server_side) from error
+
+    def end_reason(self, error: Exception | None) -> Exception | None:
+        """What a connection that ended without a failure of TLS ended with; ``error`` is the network's.
+
+        Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
+        believes itself connected. Only that nothing was ever heard tells that from other ends.
+        """
+        if self._server_side or self.heard or not (error is None or isinstance(error, ConnectionError)):
+            return error
+        sentence = "the server closed the connection without a word: it may not accept our certificate, or its role"
+        failure = TlsFailure(FailureKind.GONE, sentence)
+        failure.__cause__ = error
+        return failure
+
+    def outgoing(self) -> bytes:
+        """What is to be sent to the peer now; empty where nothing is."""
+        return self._outgoing.read() if self._outgoing.pending else b""
+
+    def finish(self) -> None:
+        """Say that nothing more is sent (close_notify); without it the session could not be resumed."""
+        try:
+            self._ssl.unwrap()
+        except (ssl.SSLError, ValueError):
+            return  # the peer's own end is not waited for; or there was no agreement to end

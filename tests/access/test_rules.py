@@ -1,0 +1,351 @@
+"""Rules and policies: which rule decides about which items of a request, and which rules can not be."""
+
+import pytest
+
+from busway.access.networks import Networks
+from busway.access.question import Asker, Question
+from busway.access.rules import DEFAULT_RULE, Action, Limits, Policy, Rule, Zone, zones_of
+from busway.codes import Table
+from busway.errors import ConfigError
+from busway.pdu.fields import u16
+from busway.pdu.functions import STANDARD, FunctionTable
+from busway.pdu.message import ReplyMessage, Request, Touch
+from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
+from busway.pdu.write_items import (
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+
+READ = ReadHoldingRegisters(95, 10)
+WRITE = WriteSingleRegister(100, 5)
+
+
+def decide(policy, request, *, unit=1, **who):
+    if isinstance(request, bytes):
+        request = STANDARD.decode_request(request)
+    return policy.decide(Question.of(request, unit=unit, **who))
+
+
+def allows(policy, request, **who):
+    return decide(policy, request, **who).allowed
+
+
+def test_without_a_rule_nothing_is_permitted():
+    decision = decide(Policy(), READ)
+    assert (decision.allowed, decision.code, decision.rule_name) == (False, 1, "default")
+
+
+@pytest.mark.clause("S17")
+@pytest.mark.parametrize(
+    ("pdu", "allowed"),
+    [
+        (b"\x03\x00\x00\x00\x01", True),
+        (b"\x18\x00\x00", True),
+        (b"\x14\x07\x06\x00\x01\x00\x00\x00\x01", True),
+        (b"\x11", True),
+        (b"\x2b\x0e\x01\x00", True),
+        (b"\x08\x00\x00\x12\x34", True),
+        (b"\x08\x00\x0b\x00\x00", True),
+        (b"\x06\x00\x00\x00\x01", False),
+        (b"\x05\x00\x00\xff\x00", False),
+        (b"\x16\x00\x00\xff\xff\x00\x00", False),
+        (b"\x17\x00\x00\x00\x01\x00\x00\x00\x01\x02\x00\x01", False),
+        (b"\x15\x09\x06\x00\x01\x00\x00\x00\x01\x00\x05", False),
+        (b"\x08\x00\x01\x00\x00", False),
+        (b"\x08\x00\x03\x0a\x00", False),
+        (b"\x08\x00\x04\x00\x00", False),
+        (b"\x08\x00\x0a\x00\x00", False),
+        (b"\x08\x00\x14\x00\x00", False),
+        (b"\x08\x00\x15\x00\x00", False),  # unknown
+        (b"\x08\x00", False),  # cut off
+        (b"\x2b\x0d\x01", False),  # CANopen
+        (b"\x64\x01", False),  # a function that nobody knows
+        (b"\x03\x00\x00\x00\x00", True),  # malformed, of a function that reads
+        (b"\x06\x00\x00", False),
+    ],
+)
+def test_read_only_permits_what_reads_and_nothing_that_writes_or_is_not_known(pdu, allowed):
+    assert allows(Policy.read_only(), pdu) is allowed
+
+
+def test_a_users_function_is_a_write_unless_it_says_what_it_reads():
+    class Silent(Request):
+        code = 100
+        value: int = u16()
+
+        class Reply(ReplyMessage):
+            value: int = u16()
+
+    class Reader(Request):
+        code = 101
+        reads = Touch(Table.HOLDING_REGISTERS)
+        address: int = u16()
+        count: int = u16()
+
+        class Reply(ReplyMessage):
+            value: int = u16()
+
+    functions = FunctionTable(Silent, Reader)
+    assert not allows(Policy.read_only(), functions.decode_request(b"\x64\x00\x01"))
+    assert allows(Policy.read_only(), functions.decode_request(b"\x65\x00\x01\x00\x01"))
+    assert allows(Policy.of(Rule.of(functions=100)), functions.decode_request(b"\x64\x00\x01"))
+
+
+def test_a_range_that_straddles_rules_is_judged_part_by_part():
+    policy = Policy.of(Rule.of(name="gap", action="deny", table="holding", addresses="100-109"), default="allow")
+    assert decide(policy, READ).rule_name == "gap"
+    assert allows(policy, ReadHoldingRegisters(90, 10))
+    assert allows(policy, ReadHoldingRegisters(110, 10))
+    assert not allows(policy, ReadHoldingRegisters(0, 125))
+    assert allows(policy, ReadCoils(0, 1000))
+
+
+def test_parts_may_be_permitted_by_different_rules():
+    policy = Policy.of(Rule.of(addresses="holding:0-9"), Rule.of(addresses="holding:10-19", access="read"))
+    assert allows(policy, ReadHoldingRegisters(5, 10))
+    assert not allows(policy, ReadHoldingRegisters(15, 6))
+    assert not allows(policy, WriteMultipleRegisters.of(5, [0] * 10))
+
+
+def test_the_first_rule_that_fits_decides():
+    policy = Policy.of(Rule.of(action="deny", units=2), Rule.of(units="1-3"), Rule.of(action="deny"), default="allow")
+    assert [allows(policy, READ, unit=unit) for unit in (1, 2, 3, 4)] == [True, False, True, False]
+
+
+def test_both_halves_of_function_23_have_to_be_permitted():
+    policy = Policy.of(
+        Rule.of(addresses="holding:0-9", access="write"), Rule.of(addresses="holding:20-29", access="read")
+    )
+    assert allows(policy, ReadWriteMultipleRegisters.of(20, 5, 0, [1]))
+    assert not allows(policy, ReadWriteMultipleRegisters.of(0, 5, 0, [1]))
+    assert not allows(policy, ReadWriteMultipleRegisters.of(20, 5, 20, [1]))
+
+
+@pytest.mark.clause("M6")
+def test_peers_roles_and_listeners():
+    policy = Policy.of(
+        Rule.of(name="role", roles=["operator"]),
+        Rule.of(name="peer", peers=["10.0.0.0/8"], access="read"),
+        Rule.of(name="way", listeners=["tls://", "tcp://127.0.0.1:5020"], functions="read"),
+    )
+    assert decide(policy, WRITE, role="operator").rule_name == "role"
+    assert not allows(policy, WRITE, role="Operator")
+    assert decide(policy, READ, peer="10.1.2.3:77").rule_name == "peer"
+    assert not allows(policy, WRITE, peer="10.1.2.3:77")
+    assert decide(policy, READ, listener="tls://0.0.0.0:802").rule_name == "way"
+    assert decide(policy, READ, listener="tcp://127.0.0.1:5020").rule_name == "way"
+    assert not allows(policy, READ, listener="tcp://127.0.0.1:502")
+
+
+def test_a_rule_of_items_does_not_fit_what_touches_none():
+    policy = Policy.of(Rule.of(action="deny", table="holding"), default="allow")
+    assert allows(policy, b"\x11")
+    assert not allows(policy, b"\x18\x00\x00")
+    assert allows(policy, b"\x14\x07\x06\x00\x01\x00\x00\x00\x01")
+
+
+def test_files_by_number():
+    policy = Policy.of(Rule.of(files="1-3", access="read"), Rule.of(files=3))
+    assert allows(policy, b"\x14\x07\x06\x00\x01\x00\x00\x00\x01")
+    assert not allows(policy, b"\x14\x07\x06\x00\x04\x00\x00\x00\x01")
+    assert not allows(policy, b"\x14\x0e\x06\x00\x01\x00\x00\x00\x01\x06\x00\x04\x00\x00\x00\x01")
+    assert allows(policy, b"\x15\x09\x06\x00\x03\x00\x00\x00\x01\x00\x05")
+    assert not allows(policy, b"\x15\x09\x06\x00\x01\x00\x00\x00\x01\x00\x05")
+
+
+def test_sub_functions():
+    policy = Policy.of(Rule.of(functions=["8/1", "43/14"]))
+    assert allows(policy, b"\x08\x00\x01\x00\x00")
+    assert not allows(policy, b"\x08\x00\x0a\x00\x00")
+    assert allows(policy, b"\x2b\x0e\x01\x00")
+    assert not allows(policy, b"\x2b\x0d\x01")
+
+
+def test_items_beyond_the_table_are_in_no_range_so_that_no_window_reaches_around_its_end():
+    policy = Policy.of(Rule.of(addresses="holding:65000-65535"))
+    assert allows(policy, b"\x03\xff\xff\x00\x01")
+    assert not allows(policy, b"\x03\xff\xff\x00\x02")
+    assert allows(Policy.of(Rule.of(table="holding")), b"\x03\xff\xff\x00\x02")
+
+
+def test_a_malformed_request_is_permitted_only_where_its_whole_table_is():
+    malformed = b"\x03\x00\x05\x00\x00"
+    assert not allows(Policy.of(Rule.of(addresses="holding:0-9")), malformed)
+    assert allows(Policy.of(Rule.of(table="holding")), malformed)
+
+
+@pytest.mark.parametrize(
+    ("request_", "allowed"),
+    [
+        (WriteSingleRegister(5, 20), True),
+        (WriteSingleRegister(5, 21), False),
+        (WriteSingleRegister(5, 9), False),
+        (WriteSingleRegister(10, 21), True),
+        (WriteMultipleRegisters.of(8, [20, 20, 99]), True),
+        (WriteMultipleRegisters.of(8, [20, 21, 99]), False),
+        (ReadWriteMultipleRegisters.of(0, 5, 9, [10, 500]), True),
+        (ReadWriteMultipleRegisters.of(0, 5, 9, [500, 10]), False),
+        (MaskWriteRegister(5, 0, 15), True),
+        (MaskWriteRegister(5, 0xFFFF, 0), False),
+        (MaskWriteRegister(5, 0x0003, 0x0010), True),
+        (ReadHoldingRegisters(0, 20), True),
+        (WriteSingleCoil(5, 0xFF00), True),
+        (STANDARD.decode_request(b"\x06\x00\x05"), False),
+    ],
+)
+def test_what_may_be_written_to_each_register(request_, allowed):
+    policy = Policy.of(Rule.of(name="limits", addresses="holding:0-9", values=(10, 20)), default="allow")
+    assert allows(policy, request_) is allowed
+
+
+@pytest.mark.parametrize(
+    ("masks", "allowed"),
+    [
+        ((0, 0xFFFB), True),
+        ((0, 0xFFFA), False),
+        ((0x8000, 3), False),
+        ((0, 5), True),
+        ((0, 6), False),
+        ((3, 0xFFFC), True),
+    ],
+)
+def test_masks_under_limits_with_a_sign(masks, allowed):
+    policy = Policy.of(Rule.of(values=(-5, 5), signed=True))
+    assert allows(policy, MaskWriteRegister(5, *masks)) is allowed
+
+
+@pytest.mark.parametrize("limits", [Limits(10, 20), Limits(-3, 3, True), Limits(0, 0xFFFF), Limits(0x7F00, 0x8100)])
+def test_masks_that_are_permitted_can_give_nothing_outside(limits):
+    for and_mask in (0, 1, 0x8000, 0x8001, 0xFF, 0xFFFF):
+        for or_mask in (0, 1, 10, 0x12, 0x7FFF, 0x8000, 0xFFFF):
+            free = [bit for bit in range(16) if and_mask >> bit & 1]
+            outcomes = set()
+            for pattern in range(1 << min(len(free), 8)):
+                current = sum(1 << free[-1 - at] for at in range(min(len(free), 8)) if pattern >> at & 1)
+                outcomes.add(current & and_mask | or_mask & ~and_mask & 0xFFFF)
+            if limits.permit_masks(and_mask, or_mask):
+                assert all(limits.permit(one) for one in outcomes)
+
+
+def test_a_mask_write_asks_again_when_the_register_is_known():
+    policy = Policy.of(Rule.of(values=(0, 20)))
+    question = Question.of(MaskWriteRegister(5, 0x00FF, 0), unit=1)
+    assert policy.decide(question).needs_current
+    assert policy.decide(question.with_current(20)).allowed
+    assert not policy.decide(question.with_current(21)).allowed
+
+
+def test_the_code_of_a_refusal():
+    policy = Policy.of(Rule.of(action="deny", addresses="4x1", code=2), Rule.of(action="deny"))
+    assert decide(policy, ReadHoldingRegisters(0, 1)).code == 2
+    assert decide(policy, ReadHoldingRegisters(1, 1)).code == 1
+
+
+def test_the_rates_that_a_request_passes_are_told():
+    policy = Policy.of(Rule.of(name="slow", addresses="4x1-4x10", rate=2), default="allow")
+    assert [rule.name for rule in decide(policy, ReadHoldingRegisters(5, 10)).rates] == ["slow"]
+    assert decide(policy, ReadHoldingRegisters(10, 10)).rates == ()
+
+
+def test_whoever_has_the_same_rules_has_the_same_rights():
+    policy = Policy.of(Rule.of(name="a", peers=["10.0.0.0/8"]), Rule.of(name="b", roles=["op"]), Rule.of(name="c"))
+    assert policy.for_asker(Asker("10.0.0.1")) == policy.for_asker(Asker("10.9.9.9"))
+    assert [rule.name for rule in policy.for_asker(Asker("11.0.0.1", "op")).rules] == ["b", "c"]
+
+
+def test_rules_without_a_name_are_called_by_their_number():
+    policy = Policy.of(Rule.of(), Rule.of(name="mine"), Rule.of())
+    assert [rule.name for rule in policy.rules] == ["rule 1", "mine", "rule 3"]
+
+
+@pytest.mark.parametrize("names", [("a", "a"), ("default",), ("", "rule 1")])
+def test_a_name_is_given_once(names):
+    with pytest.raises(ConfigError, match="is taken"):
+        Policy.of(*(Rule.of(name=name) for name in names))
+
+
+@pytest.mark.parametrize(
+    ("fields", "key"),
+    [
+        ({"action": "maybe"}, "action"),
+        ({"access": "both"}, "access"),
+        ({"peers": ["10.0.0.1/8"]}, "peers"),
+        ({"peers": []}, "peers"),
+        ({"peers": Networks()}, "peers"),
+        ({"roles": []}, "roles"),
+        ({"roles": "operator"}, "roles"),
+        ({"roles": [""]}, "roles"),
+        ({"listeners": ["nonsense"]}, "listeners"),
+        ({"listeners": ["ftp://"]}, "listeners"),
+        ({"units": 256}, "units"),
+        ({"units": []}, "units"),
+        ({"functions": "raed"}, "functions"),
+        ({"functions": []}, "functions"),
+        ({"table": "holdings_"}, "table"),
+        ({"table": []}, "table"),
+        ({"table": ["holding", "coil"], "addresses": "1-5"}, "addresses"),
+        ({"addresses": "1-5"}, "addresses"),
+        ({"addresses": []}, "addresses"),
+        ({"files": "x"}, "files"),
+        ({"values": (5, 1)}, "values"),
+        ({"values": (-1, 1)}, "values"),
+        ({"values": (0, 40000), "signed": True}, "values"),
+        ({"values": (0, 1), "action": "deny"}, "values"),
+        ({"values": (0, 1), "access": "read"}, "values"),
+        ({"values": (0, 1), "table": "coil"}, "values"),
+        ({"rate": 0}, "rate"),
+        ({"rate": True}, "rate"),
+        ({"rate": 1, "action": "deny"}, "rate"),
+        ({"code": 3}, "code"),
+        ({"code": 2}, "code"),
+        ({"code": 2, "table": "holding", "roles": ["a"]}, "code"),
+    ],
+)
+def test_a_rule_that_can_not_be_names_what_is_wrong(fields, key):
+    with pytest.raises(ConfigError) as caught:
+        Rule.of(**fields)
+    assert caught.value.key == key
+
+
+def test_defaults_by_word():
+    assert Policy.of(default="read-only") == Policy.read_only()
+    assert Policy.allow_all().default is Action.ALLOW
+    with pytest.raises(ConfigError):
+        Policy.of(default="perhaps")
+
+
+@pytest.mark.parametrize("limits", [Limits(10, 20), Limits(-3, 3, True), Limits(0, 0xFFFF), Limits(-0x8000, -1, True)])
+@pytest.mark.parametrize("registers", [(0,), (10, 20), (10, 21), (9,), (0xFFFD, 3, 0), (0xFFFC,), (0x8000, 0x7FFF)])
+def test_registers_on_the_wire_are_judged_as_one_by_one(limits, registers):
+    wire = WriteMultipleRegisters.of(0, registers).data
+    assert limits.permit_all(wire) == all(limits.permit(register) for register in registers)
+
+
+def test_the_zones_of_writes_say_which_rule_decides_where():
+    small = Limits(0, 9)
+    policy = Policy.of(
+        Rule.of(name="low", addresses="holding:10-19", values=small),
+        Rule.of(name="shut", action="deny", addresses="holding:15-24"),
+        Rule.of(name="slow", addresses="holding:25-26", rate=1),
+        Rule.of(name="rest", addresses="holding:0-29"),
+        default="read-only",
+    )
+    assert zones_of(policy, 1, 6, Table.HOLDING_REGISTERS) == (
+        Zone(0, 10, "rest", None),
+        Zone(10, 20, "low", small),
+        Zone(27, 30, "rest", None),
+    )
+    assert zones_of(policy, 1, 5, Table.COILS) == ()
+    assert zones_of(Policy.read_only(), 1, 6, Table.HOLDING_REGISTERS) == ()
+    (everywhere,) = zones_of(Policy.allow_all(), 1, 5, Table.COILS)
+    assert (everywhere.first, everywhere.rule, everywhere.limits) == (0, DEFAULT_RULE, None)
+
+
+def test_the_zones_of_a_unit_are_those_of_the_unit_that_its_device_is_listed_as_too():
+    policy = Policy.of(Rule.of(name="shut", action="deny", units=3), default="allow")
+    assert zones_of(policy, 255, 6, Table.HOLDING_REGISTERS, listed=3) == ()
+    assert len(zones_of(policy, 255, 6, Table.HOLDING_REGISTERS)) == 1
+    assert zones_of(Policy.of(Rule.of(values=(1, 2))), 1, 5, Table.COILS)[0].limits is None
