@@ -26,8 +26,8 @@ from offline.wire import NUMBERS, Device, MemoryLoop, Wire
 
 import busway
 from busway.server.local import LocalHandler
+from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.demand import Demand
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.parameters import ClientParameters
@@ -132,10 +132,10 @@ def client_steps() -> dict[str, Step]:
         made.connected(0.0)
         return made
 
-    def exchanged(with_session: TcpClientSession, demands: list[Demand]) -> None:
-        for one in demands:
+    def exchanged(with_session: TcpClientSession, calls: list[Call]) -> None:
+        for one in calls:
             with_session.submit(one, 0.0)
-        while not all(one.ended for one in demands):
+        while not all(one.ended for one in calls):
             sent = b"".join(with_session.transmit(0.0))
             came = answered(sent)
             with_session.receive(came, len(came), 0.0)
@@ -144,12 +144,12 @@ def client_steps() -> dict[str, Step]:
     many, single = session(), session()
 
     def together() -> None:
-        exchanged(many, [Demand(1, requests, is_write=False, timeout=1.0, retries=0)])
+        exchanged(many, [Call(1, requests, is_write=False, timeout=1.0, retries=0)])
 
     def one_by_one() -> None:
         for at in range(0, TRANSACTIONS, IN_FLIGHT):
             some = requests[at : at + IN_FLIGHT]
-            exchanged(single, [Demand(1, [one], is_write=False, timeout=1.0, retries=0) for one in some])
+            exchanged(single, [Call(1, [one], is_write=False, timeout=1.0, retries=0) for one in some])
 
     return {"answers": answers, "client session": together, "client session, one by one": one_by_one}
 

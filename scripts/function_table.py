@@ -30,7 +30,7 @@ METHODS = {
     FunctionCode.ENCAPSULATED_INTERFACE: "execute",
     (FunctionCode.ENCAPSULATED_INTERFACE, MeiType.READ_DEVICE_IDENTIFICATION): "read_device_identification",
 }
-"""The method of `busway.Unit` that sends the function; ``execute`` sends any."""
+"""The method of `busway.BlockingUnit` that sends the function; ``execute`` sends any."""
 
 
 def render() -> str:
@@ -46,7 +46,7 @@ def render() -> str:
             sub_code = one.sub_code
             shown = f"{code:02}" if sub_code is None else f"{code:02}/{sub_code}"
             method = METHODS.get((code, sub_code), METHODS[code])
-            if not hasattr(busway.Unit, method):
+            if not hasattr(busway.BlockingUnit, method):
                 raise SystemExit(f"{one.__name__}: a unit has no method {method}")
             lines.append(f"| {shown} | {title(one)} | `{method}` |")
     return "\n".join(lines)

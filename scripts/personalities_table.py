@@ -6,7 +6,7 @@ Knows the personalities and the page; no word in the table is written by hand.
 from marked import ROOT, replaced, update
 
 from busway.faults.profiles.elsewhere import ELSEWHERE
-from busway.testing import PERSONALITIES, Carrier, Parameter, Personality
+from busway.testing import FAULT_PROFILES, Carrier, FaultProfile, Parameter
 
 PAGE = ROOT / "docs" / "simulator.md"
 
@@ -24,7 +24,7 @@ def render() -> str:
         "| personality | what happens | parameters | met on | seen in | a client that is up to it |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for one in PERSONALITIES.values():
+    for one in FAULT_PROFILES.values():
         cells = (f"`{one.name}`", one.happens, parameters(one), MET_ON[one.carriers], seen(one.seen_in), one.answer)
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", "These are not faults of a server:", ""]
@@ -38,7 +38,7 @@ def render() -> str:
     return "\n".join(lines)
 
 
-def parameters(personality: Personality) -> str:
+def parameters(personality: FaultProfile) -> str:
     """The parameters of a personality in one cell."""
     return "<br>".join(parameter(one) for one in personality.parameters.values())
 

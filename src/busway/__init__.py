@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .apps.server.configuration import Configuration, load_configuration
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
-    from .client.blocking import Link, Unit, connect
+    from .client.blocking import BlockingLink, BlockingUnit, connect
     from .client.option_types import LinkOptions
     from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
@@ -111,7 +111,7 @@ _HOME = {
     "apps.server.configuration": ("Configuration", "load_configuration"),
     "apps.gateway.assembly": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
-    "client.blocking": ("Link", "Unit", "connect"),
+    "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),
     "client.option_types": ("LinkOptions",),
     "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
@@ -225,6 +225,8 @@ __all__ = [
     "AsyncUnit",
     "AuditLog",
     "BadReply",
+    "BlockingLink",
+    "BlockingUnit",
     "CanopenGeneralReference",
     "Cells",
     "Change",
@@ -243,7 +245,6 @@ __all__ = [
     "GetCommEventCounter",
     "GetCommEventLog",
     "InvalidRequest",
-    "Link",
     "LinkClosed",
     "LinkDown",
     "LinkOptions",
@@ -284,7 +285,6 @@ __all__ = [
     "TlsParameters",
     "Touch",
     "TraceLevel",
-    "Unit",
     "UnitSuspended",
     "ValueType",
     "WriteFileRecord",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import busway
-from busway.testing import PERSONALITIES
+from busway.testing import FAULT_PROFILES
 
 PROGRAM = [sys.executable, "-m", "busway", "simulate"]
 
@@ -105,4 +105,4 @@ def test_fault_of_a_file_that_can_not_be_is_said_with_its_line(file: Path) -> No
 def test_list_needs_no_file() -> None:
     done = _run("--list-faults")
     assert done.returncode == 0
-    assert [line.split()[0] for line in done.stdout.splitlines() if not line.startswith(" ")] == list(PERSONALITIES)
+    assert [line.split()[0] for line in done.stdout.splitlines() if not line.startswith(" ")] == list(FAULT_PROFILES)

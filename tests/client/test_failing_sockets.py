@@ -106,7 +106,7 @@ class Run:
             assert isinstance(outcome, busway.LinkDown | busway.NoReply | asyncio.CancelledError), repr(outcome)
 
 
-def one_after_the_other(run: Run, link: busway.Link) -> None:
+def one_after_the_other(run: Run, link: busway.BlockingLink) -> None:
     """Calls of a thread."""
     unit = link.unit(1)
     for kinds in ("w", "r", "rwrwrr", "w", "rrrr", "r"):
@@ -373,7 +373,7 @@ def test_a_server_that_resets_at_random_executes_no_write_after_its_call_has_end
     ended: dict[int, float] = {}
     odd: list[Exception] = []
 
-    def write(link: busway.Link) -> None:
+    def write(link: busway.BlockingLink) -> None:
         unit = link.unit(1)
         for _ in range(100):
             value = next(values)

@@ -222,7 +222,7 @@ def test_arguments_out_of_range_cost_an_error_and_send_nothing(skin: Skin) -> No
             lambda: unit.read_holding_registers(0, count=1, timeout=-1),
             lambda: unit.read_holding_registers(0, count=1, retries=-1),
             lambda: unit.read_holding_registers(0, count=1, deadline=-1),
-            lambda: unit.read_holding_registers(0, count=1, patience=3),
+            lambda: unit.read_holding_registers(0, count=1, adaptive_timeout=3),
             lambda: unit.write_single_register(0, 65_536),
             lambda: unit.write_multiple_registers(0, []),
             lambda: unit.write_multiple_coils(0, [True] * 1969),

@@ -7,7 +7,7 @@ import pytest
 
 import busway
 
-PAIRS = ((busway.AsyncUnit, busway.Unit), (busway.AsyncLink, busway.Link))
+PAIRS = ((busway.AsyncUnit, busway.BlockingUnit), (busway.AsyncLink, busway.BlockingLink))
 COUNTERPART = {
     "__aenter__": "__enter__",
     "__aexit__": "__exit__",

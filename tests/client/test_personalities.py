@@ -10,7 +10,7 @@ import pytest
 from skins import SKINS, AnyUnit, Skin
 
 import busway
-from busway.testing import PERSONALITIES, Carrier, FakeClock, Schedule, faulty_server
+from busway.testing import FAULT_PROFILES, Carrier, FakeClock, Schedule, faulty_server
 
 TIMEOUT = 0.06
 """Seconds that a test waits for a reply that does not come."""
@@ -668,5 +668,5 @@ def test_several_faults_with_chance_never_bring_wrong_data(skin: Skin) -> None:
 
 def test_every_personality_of_a_server_on_tcp_is_tested_here() -> None:
     source = Path(__file__).read_text(encoding="utf-8")
-    on_tcp = [name for name, one in PERSONALITIES.items() if one.carriers != {Carrier.SERIAL}]
+    on_tcp = [name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}]
     assert [name for name in on_tcp if f'"{name}"' not in source] == []

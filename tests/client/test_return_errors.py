@@ -75,4 +75,4 @@ def test_a_call_that_is_wrong_is_raised(skin: Skin) -> None:
         with pytest.raises(busway.InvalidRequest):  # a read that is a broadcast
             unit.execute_many(REQUESTS, return_errors=True)
         with pytest.raises(busway.InvalidRequest, match="unknown option"):
-            unit.execute_many(REQUESTS, return_errors=True, patience=3)
+            unit.execute_many(REQUESTS, return_errors=True, adaptive_timeout=3)

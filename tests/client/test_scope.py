@@ -101,7 +101,7 @@ def test_blocking_links_of_a_process_have_one_limit_together() -> None:
     ):
         found: list[list[int]] = []
 
-        def ask(link: busway.Link, base: int) -> None:
+        def ask(link: busway.BlockingLink, base: int) -> None:
             for address in range(base, base + 10):
                 found.append(link.unit(1).read_holding_registers(address, count=1))
 

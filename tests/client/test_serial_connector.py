@@ -11,7 +11,7 @@ from busway.framing.conversation import Role
 from busway.framing.rtu import encode_rtu
 from busway.framing.timing import SerialTiming
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.line_framing import line_framing
 from busway.session.parameters import ClientParameters
 from busway.session.serial_client import SerialClientSession
@@ -54,7 +54,7 @@ class End:
         raise AssertionError(exc)
 
 
-def asking(now: float = 0.0) -> tuple[SerialClientSession, Demand]:
+def asking(now: float = 0.0) -> tuple[SerialClientSession, Call]:
     """A session whose request is on the line."""
     session = SerialClientSession(
         ClientParameters(retries=0),
@@ -63,11 +63,11 @@ def asking(now: float = 0.0) -> tuple[SerialClientSession, Demand]:
         endpoint="rtu:///dev/x",
     )
     session.connected(now)
-    demand = Demand(1, (ReadHoldingRegisters(0, 1),), is_write=False, timeout=1.0, retries=0)
-    session.submit(demand, now)
+    call = Call(1, (ReadHoldingRegisters(0, 1),), is_write=False, timeout=1.0, retries=0)
+    session.submit(call, now)
     (_,) = session.transmit(now + 1.0)
     session.written(now + 1.0)
-    return session, demand
+    return session, call
 
 
 @pytest.mark.clause("S14")
@@ -89,7 +89,7 @@ def test_a_stream_tells_of_lost_characters_and_of_marked_ones() -> None:
 @pytest.mark.clause("S14")
 @pytest.mark.clause("S16")
 def test_a_reply_with_lost_characters_is_damaged_and_counted() -> None:
-    session, demand = asking()
+    session, call = asking()
     port = Port()
     channel = SerialChannel(cast(BlockingSerialPort, port), session)
     port.arrived.append((REPLY, 0))
@@ -97,7 +97,7 @@ def test_a_reply_with_lost_characters_is_damaged_and_counted() -> None:
     with pytest.raises(BlockingIOError):
         channel.recv_into(bytearray(100))
     session.tick(10.0**9)
-    assert isinstance(demand.outcomes[0], NoReply | BadReply)
+    assert isinstance(call.outcomes[0], NoReply | BadReply)
     assert (session.counters.overruns, session.counters.replies) == (1, 0)
     assert session.counters.damaged_frames >= 1
 

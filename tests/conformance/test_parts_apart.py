@@ -23,8 +23,8 @@ from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.server.pools import Pool, PoolLimits, Pools
+from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.demand import Demand
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.parameters import ClientParameters
@@ -40,12 +40,12 @@ ANSWER = bytes.fromhex("0001 0000 0007 01 03 04 0007 0008")
 def test_the_client_alone_makes_bytes_of_demands_and_confirmations_of_bytes() -> None:
     client = TcpClientSession(ClientParameters())
     client.connected(0.0)
-    demand = Demand(1, [ReadHoldingRegisters(0, 2)], is_write=False, timeout=1.0, retries=0)
-    client.submit(demand, 0.0)
+    call = Call(1, [ReadHoldingRegisters(0, 2)], is_write=False, timeout=1.0, retries=0)
+    client.submit(call, 0.0)
     (sent,) = client.transmit(0.0)
     assert sent[2:] == QUESTION[2:]
     client.receive(sent[:2] + ANSWER[2:], len(ANSWER), 0.5)
-    assert demand.outcomes == [ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008"))]
+    assert call.outcomes == [ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008"))]
 
 
 def test_the_server_alone_makes_answers_of_indications() -> None:
@@ -84,7 +84,7 @@ async def test_the_client_interface_alone_talks_to_a_server_that_is_not_ours() -
 
 
 @dataclass(eq=False)
-class Guest:
+class UdpPeer:
     """A connection as connection management sees one, without a socket."""
 
     host: str
@@ -97,8 +97,8 @@ class Guest:
 
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:
-    places: Pools[Guest] = Pools(PoolLimits(priority=1, other=1, priority_per_device=1))
-    marked, old, new = Guest("10.0.0.1", marked=True), Guest("10.0.0.2"), Guest("10.0.0.3", last_used=1.0)
+    places: Pools[UdpPeer] = Pools(PoolLimits(priority=1, other=1, priority_per_device=1))
+    marked, old, new = UdpPeer("10.0.0.1", marked=True), UdpPeer("10.0.0.2"), UdpPeer("10.0.0.3", last_used=1.0)
     assert places.admit(marked).accepted
     assert places.admit(old).evicted is None
     assert places.admit(new).evicted is old

@@ -48,10 +48,10 @@ def test_every_part_of_the_package_is_named() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "Link._on_timer",
-        "Link.lost",
+        "AsyncLinkDriver._on_timer",
+        "AsyncLinkDriver.lost",
         "TcpClientSession.tick",
-        "Ledger.failed",
+        "CallTracker.failed",
         "TcpClientSession.disconnected",
         "TcpServerSession._finish",
         "ServerConnection.pause_writing",

@@ -9,7 +9,7 @@ from busway.apps.simulator.fault_sections import fault_problems
 from busway.config.files.faults import FaultSection
 from busway.config.files.schema import Section, read_source
 from busway.faults.profiles.elsewhere import ELSEWHERE
-from busway.testing import CLIENT_PERSONALITIES, PERSONALITIES
+from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "simulator.md"
@@ -67,8 +67,8 @@ def test_the_table_of_personalities_is_that_of_the_code() -> None:
 
 
 def test_every_known_personality_can_be_played_or_says_who_plays_it() -> None:
-    assert sorted(OF_THE_FIELD) == sorted([*PERSONALITIES, *ELSEWHERE])
-    assert set(CLIENT_PERSONALITIES) <= set(ELSEWHERE)
+    assert sorted(OF_THE_FIELD) == sorted([*FAULT_PROFILES, *ELSEWHERE])
+    assert set(CLIENT_FAULT_PROFILES) <= set(ELSEWHERE)
     text = PAGE.read_text(encoding="utf-8")
     assert [name for name in OF_THE_FIELD if f"| `{name}` |" not in text] == []
     for one in ELSEWHERE.values():

@@ -8,7 +8,7 @@ from busway import ConfigError
 from busway.apps.simulator.fault_sections import personality_lines, put_on, put_on_by_words
 from busway.config.files.faults import FaultSection
 from busway.faults.board import FaultBoard
-from busway.testing import PERSONALITIES, Schedule
+from busway.testing import FAULT_PROFILES, Schedule
 
 
 def test_fault_has_a_name_a_switch_and_a_count() -> None:
@@ -23,7 +23,7 @@ def test_fault_has_a_name_a_switch_and_a_count() -> None:
     ]
     assert board.status("late").parameters == {"delay": 2}
     assert board.status("late-2").parameters == {"delay": 1.5}
-    assert board.status("monday").happens == PERSONALITIES["busy"].happens
+    assert board.status("monday").happens == FAULT_PROFILES["busy"].happens
     assert board.status("late-2").selection.units == {3}
 
 
@@ -122,7 +122,7 @@ def test_words_switch_a_fault_of_that_name_on_or_put_a_personality_on() -> None:
 
 def test_list_shows_every_personality_with_its_parameters() -> None:
     text = "\n".join(personality_lines())
-    for name, personality in PERSONALITIES.items():
+    for name, personality in FAULT_PROFILES.items():
         assert f"\n{name} " in f"\n{text}"
         assert personality.happens in text
         for option in personality.options:

@@ -255,7 +255,7 @@ async def test_running_server_can_not_be_attached_to() -> None:
         with pytest.raises(busway.ConfigError, match="a running server"):
             FaultBoard().attach(server)
         with pytest.raises(busway.ConfigError, match="a running server"):
-            server.use_wires(FaultBoard().wires)
+            server.use_tap(FaultBoard().wires)
 
 
 async def test_ways_are_forgotten_with_their_connections() -> None:

@@ -12,7 +12,7 @@ from busway.pdu.message import Message
 from busway.server.local import LocalHandler, UnitPolicy
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import RequestContext
-from busway.testing import PERSONALITIES, Carrier, Contact, Exchange, Faults, FaultyConversation, golden_adu
+from busway.testing import FAULT_PROFILES, Carrier, Contact, Exchange, Faults, FaultyConversation, golden_adu
 
 READ = "03 0005 0002"
 REPLY = bytes.fromhex("03 04 0005 0006")
@@ -33,7 +33,7 @@ class Said:
     ) -> None:
         self.faults = Faults()
         if name:
-            self.faults.add(PERSONALITIES[name](**options))
+            self.faults.add(FAULT_PROFILES[name](**options))
         self.device = device or busway.Device(holding_registers=list(range(1000)), coils=100)
         self._handler = LocalHandler({1: self.device}, unit_policy=UnitPolicy.ANY)
         self.heard: list[int] = []

@@ -3,7 +3,7 @@
 import pytest
 
 from busway import ConfigError
-from busway.testing import CLIENT_PERSONALITIES, PERSONALITIES, Carrier, Fault, Personality, PersonalityTable
+from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES, Carrier, Fault, FaultProfile, FaultyTable
 
 OF_THE_FIELD = (
     "late",
@@ -43,12 +43,12 @@ OF_THE_FIELD = (
 
 
 def test_every_personality_of_a_server_is_there_under_its_name() -> None:
-    assert tuple(PERSONALITIES) == OF_THE_FIELD
-    assert tuple(CLIENT_PERSONALITIES) == ("slow-loris",)
+    assert tuple(FAULT_PROFILES) == OF_THE_FIELD
+    assert tuple(CLIENT_FAULT_PROFILES) == ("slow-loris",)
 
 
-@pytest.mark.parametrize("one", PERSONALITIES.values(), ids=list(PERSONALITIES))
-def test_personality_says_what_happens_where_it_was_seen_and_what_a_client_does(one: Personality) -> None:
+@pytest.mark.parametrize("one", FAULT_PROFILES.values(), ids=list(FAULT_PROFILES))
+def test_personality_says_what_happens_where_it_was_seen_and_what_a_client_does(one: FaultProfile) -> None:
     assert one.happens
     assert one.answer
     assert one.seen_in
@@ -60,31 +60,31 @@ def test_personality_says_what_happens_where_it_was_seen_and_what_a_client_does(
 
 
 def test_options_have_defaults_and_one_that_there_is_not_is_named() -> None:
-    assert dict(PERSONALITIES["late"].options) == {"delay": 1.5}
+    assert dict(FAULT_PROFILES["late"].options) == {"delay": 1.5}
     with pytest.raises(ConfigError, match="delay") as caught:
-        PERSONALITIES["late"](seconds=2)
+        FAULT_PROFILES["late"](seconds=2)
     assert caught.value.key == "seconds"
 
 
 def test_table_takes_more_personalities_and_stays_as_it_is_itself() -> None:
-    sulky = Personality("sulky", "says nothing on Mondays", (), "waits", Fault, frozenset({Carrier.SERIAL}))
-    more = PERSONALITIES.with_personalities(sulky)
+    sulky = FaultProfile("sulky", "says nothing on Mondays", (), "waits", Fault, frozenset({Carrier.SERIAL}))
+    more = FAULT_PROFILES.with_personalities(sulky)
     assert more["sulky"] is sulky
-    assert len(more) == len(PERSONALITIES) + 1
-    assert "sulky" not in PERSONALITIES
+    assert len(more) == len(FAULT_PROFILES) + 1
+    assert "sulky" not in FAULT_PROFILES
     with pytest.raises(ConfigError, match="two personalities sulky"):
         more.with_personalities(sulky)
 
 
 def test_unknown_name_lists_those_there_are() -> None:
     with pytest.raises(ConfigError, match="late, queue-lag"):
-        PERSONALITIES.named("lazy")
-    assert PERSONALITIES.named("late") is PERSONALITIES["late"]
-    assert PersonalityTable().get("late") is None
+        FAULT_PROFILES.named("lazy")
+    assert FAULT_PROFILES.named("late") is FAULT_PROFILES["late"]
+    assert FaultyTable().get("late") is None
 
 
-@pytest.mark.parametrize("one", PERSONALITIES.values(), ids=list(PERSONALITIES))
-def test_options_say_what_they_mean_and_their_defaults_are_within_their_ranges(one: Personality) -> None:
+@pytest.mark.parametrize("one", FAULT_PROFILES.values(), ids=list(FAULT_PROFILES))
+def test_options_say_what_they_mean_and_their_defaults_are_within_their_ranges(one: FaultProfile) -> None:
     for parameter in one.parameters.values():
         assert parameter.kind in (float, int, bool)
         assert parameter.says.meaning
@@ -110,11 +110,11 @@ def test_option_of_a_wrong_type_or_out_of_range_is_refused(
     name: str, options: dict[str, object], sentence: str
 ) -> None:
     with pytest.raises(ConfigError) as caught:
-        PERSONALITIES[name](**options)
+        FAULT_PROFILES[name](**options)
     assert caught.value.message == sentence
     assert caught.value.key == next(iter(options))
 
 
 def test_options_take_whole_numbers_for_times_and_nothing_where_that_is_a_value() -> None:
-    assert PERSONALITIES["late"](delay=2).name == "late"
-    assert PERSONALITIES["busy"](seconds=None).name == "busy"
+    assert FAULT_PROFILES["late"](delay=2).name == "late"
+    assert FAULT_PROFILES["busy"](seconds=None).name == "busy"

@@ -12,7 +12,7 @@ from played import played
 
 import busway
 from busway.faults.board import FaultBoard
-from busway.testing import PERSONALITIES, Carrier
+from busway.testing import FAULT_PROFILES, Carrier
 from busway.testing.line import PacedLine
 
 TIMEOUT = 0.12
@@ -21,7 +21,7 @@ AMPLE = 5.0
 """Seconds in which one comes that does, however busy the machine is."""
 BAUD = 115_200
 
-ACTIONS: dict[str, Callable[[busway.Link, float], object]] = {
+ACTIONS: dict[str, Callable[[busway.BlockingLink, float], object]] = {
     "read": lambda link, timeout: link.unit(1).read_holding_registers(3, count=2, timeout=timeout),
     "read unit 2": lambda link, timeout: link.unit(2).read_holding_registers(3, count=2, timeout=timeout),
     "read ten": lambda link, timeout: link.unit(1).read_holding_registers(10, count=10, timeout=timeout),
@@ -108,7 +108,7 @@ BOTH: dict[str, tuple[dict[str, Any], list[tuple[str, str]]]] = {
 }
 """Personality → its parameters, and what is done and seen, one after the other; met everywhere."""
 
-SLOW = "; the device is slow: its last late reply had taken … s, a longer timeout would take it (after … s)"
+SLOW = "; the unit is slow: its last late reply had taken … s, a longer timeout would take it (after … s)"
 SLOW_LINE = "; the last late reply on this line had taken … s, a longer timeout would take it (after … s)"
 NOTHING_YET = "no reply within 0.12 s"
 
@@ -157,7 +157,7 @@ ON_A_LINE: dict[str, tuple[dict[str, Any], list[tuple[str, str]]]] = {
 }
 
 
-def _seen(link: busway.Link, action: str, timeout: float = AMPLE) -> str:
+def _seen(link: busway.BlockingLink, action: str, timeout: float = AMPLE) -> str:
     """What a user sees: the result, or the class of the error and its sentence without what differs every time."""
     try:
         return repr(ACTIONS[action](link, timeout))
@@ -168,7 +168,7 @@ def _seen(link: busway.Link, action: str, timeout: float = AMPLE) -> str:
         return f"{type(error).__name__}: {sentence}"
 
 
-def _watch(link: busway.Link, actions: list[tuple[str, str]]) -> None:
+def _watch(link: busway.BlockingLink, actions: list[tuple[str, str]]) -> None:
     for action, expected in actions:
         is_awaited = expected.startswith(("NoReply", "WriteOutcomeUnknown"))
         seen = _seen(link, action, TIMEOUT if is_awaited else AMPLE)
@@ -180,7 +180,7 @@ def _watch(link: busway.Link, actions: list[tuple[str, str]]) -> None:
             assert seen == expected
 
 
-@pytest.mark.parametrize("name", [name for name, one in PERSONALITIES.items() if one.carriers != {Carrier.SERIAL}])
+@pytest.mark.parametrize("name", [name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}])
 def test_personality_on_modbus_tcp(name: str) -> None:
     parameters, actions = {**BOTH, **ON_TCP}[name]
     board = FaultBoard()
@@ -198,7 +198,7 @@ def line() -> Iterator[PacedLine]:
         yield made
 
 
-ON_LINES = [name for name, one in PERSONALITIES.items() if Carrier.SERIAL in one.carriers]
+ON_LINES = [name for name, one in FAULT_PROFILES.items() if Carrier.SERIAL in one.carriers]
 
 
 @pytest.mark.parametrize("name", [name for name in ON_LINES if name != "broadcast-reply"])
@@ -256,4 +256,4 @@ def test_second_connection_is_closed_by_who_takes_a_single_client() -> None:
 
 def test_every_personality_is_seen() -> None:
     told = {*BOTH, *ON_TCP, *ON_A_LINE, "broadcast-reply"}
-    assert told == set(PERSONALITIES)
+    assert told == set(FAULT_PROFILES)

@@ -122,7 +122,7 @@ def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
 @settings(max_examples=300)
 def test_a_client_takes_any_stream(stream: bytes, cut: int, in_flight: int) -> None:
     wire = ClientWire(max_transactions=4, retries=0)
-    demands = [wire.ask(read(number), WriteSingleRegister(number, 1), caller=number) for number in range(in_flight)]
+    calls = [wire.ask(read(number), WriteSingleRegister(number, 1), caller=number) for number in range(in_flight)]
     frames = wire.transmit()
     # Let some of it bear the identifiers that are awaited.
     stream = b"".join(frame.transaction.to_bytes(2, "big") + stream[:40] for frame in frames) + stream
@@ -133,7 +133,7 @@ def test_a_client_takes_any_stream(stream: bytes, cut: int, in_flight: int) -> N
         if wire.session.recycle:
             wire.reconnect()
         wire.transmit()
-    assert all(demand.ended for demand in demands)
+    assert all(call.ended for call in calls)
     assert wire.places == 4
 
 

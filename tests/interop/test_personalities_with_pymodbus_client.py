@@ -15,7 +15,7 @@ import pytest
 from played import played
 
 from busway.faults.board import FaultBoard
-from busway.testing import PERSONALITIES, Carrier
+from busway.testing import FAULT_PROFILES, Carrier
 
 TIMEOUT_MS = 700
 
@@ -147,4 +147,4 @@ def test_a_second_user_of_pymodbus_is_refused_or_starved_by_who_takes_a_single_c
 
 
 def test_every_personality_of_servers_is_shown() -> None:
-    assert set(SEEN) == {name for name, one in PERSONALITIES.items() if one.carriers != {Carrier.SERIAL}}
+    assert set(SEEN) == {name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}}

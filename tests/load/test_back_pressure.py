@@ -4,7 +4,7 @@ import selectors
 import socket
 
 import pytest
-from crowd import answer, dial, question, vanish
+from many_clients import answer, dial, question, vanish
 from told_program import Program
 
 CLIENTS = 20

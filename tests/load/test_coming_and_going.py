@@ -1,7 +1,7 @@
 """Ten thousand clients that come and are gone: nothing of them stays."""
 
 import pytest
-from crowd import answer, dial, question, vanish
+from many_clients import answer, dial, question, vanish
 from told_program import Program
 
 AT_ONCE = 80

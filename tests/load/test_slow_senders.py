@@ -5,7 +5,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from crowd import crowd, dial, question
+from many_clients import crowd, dial, question
 from told_program import Program
 
 WORKING, SLOW = 400, 100

@@ -5,7 +5,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from handlers import Gate, ScriptedHandler
+from handlers import ScriptedHandler, TlsHandshakeAcceptor
 from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
@@ -30,7 +30,7 @@ REPLY_SIZE, BUSY_SIZE = 11, 9
 @pytest.mark.parametrize("scope", ["connection", "server"])
 async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_rest_by_and_by(scope: str) -> None:
     for limit in range(1, 17):
-        gate = Gate()
+        gate = TlsHandshakeAcceptor()
         server = busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide), max_transactions=limit, scope=scope)
         async with server:
             port = int(server.endpoints[0].rpartition(":")[2])
@@ -45,7 +45,7 @@ async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_res
 
 
 async def _one_round(
-    gate: Gate,
+    gate: TlsHandshakeAcceptor,
     server: busway.Server,
     links: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]],
     limit: int,
@@ -141,7 +141,7 @@ async def test_threads_of_a_blocking_client_never_have_more_on_their_way_than_th
         in_hand["now"] -= 1
         peer.writers[-1].write(first_address(peer, frame))
 
-    def ask(link: busway.Link, thread: int) -> list[list[int]]:
+    def ask(link: busway.BlockingLink, thread: int) -> list[list[int]]:
         unit = link.unit(1)
         return [unit.read_holding_registers(thread * 100 + one, count=1) for one in range(20)]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from busway.observe.ends import Ends, ends_of
+from busway.observe.ends import SocketAddresses, socket_addresses_of
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
 
 def test_a_socket_knows_both_its_ends(pair: tuple[socket.socket, socket.socket]) -> None:
     near, far = pair
-    assert ends_of(near) == Ends(near.getsockname(), far.getsockname())
+    assert socket_addresses_of(near) == SocketAddresses(near.getsockname(), far.getsockname())
 
 
 def test_what_has_the_descriptor_of_a_socket_is_asked_by_it(pair: tuple[socket.socket, socket.socket]) -> None:
@@ -32,27 +32,27 @@ def test_what_has_the_descriptor_of_a_socket_is_asked_by_it(pair: tuple[socket.s
         def fileno(self) -> int:
             return pair[0].fileno()
 
-    assert ends_of(Wrapped()) == ends_of(pair[0])
+    assert socket_addresses_of(Wrapped()) == socket_addresses_of(pair[0])
     assert pair[0].fileno() >= 0  # its descriptor is still its own
 
 
 def test_a_datagram_socket_is_known_as_such() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as near:
         near.connect(("127.0.0.1", 502))
-        assert ends_of(near) == Ends(near.getsockname(), ("127.0.0.1", 502), is_datagram=True)
+        assert socket_addresses_of(near) == SocketAddresses(near.getsockname(), ("127.0.0.1", 502), is_datagram=True)
 
 
 def test_what_is_closed_or_no_socket_at_all_has_no_ends(pair: tuple[socket.socket, socket.socket]) -> None:
     pair[0].close()
-    assert ends_of(pair[0]) == Ends()
-    assert ends_of(None) == Ends()
+    assert socket_addresses_of(pair[0]) == SocketAddresses()
+    assert socket_addresses_of(None) == SocketAddresses()
     with open(os.devnull, "rb") as file:
-        assert ends_of(file) == Ends()
+        assert socket_addresses_of(file) == SocketAddresses()
 
 
 def test_ends_are_their_own() -> None:
-    ends = Ends(("10.0.0.1", 1), ("10.0.0.2", 502), is_datagram=True)
-    assert ends_of(ends) is ends
+    ends = SocketAddresses(("10.0.0.1", 1), ("10.0.0.2", 502), is_datagram=True)
+    assert socket_addresses_of(ends) is ends
 
 
 async def test_a_transport_of_asyncio_is_asked_for_its_socket() -> None:
@@ -60,7 +60,7 @@ async def test_a_transport_of_asyncio_is_asked_for_its_socket() -> None:
     async with server:
         bound = server.sockets[0].getsockname()
         _, writer = await asyncio.open_connection(*bound)
-        ends = ends_of(writer.transport)
+        ends = socket_addresses_of(writer.transport)
         assert (ends.peer, ends.is_datagram) == (bound, False)
         writer.close()
         await writer.wait_closed()

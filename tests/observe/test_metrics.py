@@ -349,11 +349,11 @@ def test_a_broadcast_is_executed_by_each_unit_and_counts_as_no_answer(device: bu
 def test_marked_devices_are_a_class_of_their_own() -> None:
     asked = []
 
-    def is_marked(listener: str, host: str) -> bool:
+    def is_priority(listener: str, host: str) -> bool:
         asked.append(host)
         return host in ("10.0.0.1", "fe80::1")
 
-    classify = ClassifyByMark(is_marked)
+    classify = ClassifyByMark(is_priority)
     peers = {
         "10.0.0.1:5": PeerClass.PRIORITY,
         "[fe80::1]:5": PeerClass.PRIORITY,

@@ -10,7 +10,7 @@ from capture_file import blocks
 import busway
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
-from busway.observe.ends import Ends
+from busway.observe.ends import SocketAddresses
 from busway.observe.headers import Node, tcp_packet, udp_packet
 from busway.observe.line_trace import trace_for
 from busway.observe.trace import TRACE, TraceLevel
@@ -40,7 +40,7 @@ def test_capturing_switches_the_drivers_test_on_and_shows_nothing(
     assert TRACE.level
     with caplog.at_level(logging.DEBUG, "busway.trace"):
         for framing in ("mbap", "rtu"):
-            trace = trace_for(framing, "peer", is_server=False, carrier=Ends(HERE, PEER))
+            trace = trace_for(framing, "peer", is_server=False, carrier=SocketAddresses(HERE, PEER))
             trace.sent(ASKED)
             trace.received(ANSWERED)
     assert not caplog.records
@@ -51,7 +51,7 @@ def test_capturing_switches_the_drivers_test_on_and_shows_nothing(
 def test_log_lines_and_a_capture_go_together(file: io.BytesIO, caplog: pytest.LogCaptureFixture) -> None:
     TRACE.set(TraceLevel.MESSAGE)
     with caplog.at_level(logging.DEBUG, "busway.trace"):
-        trace_for("mbap", "peer", is_server=False, carrier=Ends(HERE, PEER)).sent(ASKED)
+        trace_for("mbap", "peer", is_server=False, carrier=SocketAddresses(HERE, PEER)).sent(ASKED)
     TRACE.set(TraceLevel.OFF)
     assert TRACE.level is TraceLevel.CAPTURE
     assert len(caplog.records) == 1
@@ -59,7 +59,7 @@ def test_log_lines_and_a_capture_go_together(file: io.BytesIO, caplog: pytest.Lo
 
 
 def test_datagrams_stay_datagrams(file: io.BytesIO) -> None:
-    trace = trace_for("mbap", "peer", is_server=True, carrier=Ends(HERE, PEER, is_datagram=True))
+    trace = trace_for("mbap", "peer", is_server=True, carrier=SocketAddresses(HERE, PEER, is_datagram=True))
     trace.received(ASKED)
     trace.sent(ANSWERED)
     here, peer = Node.of(HERE), Node.of(PEER)

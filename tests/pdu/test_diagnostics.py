@@ -117,7 +117,7 @@ def test_08_01_takes_0000_and_ff00() -> None:
 def test_08_03_takes_an_ascii_character_and_a_zero() -> None:
     context = FakeContext()
     assert ChangeAsciiDelimiter(b"\x3b\x00").apply(RecordingModel(), context).encode() == bytes.fromhex("08 0003 3B00")
-    assert context.diagnostics.ascii_delimiter == 0x3B
+    assert context.diagnostics.line.ascii_delimiter == 0x3B
     for data in (b"\x3b\x01", b"\x80\x00"):
         with pytest.raises(InvalidRequest, match="data must be an ASCII character and a zero"):
             ChangeAsciiDelimiter(data)

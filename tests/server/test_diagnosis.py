@@ -2,41 +2,41 @@
 
 import pytest
 
-from busway.server.diagnosis import Diagnosis, Lamp
+from busway.server.diagnosis import Diagnosis, StatusIndicator
 
 
 @pytest.mark.clause("S19")
 def test_communication_shows_for_half_a_second() -> None:
     diagnosis = Diagnosis()
     diagnosis.is_open = True
-    assert diagnosis.lamps(10.0).communication is Lamp.OFF
+    assert diagnosis.lamps(10.0).communication is StatusIndicator.OFF
     diagnosis.traffic = 10.0
-    assert diagnosis.lamps(10.4).communication is Lamp.ON
-    assert diagnosis.lamps(10.6).communication is Lamp.OFF
+    assert diagnosis.lamps(10.4).communication is StatusIndicator.ON
+    assert diagnosis.lamps(10.6).communication is StatusIndicator.OFF
 
 
 @pytest.mark.clause("S19")
 def test_internal_fault_is_steady_and_communication_fault_flashes() -> None:
     diagnosis = Diagnosis()
     diagnosis.is_open = True
-    assert diagnosis.lamps(10.0).error is Lamp.OFF
+    assert diagnosis.lamps(10.0).error is StatusIndicator.OFF
     diagnosis.communication_fault = 10.0
-    assert diagnosis.lamps(12.0).error is Lamp.FLASHING
+    assert diagnosis.lamps(12.0).error is StatusIndicator.FLASHING
     diagnosis.internal_fault = 11.0
-    assert diagnosis.lamps(12.0).error is Lamp.ON
-    assert diagnosis.lamps(22.0).error is Lamp.OFF
+    assert diagnosis.lamps(12.0).error is StatusIndicator.ON
+    assert diagnosis.lamps(22.0).error is StatusIndicator.OFF
 
 
 @pytest.mark.clause("S19")
 def test_port_that_is_not_there_flashes_as_long_as_it_is_not() -> None:
     diagnosis = Diagnosis()
     lamps = diagnosis.lamps(1000.0)
-    assert (lamps.error, lamps.device_status) == (Lamp.FLASHING, Lamp.OFF)
+    assert (lamps.error, lamps.device_status) == (StatusIndicator.FLASHING, StatusIndicator.OFF)
 
 
 @pytest.mark.clause("S19")
 def test_device_status_is_on_when_it_answers_and_flashes_in_listen_only_mode() -> None:
     diagnosis = Diagnosis()
     diagnosis.is_open = True
-    assert diagnosis.lamps(0.0).device_status is Lamp.ON
-    assert diagnosis.lamps(0.0, listen_only=True).device_status is Lamp.FLASHING
+    assert diagnosis.lamps(0.0).device_status is StatusIndicator.ON
+    assert diagnosis.lamps(0.0, listen_only=True).device_status is StatusIndicator.FLASHING

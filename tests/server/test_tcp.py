@@ -15,9 +15,9 @@ from handles import settled_handles
 from waiting import until
 
 import busway
-from busway.server.diagnosis import Lamp
+from busway.server.diagnosis import StatusIndicator
 from busway.transport import accepting
-from busway.transport.epoll.watcher import Crowd
+from busway.transport.epoll.watcher import EpollSet
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
@@ -59,19 +59,19 @@ def no_descriptor_left() -> Iterator[None]:
 def test_all_listeners_of_a_server_and_their_connections_wait_in_one_place(
     loop: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[Crowd] = []
-    monkeypatch.setattr("busway.server.opening.crowd_for", lambda loop: made.append(Crowd(loop)) or made[-1])
+    made: list[EpollSet] = []
+    monkeypatch.setattr("busway.server.opening.crowd_for", lambda loop: made.append(EpollSet(loop)) or made[-1])
 
     async def live(server: busway.Server) -> None:
         async with server:
-            crowd = made[-1]
-            assert len(crowd) == 2
+            epoll_set = made[-1]
+            assert len(epoll_set) == 2
             async with busway.open(server.endpoints[0]) as one, busway.open(server.endpoints[1]) as other:
                 for link in (one, other):
                     assert await link.unit(1).read_holding_registers(0, count=3) == [0, 0, 0]
-                assert len(crowd) == 4
-            await until(lambda: len(crowd) == 2)
-        assert len(crowd) == 0
+                assert len(epoll_set) == 4
+            await until(lambda: len(epoll_set) == 2)
+        assert len(epoll_set) == 0
 
     async def main() -> None:
         server = served(ANY_PORT, ANY_PORT)
@@ -104,7 +104,7 @@ async def test_server_without_descriptors_says_so_serves_on_and_takes_who_waits_
             late.send(QUESTION)
             assert await loop.sock_recv(late, 100) == ANSWER
             assert server.counters.accepted == 2
-            assert server.status().listeners[0].lamps.error is Lamp.ON
+            assert server.status().listeners[0].lamps.error is StatusIndicator.ON
 
 
 async def test_many_clients_that_ask_all_the_time_leave_the_loop_to_others_as_well() -> None:

@@ -41,7 +41,7 @@ async def test_connection_is_a_wire_that_sends_bytes_as_they_are_and_closes_behi
 ) -> None:
     told = Told()
     server = busway.serve(f"{scheme}://127.0.0.1:0", units={1: busway.Device(holding_registers=1)})
-    server.use_wires(told)
+    server.use_tap(told)
     async with server:
         reader, writer = await _connected(server)
         await until(lambda: len(told.wires) == 1)
@@ -62,7 +62,7 @@ async def test_connection_is_a_wire_that_sends_bytes_as_they_are_and_closes_behi
 async def test_two_connections_are_two_wires() -> None:
     told = Told()
     server = busway.serve("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)})
-    server.use_wires(told)
+    server.use_tap(told)
     async with server:
         ends = [await _connected(server) for _ in range(2)]
         await until(lambda: len(told.wires) == 2)
@@ -77,7 +77,7 @@ async def test_two_connections_are_two_wires() -> None:
 async def test_peer_over_udp_is_a_wire_that_can_not_be_closed() -> None:
     told = Told()
     server = busway.serve("udp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)})
-    server.use_wires(told)
+    server.use_tap(told)
     async with server, busway.open(server.endpoints[0]) as link:
         await link.unit(1).read_holding_registers(0, count=1)
         (wire,) = told.wires
@@ -93,7 +93,7 @@ async def test_open_port_is_a_wire_as_long_as_it_is_open() -> None:
     told = Told()
     with PacedLine(ports=2, baud=115_200) as line:
         server = busway.serve(f"rtu://{line.paths[1]}?baud=115200", units={1: busway.Device(holding_registers=1)})
-        server.use_wires(told)
+        server.use_tap(told)
         async with server:
             (wire,) = told.wires
             assert (wire.framing, wire.carrier) == ("rtu", "serial")
@@ -118,6 +118,6 @@ async def test_server_that_nobody_wants_the_wires_of_makes_none() -> None:
         writer.write(encode_mbap(1, 1, READ))
         assert await asyncio.wait_for(reader.readexactly(11), 5) == encode_mbap(1, 1, REPLY)
         with pytest.raises(busway.ConfigError, match="a running server has its ways already"):
-            server.use_wires(Told())
+            server.use_tap(Told())
         writer.close()
         await writer.wait_closed()

@@ -59,15 +59,15 @@ def exchange(request: Request, functions: FunctionTable = STANDARD) -> Message |
         slots=TransactionSlots(1),
         deliver=late.append,
     )
-    demand = wire.ask(request)
+    call = wire.ask(request)
     for adu in wire.session.transmit(wire.now):
         for answer in server.receive(adu, len(adu)):
             wire.feed(answer)
     assert not late
     assert not server.failures
-    if demand.outcomes[0] is None:
+    if call.outcomes[0] is None:
         wire.wait(1.0)
-    outcome = demand.outcomes[0]
+    outcome = call.outcomes[0]
     assert outcome is not None
     return outcome
 

@@ -127,7 +127,7 @@ class Poller:
         if self._stopped:
             return
         try:
-            self._master.ask(self._unit, READ, caller=self._unit, then=lambda call: self._ended(call.outcome))
+            self._master.ask(self._unit, READ, caller=self._unit, then=lambda question: self._ended(question.outcome))
         except UnitSuspended as error:
             self.outcomes.append((self._master.bus.now, error))
             self._waits_until = self._master.bus.now + 0.1
@@ -195,11 +195,11 @@ def test_dead_unit_fails_at_once_while_it_is_given_up_and_says_when_it_is_asked_
 def test_what_waits_for_a_unit_is_told_when_it_is_given_up() -> None:
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=0.2, retries=2))
-    calls = [master.ask(5, READ, caller=caller) for caller in range(4)]
-    bus.run(until=lambda: all(call.done for call in calls))
-    assert isinstance(calls[0].outcome, NoReply)
+    questions = [master.ask(5, READ, caller=caller) for caller in range(4)]
+    bus.run(until=lambda: all(question.done for question in questions))
+    assert isinstance(questions[0].outcome, NoReply)
     assert len(master.sent) == 3
-    assert sum(isinstance(call.outcome, UnitSuspended) for call in calls) == 3
+    assert sum(isinstance(question.outcome, UnitSuspended) for question in questions) == 3
 
 
 def test_late_reply_closes_the_breaker() -> None:

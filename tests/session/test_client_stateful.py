@@ -14,7 +14,7 @@ from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.parameters import MismatchPolicy
 
 READS = st.builds(read, st.integers(0, 500), st.integers(1, 2))
@@ -35,8 +35,8 @@ class Conversation(RuleBasedStateMachine):
             max_transactions=self.transactions, queue=12, transaction_policy=self.policy, recycle_after_foreign=6
         )
         self.connected = True
-        self.demands: list[Demand] = []
-        self.cancelled: list[Demand] = []
+        self.calls: list[Call] = []
+        self.cancelled: list[Call] = []
         self.frames: list[MbapFrame] = []
         self.stream = b""
 
@@ -52,20 +52,20 @@ class Conversation(RuleBasedStateMachine):
     def ask(self, data: st.DataObject, unit: int, caller: int, deadline: float | None, retries: int) -> None:
         requests: list[Request] = data.draw(self.requests)
         until = None if deadline is None else self.wire.now + deadline
-        demand = self.wire.demand(requests, unit, caller=caller, deadline=until, retries=retries)
+        call = self.wire.call(requests, unit, caller=caller, deadline=until, retries=retries)
         try:
-            self.wire.session.submit(demand, self.wire.now)
+            self.wire.session.submit(call, self.wire.now)
         except Overloaded:
             return
-        self.demands.append(demand)
+        self.calls.append(call)
         self.transmit()
 
-    @precondition(lambda self: self.demands)
+    @precondition(lambda self: self.calls)
     @rule(data=st.data())
     def cancel(self, data: st.DataObject) -> None:
-        demand = data.draw(st.sampled_from(self.demands))
-        self.wire.session.cancel(demand)
-        self.cancelled.append(demand)
+        call = data.draw(st.sampled_from(self.calls))
+        self.wire.session.cancel(call)
+        self.cancelled.append(call)
 
     # The driver.
 
@@ -172,9 +172,9 @@ class Conversation(RuleBasedStateMachine):
 
     @invariant()
     def every_reply_is_that_of_its_request(self) -> None:
-        for demand in self.demands:
-            assert demand.open == sum(outcome is None for outcome in demand.outcomes)
-            for request, outcome in zip(demand.requests, demand.outcomes, strict=True):
+        for call in self.calls:
+            assert call.open == sum(outcome is None for outcome in call.outcomes)
+            for request, outcome in zip(call.requests, call.outcomes, strict=True):
                 if isinstance(outcome, ReadHoldingRegisters.Reply):
                     assert isinstance(request, ReadHoldingRegisters)
                     assert outcome.registers == list(range(request.address, request.address + request.count))
@@ -208,13 +208,13 @@ class Conversation(RuleBasedStateMachine):
             for frame in self.wire.transmit():
                 self.wire.reply(frame)
             self.wire.wait(0.2)
-        for demand in self.demands:
-            assert demand.ended
-            assert demand.open == 0 or demand in self.cancelled
+        for call in self.calls:
+            assert call.ended
+            assert call.open == 0 or call in self.cancelled
         assert self.wire.session.in_flight == self.wire.session.queued == 0
         assert self.wire.session.deadline() is None
         finished = self.wire.finished()
-        assert len({id(demand) for demand in finished}) == len(finished), "no demand ends twice"
+        assert len({id(call) for call in finished}) == len(finished), "no demand ends twice"
 
 
 class ForeignTransactions(Conversation):

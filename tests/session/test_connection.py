@@ -7,9 +7,9 @@ import pytest
 from busway.errors import LinkDown, ModbusError, WriteOutcomeUnknown
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
+from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.connection import ConnectionLife
-from busway.session.demand import Demand
 from busway.session.parameters import ClientParameters
 from busway.session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 
@@ -43,13 +43,13 @@ class Link:
         self.life.connected(now)
         return self
 
-    def read(self, now: float, *, retries: int = 1) -> Demand:
+    def read(self, now: float, *, retries: int = 1) -> Call:
         """Ask for a register, and send it where a connection stands."""
-        return self._asked(Demand(1, (ReadHoldingRegisters(1, 1),), False, 1.0, retries), now)
+        return self._asked(Call(1, (ReadHoldingRegisters(1, 1),), False, 1.0, retries), now)
 
-    def write(self, now: float) -> Demand:
+    def write(self, now: float) -> Call:
         """Ask to write a register, and send it where a connection stands."""
-        return self._asked(Demand(1, (WriteSingleRegister(1, 1),), True, 1.0, 0), now)
+        return self._asked(Call(1, (WriteSingleRegister(1, 1),), True, 1.0, 0), now)
 
     def answer(self, now: float) -> None:
         """The reply to the one read in flight."""
@@ -58,15 +58,15 @@ class Link:
         self.session.receive(reply, len(reply), now)
         self.life.replied(now)
 
-    def _asked(self, demand: Demand, now: float) -> Demand:
-        self.session.submit(demand, now)
+    def _asked(self, call: Call, now: float) -> Call:
+        self.session.submit(call, now)
         self.session.transmit(now)
-        return demand
+        return call
 
 
-def outcome(demand: Demand) -> ModbusError | None:
+def outcome(call: Call) -> ModbusError | None:
     """The error of a demand with one request; None while it is open."""
-    (found,) = demand.outcomes
+    (found,) = call.outcomes
     assert found is None or isinstance(found, ModbusError)
     return found
 
@@ -81,7 +81,7 @@ def test_connection_that_is_lost_after_a_reply_is_made_anew_at_once_and_its_read
     assert link.life.may_dial(0.3)
     assert link.life.refusal(0.3) is None
     assert outcome(read) is None
-    assert link.session.has_demands
+    assert link.session.has_calls
     assert isinstance(outcome(write), WriteOutcomeUnknown)
     assert link.told == ["up: connected", "down: the peer reset it"]
 
@@ -113,8 +113,8 @@ def test_attempt_that_fails_takes_everything_that_waits_with_it() -> None:
     read, write = link.read(0.0), link.write(0.0)
     link.life.dialled(0.0)
     link.life.failed(0.5, LinkDown("no connection: nothing listens there"))
-    for demand in (read, write):
-        error = outcome(demand)
+    for call in (read, write):
+        error = outcome(call)
         assert isinstance(error, LinkDown)
         assert not error.sent
     assert link.session.finished == [read, write]

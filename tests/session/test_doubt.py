@@ -21,9 +21,9 @@ EXCEPTION = bytes.fromhex("83 06")
 NO_BREAKER = BreakerParameters(open_after=0)
 
 
-def owed(request: Request, *, call: object = None, sent: float = 0.0) -> OwedReply:
+def owed(request: Request, *, question: object = None, sent: float = 0.0) -> OwedReply:
     wire = request.prepare()
-    return OwedReply(request, wire[0], sent, sent + 2.0, call)
+    return OwedReply(request, wire[0], sent, sent + 2.0, question)
 
 
 def answered(request: Request) -> Request:
@@ -69,10 +69,10 @@ def test_owed_reply_is_known_by_function_length_and_echo(request_: Request, pdu:
 
 
 def test_own_repetition_is_not_in_doubt_and_the_same_request_of_another_call_is() -> None:
-    doubt, call = UnitDoubt(), object()
-    doubt.owe(owed(READ, call=call))
-    assert not doubt.in_doubt(READ, call, 0)
-    assert doubt.in_doubt(READ, call, 1)
+    doubt, question = UnitDoubt(), object()
+    doubt.owe(owed(READ, question=question))
+    assert not doubt.in_doubt(READ, question, 0)
+    assert doubt.in_doubt(READ, question, 1)
     assert doubt.in_doubt(READ, object(), 0)
     for other in (ReadHoldingRegisters(0, 3), ReadInputRegisters(0, 2)):
         other.prepare()
@@ -292,7 +292,7 @@ def test_reply_that_may_answer_another_call_between_two_attempts_ends_no_call() 
     doubt = master.session.doubts.of(1)
     doubt.silent.update(MarkerKind)
     bus.run(until=lambda: master.session.counters.timeouts == 1)
-    doubt.owe(owed(ReadHoldingRegisters(50, 1), call=object(), sent=bus.now))
+    doubt.owe(owed(ReadHoldingRegisters(50, 1), question=object(), sent=bus.now))
     bus.run(until=lambda: len(master.sent) == 2)
     bus.line.inject(encode_rtu(1, bytes.fromhex("03 02 be ef")), bus.now + 0.05)
     bus.run(0.2)
@@ -317,23 +317,23 @@ def test_error_of_a_call_that_was_sent_does_not_say_that_nothing_was_sent() -> N
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=0.2, retries=2), breaker=NO_BREAKER)
     bus.device(lambda unit, pdu, now: [])
-    calls = [master.ask(1, ReadHoldingRegisters(address, 1), caller=address) for address in (0, 1)]
-    bus.run(until=lambda: all(call.done for call in calls))
-    for address, call in enumerate(calls):
+    questions = [master.ask(1, ReadHoldingRegisters(address, 1), caller=address) for address in (0, 1)]
+    bus.run(until=lambda: all(question.done for question in questions))
+    for address, question in enumerate(questions):
         sent = any(frame[1:4] == bytes((3, 0, address)) for _, frame in master.sent)
-        assert isinstance(call.outcome, NoReply)
-        assert ("nothing was sent" in str(call.outcome)) != sent
-        assert (call.outcome.kind == "in doubt") != sent
+        assert isinstance(question.outcome, NoReply)
+        assert ("nothing was sent" in str(question.outcome)) != sent
+        assert (question.outcome.kind == "in doubt") != sent
 
 
 def test_doubt_survives_a_reconnection() -> None:
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=0.5, retries=0))
     bus.device(Slave([0.8]))
-    call = master.ask(1, READ)
+    question = master.ask(1, READ)
     bus.run(until=lambda: bool(master.sent))
     master.session.disconnected(bus.now, "unplugged")
-    assert call.demand.ended or master.session.queued
+    assert question.call.ended or master.session.queued
     master.session.connected(bus.now)
     bus.run(2.0)
     assert master.session.counters.late_replies + master.session.counters.replies == 1
@@ -408,16 +408,16 @@ def test_frame_that_began_before_the_request_had_left_is_no_reply_and_puts_the_u
     master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
     bus.servers({1: Device(holding_registers=10)})
     registers(master.get(1, READ))
-    call = master.ask(1, READ)
+    question = master.ask(1, READ)
     bus.run(until=lambda: len(master.sent) == 2)
     begun = bus.now
     early = encode_rtu(1, REPLY)
     bus.run(0.012)  # the request has left, t3.5 has not passed
     assert bus.now > begun
     master.session.receive(early, len(early), bus.now + 9 * 11 / 9600 * 0.3)
-    bus.run(until=lambda: call.done)
+    bus.run(until=lambda: question.done)
     assert master.session.counters.foreign_replies == 1
-    assert not isinstance(call.outcome, BadReply)
+    assert not isinstance(question.outcome, BadReply)
     assert master.session.doubts.of(1).unasked == 3
     assert registers(master.get(1, READ)) == [0, 0]
     assert master.session.counters.markers == 1

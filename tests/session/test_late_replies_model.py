@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable
 
 import pytest
-from late_reply_world import BASIC, PROMPT, Breach, Call, UnitModel, World
+from late_reply_world import BASIC, PROMPT, Breach, Question, UnitModel, World
 
 from busway.errors import ModbusError, NoReply
 from busway.pdu.message import Message, Request
@@ -171,7 +171,7 @@ class Chaos:
             address = chance.randrange(20)
             requests.setdefault(ReadHoldingRegisters(address, 2).encode(), ReadHoldingRegisters(address, 2))
         for pdu, request in requests.items():  # two equal writes at one time could not be told apart by the oracle
-            if request.is_write and any((number, pdu) in call.wanted for call in world.live):
+            if request.is_write and any((number, pdu) in question.wanted for question in world.live):
                 return
         world.ask(
             number,
@@ -237,8 +237,8 @@ def test_one_hiccup_shifts_nothing(framing: str, path: str, retries: int, knows:
         path=path,
         parameters=ClientParameters(retries=retries),
     )
-    calls = [world.get(1, ReadHoldingRegisters(10 * number, 2)) for number in range(20)]
-    assert all(call is not None and call.succeeded for call in calls[-10:])
+    questions = [world.get(1, ReadHoldingRegisters(10 * number, 2)) for number in range(20)]
+    assert all(question is not None and question.succeeded for question in questions[-10:])
 
 
 @pytest.mark.parametrize("knows", KINDS)
@@ -279,11 +279,11 @@ def test_a_write_is_not_confirmed_by_the_reply_to_another_write(kind: str, knows
     world = World(1, UnitModel(1, lambda: delays.get(next(count), PROMPT), knows=knows), breaker=NO_BREAKER)
     world.get(1, ReadHoldingRegisters(0, 2))
     for value in (100, 200, 300, 400, 500):
-        call = world.get(1, writes(value)[kind])
-        assert call is not None
-        assert len(call.frames[0]) <= 1
-        if call.succeeded:
-            assert call.frames[0][0].executed
+        question = world.get(1, writes(value)[kind])
+        assert question is not None
+        assert len(question.frames[0]) <= 1
+        if question.succeeded:
+            assert question.frames[0][0].executed
 
 
 @pytest.mark.parametrize("knows", KINDS)
@@ -304,23 +304,23 @@ def test_doubt_outlives_the_connection(keeps: bool, knows: str) -> None:
     """A converter keeps what the unit says while nobody is connected, and gives it to the next connection."""
     world = World(1, UnitModel(1, hiccup_at(3), knows=knows), parameters=ClientParameters(retries=0))
     for number in range(20):
-        call = world.ask(1, ReadHoldingRegisters(10 * number, 2))
+        question = world.ask(1, ReadHoldingRegisters(10 * number, 2))
         if number in (2, 5):
             world.run(0.5)
             world.disconnect(0.2, keeps=keeps)
-        world.run(until=lambda call=call: call is None or not call.live)  # type: ignore[misc]
+        world.run(until=lambda question=question: question is None or not question.live)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("knows", KINDS)
 def test_a_cancelled_call_leaves_nothing_to_the_next(knows: str) -> None:
     world = World(1, UnitModel(1, hiccup_at(3, 7), knows=knows))
     for number in range(20):
-        call = world.ask(1, ReadHoldingRegisters(10 * number, 2))
-        assert call is not None
+        question = world.ask(1, ReadHoldingRegisters(10 * number, 2))
+        assert question is not None
         if number in (2, 5):
             world.run(0.1)
-            world.cancel(call)
-        world.run(until=lambda call=call: not call.live)  # type: ignore[misc]
+            world.cancel(question)
+        world.run(until=lambda question=question: not question.live)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("knows", KINDS)
@@ -369,11 +369,11 @@ def test_unordered_unit_below_twice_the_timeout(seed: int, knows: str) -> None:
         breaker=NO_BREAKER,
     )
     for number in range(400):
-        call = world.ask(1, drawn_request(chance, number, knows))
-        if call is not None and chance.random() < 0.05:
+        question = world.ask(1, drawn_request(chance, number, knows))
+        if question is not None and chance.random() < 0.05:
             world.run(chance.random())
-            if call.live:
-                world.cancel(call)
+            if question.live:
+                world.cancel(question)
         world.run(until=lambda: not world.live)
     assert world.right > 20
 
@@ -390,8 +390,8 @@ class Doubler:
         self.world._judge_reply = self._count  # type: ignore[method-assign]
         self.number = 0
 
-    def _count(self, call: Call, position: int, pdu: bytes) -> None:
-        own = [frame.number for frame in call.frames[position]]
+    def _count(self, question: Question, position: int, pdu: bytes) -> None:
+        own = [frame.number for frame in question.frames[position]]
         self.wrong += int.from_bytes(pdu[2:6], "big") not in own
 
     def read(self, times: int) -> None:
@@ -439,16 +439,16 @@ def test_unit_that_recovers_is_asked_again_soon(
     healthy = world.now
     assert seconds_to_success(world, healthy) < RECOVERY
     for number in range(20):
-        call = world.get(1, ReadHoldingRegisters(number, 2))
-        assert call is not None
-        assert call.succeeded, "once well, it stays so"
+        question = world.get(1, ReadHoldingRegisters(number, 2))
+        assert question is not None
+        assert question.succeeded, "once well, it stays so"
 
 
 def seconds_to_success(world: World, since: float) -> float:
     """How long reads and writes fail."""
     for number in itertools.count():
-        call = world.get(1, WriteSingleRegister(0, number) if number % 2 else ReadHoldingRegisters(10 * number, 2))
-        if call is not None and call.succeeded:
+        question = world.get(1, WriteSingleRegister(0, number) if number % 2 else ReadHoldingRegisters(10 * number, 2))
+        if question is not None and question.succeeded:
             return world.now - since
         assert world.now - since < RECOVERY
         world.run(0.1)
@@ -466,12 +466,12 @@ def test_unit_in_doubt_stalls_no_other(habit: str, knows: str, breaker: BreakerP
     slowest = 0.0
     done = 0
     while world.now < 200:
-        for _ in range(2 - sum(call.demand.unit == 1 for call in world.live)):
+        for _ in range(2 - sum(question.call.unit == 1 for question in world.live)):
             world.ask(1, drawn_request(chance, done, knows), caller="patient")
         begun = world.now
-        call = world.get(2, ReadHoldingRegisters(0, 2), caller="other")
-        assert call is not None
-        assert isinstance(call.outcome, Message), call.outcome
+        question = world.get(2, ReadHoldingRegisters(0, 2), caller="other")
+        assert question is not None
+        assert isinstance(question.outcome, Message), question.outcome
         slowest = max(slowest, world.now - begun)
         done += 1
         world.run(0.05)

@@ -4,7 +4,7 @@ import random
 from collections import Counter
 
 import pytest
-from bus import Bus, Call, MasterEnd
+from bus import Bus, MasterEnd, Question
 
 from busway.errors import ExceptionReply, ModbusError, NoReply, UnitSuspended
 from busway.framing.ascii import encode_ascii
@@ -79,13 +79,13 @@ class Traffic:
                     unit,
                     request,
                     caller=number % 4,
-                    then=lambda call, unit=unit, request=request: self._ended(unit, request, call),  # type: ignore[misc]
+                    then=lambda question, unit=unit, request=request: self._ended(unit, request, question),  # type: ignore[misc]
                 )
             except UnitSuspended as error:
                 self.outcomes.append((unit, request, error))
 
-    def _ended(self, unit: int, request: Request, call: Call) -> None:
-        self.outcomes.append((unit, request, call.outcome))
+    def _ended(self, unit: int, request: Request, question: Question) -> None:
+        self.outcomes.append((unit, request, question.outcome))
 
 
 @pytest.mark.clause("S1")

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from busway.errors import Overloaded
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.queue import RequestQueue
 
 
-def demand(caller: object = "a", unit: int = 1, *, write: bool = False, requests: int = 1) -> Demand:
+def call(caller: object = "a", unit: int = 1, *, write: bool = False, requests: int = 1) -> Call:
     request = WriteSingleRegister(0, 1) if write else ReadHoldingRegisters(0, 1)
-    return Demand(unit, [request] * requests, is_write=write, timeout=1.0, retries=0, caller=caller)
+    return Call(unit, [request] * requests, is_write=write, timeout=1.0, retries=0, caller=caller)
 
 
-def serve(queue: RequestQueue, eligible: Callable[[Demand], bool] | None = None) -> list[Demand]:
+def serve(queue: RequestQueue, eligible: Callable[[Call], bool] | None = None) -> list[Call]:
     """Take one request at a time until nothing is left that may be sent."""
     order = []
     while (picked := queue.pick(eligible)) is not None:
@@ -29,50 +29,50 @@ def serve(queue: RequestQueue, eligible: Callable[[Demand], bool] | None = None)
     return order
 
 
-def filled(*demands: Demand) -> RequestQueue:
+def filled(*calls: Call) -> RequestQueue:
     queue = RequestQueue(64)
-    for one in demands:
+    for one in calls:
         queue.add(one)
     return queue
 
 
 def test_callers_take_turns_whatever_each_has_asked() -> None:
-    busy = [demand("busy") for _ in range(4)]
-    quiet, other = demand("quiet"), demand("other")
+    busy = [call("busy") for _ in range(4)]
+    quiet, other = call("quiet"), call("other")
     assert serve(filled(*busy, quiet, other)) == [busy[0], quiet, other, *busy[1:]]
 
 
 def test_a_batch_takes_turns_request_by_request() -> None:
-    batch, one = demand("a", requests=3), demand("b")
+    batch, one = call("a", requests=3), call("b")
     assert serve(filled(batch, one)) == [batch, one, batch, batch]
 
 
 def test_demands_of_one_caller_to_one_unit_keep_their_order_whatever_they_are() -> None:
-    demands = [demand(write=position % 2 == 1) for position in range(6)]
-    assert serve(filled(*demands)) == demands
+    calls = [call(write=position % 2 == 1) for position in range(6)]
+    assert serve(filled(*calls)) == calls
 
 
 def test_a_callers_writes_go_before_its_reads_to_other_units() -> None:
-    first, second, write = demand(unit=1), demand(unit=2), demand(unit=3, write=True)
+    first, second, write = call(unit=1), call(unit=2), call(unit=3, write=True)
     assert serve(filled(first, second, write)) == [write, first, second]
 
 
 def test_a_write_does_not_pass_an_earlier_read_of_the_same_unit() -> None:
-    other, read, write = demand(unit=2), demand(unit=1), demand(unit=1, write=True)
+    other, read, write = call(unit=2), call(unit=1), call(unit=1, write=True)
     assert serve(filled(other, read, write)) == [other, read, write]
     # Once the read is gone, the write goes before the reads to other units.
-    read, first, second, write = demand(unit=1), demand(unit=2), demand(unit=2), demand(unit=1, write=True)
+    read, first, second, write = call(unit=1), call(unit=2), call(unit=2), call(unit=1, write=True)
     assert serve(filled(read, first, second, write)) == [read, write, first, second]
 
 
 def test_the_writes_of_one_caller_do_not_pass_the_reads_of_another() -> None:
-    reads = [demand("reader", unit=1) for _ in range(2)]
-    writes = [demand("writer", unit=2, write=True) for _ in range(2)]
+    reads = [call("reader", unit=1) for _ in range(2)]
+    writes = [call("writer", unit=2, write=True) for _ in range(2)]
     assert serve(filled(*reads, *writes)) == [reads[0], writes[0], reads[1], writes[1]]
 
 
 def test_a_unit_that_must_not_be_asked_holds_up_its_own_requests_only() -> None:
-    held, free, held_too, later = demand(unit=1), demand(unit=2), demand("b", unit=1), demand(unit=3)
+    held, free, held_too, later = call(unit=1), call(unit=2), call("b", unit=1), call(unit=3)
     queue = filled(held, free, held_too, later)
     assert serve(queue, lambda one: one.unit != 1) == [free, later]
     assert list(queue) == [held, held_too] or list(queue) == [held_too, held]
@@ -80,19 +80,19 @@ def test_a_unit_that_must_not_be_asked_holds_up_its_own_requests_only() -> None:
 
 
 def test_of_a_unit_that_is_held_up_no_later_request_goes_first() -> None:
-    held, write = demand(unit=1), demand(unit=1, write=True)
+    held, write = call(unit=1), call(unit=1, write=True)
     assert serve(filled(held, write), lambda one: one is not held) == []
 
 
 def test_what_is_repeated_goes_before_the_others_of_its_caller() -> None:
-    first, second = demand(), demand()
+    first, second = call(), call()
     queue = filled(second)
     queue.add_again(first)
     assert serve(queue) == [first, second]
 
 
 def test_what_is_repeated_and_still_waits_is_there_once() -> None:
-    batch = demand(requests=2)
+    batch = call(requests=2)
     queue = filled(batch)
     queue.add_again(batch)
     assert (queue.size, list(queue)) == (1, [batch])
@@ -103,8 +103,8 @@ def test_what_is_repeated_and_still_waits_is_there_once() -> None:
 def test_a_full_queue_refuses_one_more_but_takes_back_what_is_repeated(limit: int) -> None:
     queue = RequestQueue(limit)
     for caller in range(limit):
-        queue.add(demand(caller))
-    refused = demand("late")
+        queue.add(call(caller))
+    refused = call("late")
     with pytest.raises(Overloaded, match=f"{limit} calls wait on this link already; nothing was sent"):
         queue.add(refused)
     assert queue.size == limit
@@ -113,19 +113,19 @@ def test_a_full_queue_refuses_one_more_but_takes_back_what_is_repeated(limit: in
 
 
 def test_what_is_taken_out_is_gone_and_what_is_not_in_is_not_taken_out() -> None:
-    one, other = demand("a", write=True), demand("b")
+    one, other = call("a", write=True), call("b")
     queue = filled(one, other)
     assert queue.remove(one)
     assert not queue.remove(one)
-    assert not queue.remove(demand("c"))
-    assert not queue.remove(demand("b"))
+    assert not queue.remove(call("c"))
+    assert not queue.remove(call("b"))
     assert (queue.size, queue.share(9), list(queue)) == (1, 9, [other])
     assert serve(queue) == [other]
     assert queue.pick() is None
 
 
 def test_a_look_ahead_gives_what_comes_next_and_changes_nothing() -> None:
-    one, other = demand("a"), demand("b")
+    one, other = call("a"), call("b")
     queue = filled(one, other)
     assert queue.peek() is one
     assert queue.peek() is one
@@ -135,28 +135,28 @@ def test_a_look_ahead_gives_what_comes_next_and_changes_nothing() -> None:
 
 
 DEMANDS = st.lists(
-    st.builds(demand, st.sampled_from("abc"), st.integers(1, 3), write=st.booleans(), requests=st.integers(1, 3)),
+    st.builds(call, st.sampled_from("abc"), st.integers(1, 3), write=st.booleans(), requests=st.integers(1, 3)),
     max_size=20,
 )
 
 
 @given(DEMANDS)
 @settings(max_examples=200)
-def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(demands: list[Demand]) -> None:
-    order = serve(filled(*demands))
-    assert len(order) == sum(len(one.requests) for one in demands)
+def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(calls: list[Call]) -> None:
+    order = serve(filled(*calls))
+    assert len(order) == sum(len(one.requests) for one in calls)
     for caller in "abc":
         for unit in (1, 2, 3):
-            asked = [one for one in demands if (one.caller, one.unit) == (caller, unit) for _ in one.requests]
+            asked = [one for one in calls if (one.caller, one.unit) == (caller, unit) for _ in one.requests]
             assert [one for one in order if (one.caller, one.unit) == (caller, unit)] == asked
 
 
 @given(DEMANDS)
 @settings(max_examples=200)
-def test_nobody_is_passed_twice_while_he_waits(demands: list[Demand]) -> None:
-    waiting = {caller: sum(len(one.requests) for one in demands if one.caller == caller) for caller in "abc"}
+def test_nobody_is_passed_twice_while_he_waits(calls: list[Call]) -> None:
+    waiting = {caller: sum(len(one.requests) for one in calls if one.caller == caller) for caller in "abc"}
     since: dict[str, set[object]] = {caller: set() for caller in "abc"}
-    for one in serve(filled(*demands)):
+    for one in serve(filled(*calls)):
         caller = str(one.caller)
         for other in "abc":
             if other != caller and waiting[other]:
@@ -167,23 +167,23 @@ def test_nobody_is_passed_twice_while_he_waits(demands: list[Demand]) -> None:
 
 
 def test_who_comes_anew_is_served_before_the_one_that_was_served_last() -> None:
-    flood = [demand("flood") for _ in range(3)]
+    flood = [call("flood") for _ in range(3)]
     queue = filled(*flood)
     assert queue.pick() is flood[0]
     queue.remove(flood[0])
-    quiet = demand("quiet")
+    quiet = call("quiet")
     queue.add(quiet)
     assert serve(queue) == [quiet, *flood[1:]]
 
 
 def test_two_that_ask_one_by_one_take_turns_with_a_flood() -> None:
-    flood = [demand("flood") for _ in range(6)]
+    flood = [call("flood") for _ in range(6)]
     queue = filled(*flood)
     order = []
     for number in range(9):
         if number in (1, 4):
-            queue.add(demand("one"))
-            queue.add(demand("two"))
+            queue.add(call("one"))
+            queue.add(call("two"))
         picked = queue.pick()
         assert picked is not None
         queue.remove(picked)
@@ -192,11 +192,11 @@ def test_two_that_ask_one_by_one_take_turns_with_a_flood() -> None:
 
 
 def test_no_newcomer_keeps_another_waiting_for_ever() -> None:
-    queue = filled(demand("first"), demand("second"))
+    queue = filled(call("first"), call("second"))
     assert queue.pick().caller == "first"  # type: ignore[union-attr]
     served = []
     for number in range(4):
-        queue.add(demand(f"new {number}"))
+        queue.add(call(f"new {number}"))
         picked = queue.pick()
         assert picked is not None
         queue.remove(picked)
@@ -206,7 +206,7 @@ def test_no_newcomer_keeps_another_waiting_for_ever() -> None:
 
 
 def test_a_turn_is_a_burst_or_a_share_of_the_room_where_that_is_asked_for() -> None:
-    queue = filled(*(demand(caller) for caller in "abcd"))
+    queue = filled(*(call(caller) for caller in "abcd"))
     assert queue.share(16) == 1
     queue.burst = 2
     assert [queue.share(room) for room in (1, 2, 8, 12, 16)] == [2, 2, 2, 3, 4]
@@ -216,7 +216,7 @@ def test_a_turn_is_a_burst_or_a_share_of_the_room_where_that_is_asked_for() -> N
 
 
 def test_in_its_turn_a_caller_gets_what_it_would_get_next_and_then_the_next_one_is_due() -> None:
-    first, write, batch, other = demand("a"), demand("a", 2, write=True), demand("a", 3, requests=4), demand("b")
+    first, write, batch, other = call("a"), call("a", 2, write=True), call("a", 3, requests=4), call("b")
     queue = filled(first, write, batch, other)
     queue.burst = 4
     order = []
@@ -238,10 +238,10 @@ def test_in_its_turn_a_caller_gets_what_it_would_get_next_and_then_the_next_one_
 def test_what_takes_several_places_gives_each_free_when_it_is_sent() -> None:
     queue = RequestQueue(5)
     queue.burst = 4
-    bunch = demand("a", requests=4)
+    bunch = call("a", requests=4)
     bunch.places = 4
     queue.add(bunch)
-    too_much = demand("b", requests=2)
+    too_much = call("b", requests=2)
     too_much.places = 2
     with pytest.raises(Overloaded):
         queue.add(too_much)
@@ -259,7 +259,7 @@ def test_what_takes_several_places_gives_each_free_when_it_is_sent() -> None:
 def test_what_is_asked_again_has_begun_until_it_is_sent_or_taken_out() -> None:
     queue = RequestQueue(5)
     queue.burst = 4
-    one, other = demand("a"), demand("b")
+    one, other = call("a"), call("b")
     for each in (one, other):
         queue.add_again(each)
     assert list(queue.begun) == [one, other]
@@ -271,19 +271,19 @@ def test_what_is_asked_again_has_begun_until_it_is_sent_or_taken_out() -> None:
 
 
 def test_units_of_a_caller_are_served_in_turn_where_that_is_asked_for() -> None:
-    demands = [demand(unit=unit) for unit in (1, 1, 1, 2, 2, 3)]
+    calls = [call(unit=unit) for unit in (1, 1, 1, 2, 2, 3)]
     queue = RequestQueue(64)
     queue.units_in_turn = True
-    for one in demands:
+    for one in calls:
         queue.add(one)
     assert [one.unit for one in serve(queue)] == [1, 2, 3, 1, 2, 1]
 
 
 def test_units_in_turn_keep_the_order_within_a_unit_and_pass_those_that_may_not_be_asked() -> None:
-    demands = [demand(unit=unit) for unit in (1, 1, 2, 2)]
+    calls = [call(unit=unit) for unit in (1, 1, 2, 2)]
     queue = RequestQueue(64)
     queue.units_in_turn = True
-    for one in demands:
+    for one in calls:
         queue.add(one)
-    assert serve(queue, lambda one: one.unit == 2) == demands[2:]
-    assert serve(queue) == demands[:2]
+    assert serve(queue, lambda one: one.unit == 2) == calls[2:]
+    assert serve(queue) == calls[:2]

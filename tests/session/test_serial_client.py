@@ -43,20 +43,20 @@ def registers(outcome: object) -> list[int]:
 def test_master_waits_for_the_reply_and_is_idle_after_it() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10)})
-    call = master.ask(1, READ)
+    question = master.ask(1, READ)
     bus.run(until=lambda: bool(master.sent))
     assert master.session.state is MasterState.WAITING_FOR_REPLY
-    bus.run(until=lambda: call.done)
+    bus.run(until=lambda: question.done)
     assert master.session.state is MasterState.IDLE
-    assert registers(call.outcome) == [0, 0]
+    assert registers(question.outcome) == [0, 0]
 
 
 @pytest.mark.clause("S1")
 def test_one_transaction_at_a_time_whoever_asks() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10), 2: Device(holding_registers=10)})
-    calls = [master.ask(1 + number % 2, READ, caller=number) for number in range(10)]
-    bus.run(until=lambda: all(call.done for call in calls))
+    questions = [master.ask(1 + number % 2, READ, caller=number) for number in range(10)]
+    bus.run(until=lambda: all(question.done for question in questions))
     talks = bus.line.transmissions()
     assert [talk.port for talk in talks] == [0, 1] * 10
     assert bus.line.collisions == 0
@@ -66,8 +66,8 @@ def test_one_transaction_at_a_time_whoever_asks() -> None:
 def test_every_frame_leaves_t3_5_after_the_last_byte_of_anybody() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10), 2: Device(holding_registers=10)})
-    calls = [master.ask(1 + number % 2, READ, caller=number) for number in range(6)]
-    bus.run(until=lambda: all(call.done for call in calls))
+    questions = [master.ask(1 + number % 2, READ, caller=number) for number in range(6)]
+    bus.run(until=lambda: all(question.done for question in questions))
     talks = bus.line.transmissions()
     assert talks[0].begin == pytest.approx(T3_5)  # the line was opened at 0: t3.5 must be heard before it is idle
     for before, after in itertools.pairwise(talks):
@@ -86,10 +86,10 @@ def test_response_timeout_counts_from_the_last_byte_sent() -> None:
 def test_a_port_that_sends_later_than_by_arithmetic_puts_the_timeout_off() -> None:
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=0.5, retries=0))
-    call = master.ask(1, READ)
+    question = master.ask(1, READ)
     bus.run(until=lambda: bool(master.sent))
     master.session.still_sending(bus.now + 0.2)
-    bus.run(until=lambda: call.done)
+    bus.run(until=lambda: question.done)
     assert bus.now == pytest.approx(T3_5 + 0.2 + 0.5)
 
 
@@ -137,12 +137,12 @@ def test_damaged_reply_is_shown_where_it_is_not_asked_again() -> None:
 def test_marked_characters_discard_the_reply_they_stand_in() -> None:
     bus = Bus()
     master = bus.master(parameters=ClientParameters(retries=0))
-    call = master.ask(1, READ)
+    question = master.ask(1, READ)
     bus.run(until=lambda: bool(master.sent))
     bus.run(0.02)
     master.session.receive_damaged(encode_rtu(1, REPLY), bus.now)
-    bus.run(until=lambda: call.done)
-    assert isinstance(call.outcome, NoReply)
+    bus.run(until=lambda: question.done)
+    assert isinstance(question.outcome, NoReply)
     assert master.session.counters.damaged_frames == 1
 
 
@@ -181,11 +181,11 @@ def test_broadcast_write_is_done_after_the_turnaround_and_by_every_server() -> N
     bus = Bus(3)
     one, other = Device(holding_registers=4), Device(holding_registers=4)
     master, _, _ = bus.master(), bus.servers({1: one}), bus.servers({2: other})
-    call = master.ask(0, WriteSingleRegister(3, 77))
+    question = master.ask(0, WriteSingleRegister(3, 77))
     bus.run(until=lambda: bool(master.sent))
     assert master.session.state is MasterState.WAITING_TURNAROUND
-    bus.run(until=lambda: call.done)
-    assert isinstance(call.outcome, Message)
+    bus.run(until=lambda: question.done)
+    assert isinstance(question.outcome, Message)
     assert bus.now == pytest.approx(T3_5 + 8 * CHARACTER + 0.1)
     assert one.holding_registers[3] == other.holding_registers[3] == 77
     assert len(bus.line.transmissions()) == 1
@@ -196,10 +196,10 @@ def test_nothing_is_sent_within_the_turnaround_and_no_answer_is_taken() -> None:
     bus = Bus()
     master = bus.master(serial=SerialClientParameters(turnaround_delay=0.15))
     bus.device(lambda unit, pdu, now: [(0.02, encode_rtu(unit or 9, pdu))] if unit == 0 else [])
-    call = master.ask(0, WriteSingleRegister(0, 1))
+    question = master.ask(0, WriteSingleRegister(0, 1))
     master.ask(9, WriteSingleRegister(0, 1), timeout=0.1)
     bus.run(until=lambda: len(master.sent) == 2)
-    assert call.done
+    assert question.done
     assert master.sent[1][0] - (T3_5 + 8 * CHARACTER) == pytest.approx(0.15)
     assert master.session.counters.foreign_replies == 1
 
@@ -456,11 +456,11 @@ def test_call_that_ran_out_of_time_ends_then_and_its_request_stays_in_flight() -
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=1.0, retries=3))
     bus.device(lambda unit, pdu, now: [(0.5, encode_rtu(unit, REPLY))])
-    call = master.ask(1, READ, deadline=0.2)
-    bus.run(until=lambda: call.done)
+    question = master.ask(1, READ, deadline=0.2)
+    bus.run(until=lambda: question.done)
     assert bus.now == pytest.approx(0.2)
-    assert isinstance(call.outcome, NoReply)
-    assert "deadline" in str(call.outcome)
+    assert isinstance(question.outcome, NoReply)
+    assert "deadline" in str(question.outcome)
     assert master.session.in_flight == 1
     following = master.ask(1, ReadInputRegisters(0, 1))
     bus.run(0.4)
@@ -472,11 +472,11 @@ def test_call_that_ran_out_of_time_ends_then_and_its_request_stays_in_flight() -
 def test_cancelled_request_finishes_unseen_and_its_reply_goes_to_nobody() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10)})
-    call = master.ask(1, READ)
+    question = master.ask(1, READ)
     bus.run(until=lambda: bool(master.sent))
-    master.session.cancel(call.demand)
+    master.session.cancel(question.call)
     assert registers(master.get(1, ReadHoldingRegisters(1, 3))) == [0, 0, 0]
-    assert call.demand.outcomes == [None]
+    assert question.call.outcomes == [None]
     assert master.session.counters.cancelled == 1
 
 
@@ -503,16 +503,16 @@ def test_lost_port_repeats_reads_and_leaves_the_outcome_of_writes_unknown() -> N
     write = master.ask(1, WriteSingleRegister(0, 1))
     bus.run(until=lambda: len(master.sent) == 3)
     master.session.disconnected(bus.now, "unplugged")
-    assert isinstance(write.demand.outcomes[0], WriteOutcomeUnknown)
-    assert isinstance(write.demand.outcomes[0].__cause__, LinkDown)
+    assert isinstance(write.call.outcomes[0], WriteOutcomeUnknown)
+    assert isinstance(write.call.outcomes[0].__cause__, LinkDown)
 
 
 def test_unreachable_port_ends_all_that_waits() -> None:
     bus = Bus()
     master = bus.master()
-    calls = [master.ask(unit, READ) for unit in (1, 2)]
+    questions = [master.ask(unit, READ) for unit in (1, 2)]
     master.session.unreachable(bus.now, LinkDown("it is not there"))
-    assert all(isinstance(call.demand.outcomes[0], LinkDown) for call in calls)
+    assert all(isinstance(question.call.outcomes[0], LinkDown) for question in questions)
 
 
 # Echo.

@@ -196,8 +196,8 @@ def test_unit_switch_is_kept_by_unit_switch_gap() -> None:
 
 def test_mute_after_connect_is_kept_by_connect_delay() -> None:
     _, master, _ = line(lambda frame: [(T3_5, frame)], connect_delay=2.0)
-    call = master.ask(1, ReadHoldingRegisters(0, 2))
-    master.bus.run(until=lambda: call.done)
+    question = master.ask(1, ReadHoldingRegisters(0, 2))
+    master.bus.run(until=lambda: question.done)
     assert master.sent[0][0] == pytest.approx(2.0)
 
 

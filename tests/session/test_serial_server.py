@@ -465,22 +465,22 @@ def test_exception_status_and_echo_of_data_are_answered() -> None:
 @pytest.mark.clause("S6")
 def test_late_answer_leaves_when_it_is_there() -> None:
     bus, master, server, handler = handled(LATER)
-    call = master.ask(5, READ)
+    question = master.ask(5, READ)
     bus.run(0.1)
     assert server.session.waiting == 1
     handler.contexts[0].reply(ReadHoldingRegisters.Reply(bytes(4)))
-    bus.run(until=lambda: call.done)
-    assert isinstance(call.outcome, Message)
+    bus.run(until=lambda: question.done)
+    assert isinstance(question.outcome, Message)
 
 
 @pytest.mark.clause("S1")
 def test_late_answer_is_given_up_when_somebody_else_has_spoken() -> None:
     bus, master, server, handler = handled(LATER)
-    call = master.ask(5, READ)
+    question = master.ask(5, READ)
     bus.run(0.1)
     send(bus, encode_rtu(9, READ.encode()), 0.0)
     handler.contexts[0].reply(ReadHoldingRegisters.Reply(bytes(4)))
-    bus.run(until=lambda: call.done)
+    bus.run(until=lambda: question.done)
     assert server.sent == []
     assert server.session.abandoned == 1
     assert server.diagnostics.counters.server_no_response_count == 1
@@ -541,12 +541,12 @@ def test_awaitable_is_handed_to_the_driver() -> None:
         return ReadHoldingRegisters.Reply(bytes(4))
 
     bus, master, server, _ = handled(reply())
-    call = master.ask(5, READ)
+    question = master.ask(5, READ)
     bus.run(0.1)
     (deferred,) = server.session.deferred
     deferred.context.reply(asyncio.run(deferred.awaitable))  # type: ignore[arg-type]
-    bus.run(until=lambda: call.done)
-    assert isinstance(call.outcome, Message)
+    bus.run(until=lambda: question.done)
+    assert isinstance(question.outcome, Message)
 
 
 def test_silence_of_a_handler_is_counted() -> None:

@@ -9,8 +9,8 @@ import pytest
 from busway.errors import NoReply, UnitSuspended
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.breaker import BreakerParameters, Breakers, BreakerState
+from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.demand import Demand
 from busway.session.parameters import ClientParameters
 
 DELAY = 0.0007
@@ -50,19 +50,19 @@ class Plant:
         self._replies: list[tuple[float, bytes]] = []
         self._polls: list[tuple[float, int]] = []
 
-    def ask(self, unit: int, requests: int = 1) -> Demand | None:
+    def ask(self, unit: int, requests: int = 1) -> Call | None:
         """Ask a unit now; None if it was refused at once."""
         reads = [ReadHoldingRegisters(position, 1) for position in range(requests)]
         for read in reads:
             read.prepare()
-        demand = Demand(unit, reads, False, self.session.parameters.timeout, 1, caller=unit)
+        call = Call(unit, reads, False, self.session.parameters.timeout, 1, caller=unit)
         try:
-            self.session.submit(demand, self.now)
+            self.session.submit(call, self.now)
         except UnitSuspended as error:
             self.ends.setdefault(unit, []).append(error)
             return None
         self._pump()
-        return demand
+        return call
 
     def poll(self, *units: int, every: float) -> None:
         """Let a client for each unit poll it, so many seconds after its last end."""
@@ -108,10 +108,10 @@ class Plant:
                     heapq.heappush(self._replies, answer)
                 at = end
         finished, self.session.finished[:] = self.session.finished[:], []
-        for demand in finished:
-            self.waited.setdefault(demand.unit, []).append(self.now - demand.submitted)
-            self.ends.setdefault(demand.unit, []).extend(demand.outcomes)
-            heapq.heappush(self._polls, (self.now + self._every, demand.unit))
+        for call in finished:
+            self.waited.setdefault(call.unit, []).append(self.now - call.submitted)
+            self.ends.setdefault(call.unit, []).extend(call.outcomes)
+            heapq.heappush(self._polls, (self.now + self._every, call.unit))
 
     _every = 1e9
 
@@ -142,10 +142,10 @@ def test_without_watching_units_the_others_wait_for_the_silent_one() -> None:
 
 def test_three_timeouts_open_the_breaker_and_what_waits_for_the_unit_fails_at_once() -> None:
     plant = Plant(Server({4}))
-    demands = [plant.ask(4) for _ in range(3)]
+    calls = [plant.ask(4) for _ in range(3)]
     plant.run(3.0)
     assert plant.breakers.state(4) is BreakerState.OPEN
-    first, second, third = ([type(one) for one in demand.outcomes] for demand in demands if demand is not None)
+    first, second, third = ([type(one) for one in call.outcomes] for call in calls if call is not None)
     assert (first, second, third) == ([NoReply], [NoReply], [UnitSuspended])
     assert plant.ask(4) is None
     assert plant.session.queued == plant.session.in_flight == 0
@@ -163,14 +163,14 @@ def test_a_probe_is_one_request_that_waits_no_longer_than_twice_what_is_usual() 
     plant.run(10.0)
     before, server.asked[:] = len(server.asked), []
     assert before
-    demand = plant.ask(4, requests=3)
+    call = plant.ask(4, requests=3)
     plant.run(10.05)
     assert [unit for _, unit in server.asked] == [4]  # the others of the demand are held
     assert plant.breakers.state(4) is BreakerState.PROBING
     plant.run(10.2)
     assert plant.breakers.state(4) is BreakerState.OPEN
-    assert demand is not None
-    assert not demand.open
+    assert call is not None
+    assert not call.open
     assert [unit for _, unit in server.asked] == [4]
 
 
@@ -181,11 +181,11 @@ def test_a_unit_that_answers_again_is_asked_as_before() -> None:
     plant.run(4.0)
     server.silent.clear()
     plant.run(8.0)
-    demand = plant.ask(4, requests=3)
+    call = plant.ask(4, requests=3)
     plant.run(9.0)
     assert plant.breakers.state(4) is BreakerState.CLOSED
-    assert demand is not None
-    assert [type(one).__name__ for one in demand.outcomes] == ["Reply"] * 3
+    assert call is not None
+    assert [type(one).__name__ for one in call.outcomes] == ["Reply"] * 3
 
 
 def test_a_late_reply_of_the_unit_closes_its_breaker() -> None:
@@ -204,10 +204,10 @@ def test_a_call_that_ends_before_the_unit_could_answer_is_no_sign_that_it_is_sil
     plant.run(0.1)
     for _ in range(5):
         read = ReadHoldingRegisters(0, 1)
-        demand = Demand(4, [read], False, 1.0, 1, caller=4, deadline=plant.now + 0.0005)
-        plant.session.submit(demand, plant.now)
+        call = Call(4, [read], False, 1.0, 1, caller=4, deadline=plant.now + 0.0005)
+        plant.session.submit(call, plant.now)
         plant._pump()
         plant.run(plant.now + 0.001)
-        assert demand.ended
+        assert call.ended
     assert plant.breakers.state(4) is BreakerState.CLOSED
     assert plant.ask(4) is not None

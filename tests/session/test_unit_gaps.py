@@ -33,8 +33,8 @@ def test_other_units_are_asked_meanwhile() -> None:
     master = bus.master()
     bus.servers(devices(1, 2))
     master.session.leave_alone({1: GAP})
-    calls = [master.ask(unit, READ, caller=caller) for caller, unit in enumerate((1, 1, 2, 2, 2))]
-    bus.run(until=lambda: all(call.done for call in calls))
+    questions = [master.ask(unit, READ, caller=caller) for caller, unit in enumerate((1, 1, 2, 2, 2))]
+    bus.run(until=lambda: all(question.done for question in questions))
     talks = bus.line.transmissions()
     assert [talk.data[0] for talk in talks[::2]] == [1, 2, 2, 2, 1]
     assert [talks[at].begin - talks[at - 1].end for at in (2, 4, 6)] == pytest.approx([T3_5] * 3)

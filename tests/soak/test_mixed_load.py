@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from crowd import Crowd, crowd, dial, question, vanish
+from many_clients import Crowd, crowd, dial, question, vanish
 from told_program import Program
 
 SERVER = Path(__file__).parents[1] / "load" / "programs" / "server.py"

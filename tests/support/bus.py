@@ -20,7 +20,7 @@ from busway.pdu.message import Message, Request
 from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.breaker import BreakerParameters
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import Handler, RequestContext
 from busway.session.line_framing import FramingParameters, LineFraming, line_framing
@@ -154,22 +154,22 @@ class Bus:
 
 
 @dataclass
-class Call:
+class Question:
     """One demand and what became of it."""
 
-    demand: Demand
-    then: Callable[[Call], None] | None = None
+    call: Call
+    then: Callable[[Question], None] | None = None
     ended_at: float | None = None
 
     @property
     def done(self) -> bool:
-        return self.demand.ended
+        return self.call.ended
 
     @property
     def outcome(self) -> object:
         """The reply or the error."""
-        assert self.demand.ended, "it has not ended"
-        return self.demand.outcomes[0]
+        assert self.call.ended, "it has not ended"
+        return self.call.outcomes[0]
 
 
 class MasterEnd:
@@ -180,7 +180,7 @@ class MasterEnd:
         self.port = port
         self.session = session
         self.sent: list[tuple[float, bytes]] = []
-        self._calls: dict[int, Call] = {}
+        self._calls: dict[int, Question] = {}
 
     def ask(
         self,
@@ -191,13 +191,13 @@ class MasterEnd:
         deadline: float | None = None,
         caller: object = None,
         idempotent: bool = False,
-        then: Callable[[Call], None] | None = None,
-    ) -> Call:
+        then: Callable[[Question], None] | None = None,
+    ) -> Question:
         """Give it a demand; ``then`` is called when it has ended."""
         parameters = self.session.parameters
         now = self.bus.now
-        call = Call(
-            Demand(
+        question = Question(
+            Call(
                 unit,
                 requests,
                 is_write=any(one.is_write for one in requests),
@@ -208,22 +208,22 @@ class MasterEnd:
                 deadline=None if deadline is None else now + deadline,
             )
         )
-        call.then = then
-        self._calls[id(call.demand)] = call
-        self.session.submit(call.demand, now)
+        question.then = then
+        self._calls[id(question.call)] = question
+        self.session.submit(question.call, now)
         self._pump(now)
-        return call
+        return question
 
-    def begin(self, demand: Demand) -> None:
+    def begin(self, call: Call) -> None:
         """Give it a demand of somebody else: its owner's ``set_result`` is called when it has ended."""
-        self.session.submit(demand, self.bus.now)
+        self.session.submit(call, self.bus.now)
         self._pump(self.bus.now)
 
     def get(self, unit: int, request: Request, **options: object) -> object:
         """Ask, and let time pass until the outcome is there."""
-        call = self.ask(unit, request, **options)  # type: ignore[arg-type]
-        self.bus.run(until=lambda: call.done)
-        return call.outcome
+        question = self.ask(unit, request, **options)  # type: ignore[arg-type]
+        self.bus.run(until=lambda: question.done)
+        return question.outcome
 
     def hear(self, data: bytes, errors: int, now: float) -> None:
         if errors:
@@ -245,14 +245,14 @@ class MasterEnd:
             self.sent.append((now, frame))
         finished = self.session.finished[:]
         self.session.finished.clear()
-        for demand in finished:
-            if demand.owner is not None:
-                demand.owner.set_result(None)
+        for call in finished:
+            if call.owner is not None:
+                call.owner.set_result(None)
                 continue
-            call = self._calls.pop(id(demand))
-            call.ended_at = now
-            if call.then is not None:
-                call.then(call)
+            question = self._calls.pop(id(call))
+            question.ended_at = now
+            if question.then is not None:
+                question.then(question)
 
 
 class ServerEnd:
@@ -366,4 +366,4 @@ def honest(units: dict[int, Device]) -> Callable[[int, bytes], bytes | None]:
     return answer
 
 
-__all__ = ["Bus", "Call", "DeviceEnd", "MasterEnd", "Message", "ServerEnd", "honest"]
+__all__ = ["Bus", "DeviceEnd", "MasterEnd", "Message", "Question", "ServerEnd", "honest"]

@@ -7,8 +7,8 @@ from busway.errors import ModbusError
 from busway.framing.mbap import FrameKind, MbapFrame, MbapReceiver, encode_mbap
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadHoldingRegisters
+from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.demand import Demand
 from busway.session.parameters import ClientParameters
 
 
@@ -47,17 +47,17 @@ class ClientWire:
 
     # What the application does.
 
-    def ask(self, *requests: Request, unit: int = 1, **options: Any) -> Demand:
+    def ask(self, *requests: Request, unit: int = 1, **options: Any) -> Call:
         """Submit one demand."""
-        demand = self.demand(requests, unit, **options)
-        self.session.submit(demand, self.now)
-        return demand
+        call = self.call(requests, unit, **options)
+        self.session.submit(call, self.now)
+        return call
 
-    def demand(self, requests: Sequence[Request], unit: int = 1, **options: Any) -> Demand:
+    def call(self, requests: Sequence[Request], unit: int = 1, **options: Any) -> Call:
         """A demand that is not submitted yet."""
         parameters = self.session.parameters
         values: dict[str, Any] = {"timeout": parameters.timeout, "retries": parameters.retries, **options}
-        return Demand(unit, requests, is_write=any(one.is_write for one in requests), **values)
+        return Call(unit, requests, is_write=any(one.is_write for one in requests), **values)
 
     # What the driver does.
 
@@ -92,20 +92,20 @@ class ClientWire:
         self.now += seconds
         self.session.tick(self.now)
 
-    def finished(self) -> list[Demand]:
+    def finished(self) -> list[Call]:
         """The demands that ended since the last call."""
         found = self.session.finished[:]
         self.session.finished.clear()
         return found
 
-    def run(self, demand: Demand, rounds: int = 100) -> list[Message | ModbusError | None]:
+    def run(self, call: Call, rounds: int = 100) -> list[Message | ModbusError | None]:
         """Let a well-behaved device answer until the demand has ended."""
         for _ in range(rounds):
             for frame in self.transmit():
                 self.reply(frame)
-            if demand.ended:
+            if call.ended:
                 break
-        return demand.outcomes
+        return call.outcomes
 
     def reconnect(self, reason: str = "the peer closed it") -> None:
         """The connection ends, and a new one stands."""

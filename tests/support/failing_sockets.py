@@ -20,8 +20,8 @@ import pytest
 
 from busway.client.connector import Connector
 from busway.errors import LinkDown
-from busway.transport.dialling import _crowd_of
-from busway.transport.epoll.stream import CrowdStream
+from busway.transport.dialling import _epoll_set_of
+from busway.transport.epoll.stream import EpollStream
 from busway.transport.epoll.watcher import can_watch
 
 UNANSWERED = 0xFFFF
@@ -244,7 +244,7 @@ class WireConnector:
         if self._plain or not can_watch(loop):
             transport, _ = await loop.create_connection(protocol, sock=connection)
             return transport
-        stream = CrowdStream(_crowd_of(loop), connection, protocol(), "the device")
+        stream = EpollStream(_epoll_set_of(loop), connection, protocol(), "the device")
         stream.begin()
         return stream
 

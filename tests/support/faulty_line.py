@@ -5,11 +5,11 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 
 import busway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.faults.connections import FaultyWires
+from busway.faults.connections import FaultyTap
 from busway.faults.fault import AppliedFault, Faults, Selection
-from busway.faults.profiles import PERSONALITIES
+from busway.faults.profiles import FAULT_PROFILES
 from busway.faults.responder import FaultyHandler
 from busway.server.listener import Listener
 from busway.server.local import LocalHandler
@@ -20,7 +20,7 @@ ANY_PORT = "tcp://127.0.0.1:0"
 BAUD = 115_200
 UNITS = (1, 2)
 SIZE = 400
-PATIENCE = 5.0
+ADAPTIVE_TIMEOUT = 5.0
 """Seconds for what comes."""
 
 
@@ -55,7 +55,7 @@ class FaultyLine:
     def add(self, name: str, unit: int | None = 1, **options: object) -> AppliedFault:
         """Let a unit misbehave; None: all of them."""
         selection = Selection() if unit is None else Selection(units={unit})
-        return self.faults.add(PERSONALITIES.named(name)(**options), selection)
+        return self.faults.add(FAULT_PROFILES.named(name)(**options), selection)
 
     def off(self) -> None:
         """Let all behave again."""
@@ -82,7 +82,7 @@ async def faulty_line(
         else:
             listen, dial = f"{carrier}://127.0.0.1:0", ""
         faults = Faults(7)
-        wires = FaultyWires(faults)
+        wires = FaultyTap(faults)
         devices = {unit: busway.Device(holding_registers=[value(unit, n) for n in range(SIZE)]) for unit in UNITS}
         written: dict[int, list[list[int]]] = {unit: [] for unit in UNITS}
         for unit, device in devices.items():
@@ -90,9 +90,9 @@ async def faulty_line(
         server = Server([listen], FaultyHandler(LocalHandler(devices), faults, wires), wires=wires, standard_port=False)
         async with server:
             base = route or Route(line="line", units=frozenset(range(1, 248)))
-            patient = replace(base, units=frozenset({2}), timeout=PATIENCE)  # who behaves has time
+            patient = replace(base, units=frozenset({2}), timeout=ADAPTIVE_TIMEOUT)  # who behaves has time
             plan = GatewayPlan(
-                fronts=(Front("front", Listener(front)),),
+                fronts=(GatewayListener("front", Listener(front)),),
                 lines=(LineSettings.of("line", dial or server.endpoints[0], **options),),
                 table=RoutingTable((patient, base)),
             )

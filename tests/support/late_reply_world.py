@@ -22,7 +22,7 @@ from busway.framing.conversation import Role
 from busway.framing.timing import SerialTiming
 from busway.pdu.message import Message, Request
 from busway.session.breaker import BreakerParameters
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.line_framing import line_framing
 from busway.session.parameters import ClientParameters
 from busway.session.serial_client import SerialClientParameters, SerialClientSession
@@ -51,18 +51,18 @@ class Breach(AssertionError):
 
 @dataclass(slots=True, eq=False)
 class Frame:
-    """One request frame that the master sent; ``call`` is None where it is of the master's own."""
+    """One request frame that the master sent; ``question`` is None where it is of the master's own."""
 
     number: int
     at: float
     unit: int
     pdu: bytes
-    call: Call | None
+    question: Question | None
     position: int
     executed: bool = False
 
     def __str__(self) -> str:
-        return f"#{self.number} {self.pdu.hex(' ')} to unit {self.unit} of {self.call or 'the master itself'}"
+        return f"#{self.number} {self.pdu.hex(' ')} to unit {self.unit} of {self.question or 'the master itself'}"
 
 
 @dataclass(slots=True, eq=False)
@@ -75,7 +75,7 @@ class Reply:
     used: bool = False
 
 
-class TracedDemand(Demand):
+class TracedCall(Call):
     """A demand that tells when one of its requests is about to be sent."""
 
     told: Callable[[int], None] | None = None
@@ -88,21 +88,21 @@ class TracedDemand(Demand):
         return taken
 
 
-class Call:
+class Question:
     """One call of somebody, and the frames that were sent for it."""
 
-    def __init__(self, number: int, demand: Demand, now: float, frames_allowed: Sequence[int]) -> None:
+    def __init__(self, number: int, call: Call, now: float, frames_allowed: Sequence[int]) -> None:
         self.number = number
-        self.demand = demand
+        self.call = call
         self.asked = now
         self.frames_allowed = frames_allowed
-        self.wanted = {(demand.unit, one.encode()): position for position, one in enumerate(demand.requests)}
-        self.frames: list[list[Frame]] = [[] for _ in demand.requests]
-        self.sent = [0] * len(demand.requests)
-        self.judged = [False] * len(demand.requests)
+        self.wanted = {(call.unit, one.encode()): position for position, one in enumerate(call.requests)}
+        self.frames: list[list[Frame]] = [[] for _ in call.requests]
+        self.sent = [0] * len(call.requests)
+        self.judged = [False] * len(call.requests)
         self.cancelled = False
         self.ended: float | None = None
-        self.confirmed: list[Reply | None] = [None] * len(demand.requests)
+        self.confirmed: list[Reply | None] = [None] * len(call.requests)
 
     def __str__(self) -> str:
         return f"call {self.number}"
@@ -113,11 +113,11 @@ class Call:
 
     @property
     def outcome(self) -> object:
-        return self.demand.outcomes[0]
+        return self.call.outcomes[0]
 
     @property
     def succeeded(self) -> bool:
-        return self.ended is not None and all(isinstance(one, Message) for one in self.demand.outcomes)
+        return self.ended is not None and all(isinstance(one, Message) for one in self.call.outcomes)
 
 
 # --- units ----------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ class World:
         self.encode = line_framing(framing, Role.SERVER, timing).encode
         self.gap = 2 * timing.t3_5 if path == "port" else 0.0
         self.connected = False
-        self.live: list[Call] = []
+        self.live: list[Question] = []
         self.frames: list[Frame] = []
         self.replies: deque[Reply] = deque(maxlen=200)
         self.own_frames = 0
@@ -252,7 +252,7 @@ class World:
         self.longest_call = 0.0
         self.history: deque[str] = deque(maxlen=80)
         self._calls = 0
-        self._taken: dict[tuple[int, bytes], tuple[Call, int]] = {}
+        self._taken: dict[tuple[int, bytes], tuple[Question, int]] = {}
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._order = 0
         self._held: list[Reply] = []
@@ -273,11 +273,11 @@ class World:
         deadline: float | None = None,
         caller: object = None,
         idempotent: bool = False,
-    ) -> Call | None:
+    ) -> Question | None:
         """Begin a call; None where the unit is suspended."""
         parameters = self.parameters
         is_write = any(one.is_write for one in requests)
-        demand = TracedDemand(
+        call = TracedCall(
             unit,
             requests,
             is_write,
@@ -288,41 +288,41 @@ class World:
             None if deadline is None else self.now + deadline,
         )
         allowed = [
-            1 + (parameters.write_retries if one.is_write and not idempotent else demand.retries) for one in requests
+            1 + (parameters.write_retries if one.is_write and not idempotent else call.retries) for one in requests
         ]
-        call = Call(self._calls, demand, self.now, allowed)
+        question = Question(self._calls, call, self.now, allowed)
         self._calls += 1
-        demand.told = lambda position: self._told(call, position)
+        call.told = lambda position: self._told(question, position)
         self._say(
-            f"{call} asks unit {unit} {' + '.join(one.encode().hex(' ') for one in requests)}, "
-            f"timeout {demand.timeout:g}, retries {demand.retries}"
+            f"{question} asks unit {unit} {' + '.join(one.encode().hex(' ') for one in requests)}, "
+            f"timeout {call.timeout:g}, retries {call.retries}"
         )
-        self.live.append(call)
+        self.live.append(question)
         try:
-            self.session.submit(demand, self.now)
+            self.session.submit(call, self.now)
         except UnitSuspended:
-            self.live.remove(call)
+            self.live.remove(question)
             self.suspended += 1
-            call.ended = self.now
+            question.ended = self.now
             return None
         self._pump()
-        return call
+        return question
 
-    def get(self, unit: int, *requests: Request, **options: object) -> Call | None:
+    def get(self, unit: int, *requests: Request, **options: object) -> Question | None:
         """Ask, and let time pass until the call has ended."""
-        call = self.ask(unit, *requests, **options)  # type: ignore[arg-type]
-        if call is not None:
-            self.run(until=lambda: not call.live)
-        return call
+        question = self.ask(unit, *requests, **options)  # type: ignore[arg-type]
+        if question is not None:
+            self.run(until=lambda: not question.live)
+        return question
 
-    def cancel(self, call: Call) -> None:
+    def cancel(self, question: Question) -> None:
         """The caller goes away."""
-        if not call.live:
+        if not question.live:
             return
-        self._say(f"{call} is cancelled")
-        call.cancelled = True
-        self.live.remove(call)
-        self.session.cancel(call.demand)
+        self._say(f"{question} is cancelled")
+        question.cancelled = True
+        self.live.remove(question)
+        self.session.cancel(question.call)
         self._pump()
 
     def disconnect(self, back_after: float, *, keeps: bool = True) -> None:
@@ -437,44 +437,44 @@ class World:
         else:
             body = bytes.fromhex(data[1:-4].decode("ascii"))
             unit, pdu = body[0], body[1:]
-        call, position = self._owner(unit, pdu)
-        frame = Frame(len(self.frames) + 1, self.now, unit, pdu, call, position)
+        question, position = self._owner(unit, pdu)
+        frame = Frame(len(self.frames) + 1, self.now, unit, pdu, question, position)
         self.frames.append(frame)
         self._say(f"sent {frame}")
-        if call is None:
+        if question is None:
             self.own_frames += 1
             if pdu[0] in WRITES:
                 raise Breach(self._told_all(f"a write of nobody was sent: {frame}"))
         else:
-            call.frames[position].append(frame)
-            if call.sent[position] > call.frames_allowed[position] + self._absorbed(call, pdu):
-                raise Breach(self._told_all(f"{frame} is one more than {call.frames_allowed[position]}"))
+            question.frames[position].append(frame)
+            if question.sent[position] > question.frames_allowed[position] + self._absorbed(question, pdu):
+                raise Breach(self._told_all(f"{frame} is one more than {question.frames_allowed[position]}"))
         return frame
 
-    def _absorbed(self, call: Call, pdu: bytes) -> int:
+    def _absorbed(self, question: Question, pdu: bytes) -> int:
         """How often a read may be sent beyond its retries: once for each reply that may have been its own and was not
         taken."""
         if pdu[0] in WRITES:
             return 0
         return sum(
-            one.frame.unit == call.demand.unit and one.pdu[0] & 0x7F == pdu[0] and one.arrived >= call.asked
+            one.frame.unit == question.call.unit and one.pdu[0] & 0x7F == pdu[0] and one.arrived >= question.asked
             for one in self.replies
         )
 
-    def _told(self, call: Call, position: int) -> None:
-        self._taken[call.demand.unit, call.demand.requests[position].encode()] = call, position
+    def _told(self, question: Question, position: int) -> None:
+        self._taken[question.call.unit, question.call.requests[position].encode()] = question, position
 
-    def _owner(self, unit: int, pdu: bytes) -> tuple[Call | None, int]:
+    def _owner(self, unit: int, pdu: bytes) -> tuple[Question | None, int]:
         taken = self._taken.pop((unit, pdu), None)
         if taken is not None and taken[0].live:
-            call, position = taken
-            call.sent[position] += 1
+            question, position = taken
+            question.sent[position] += 1
             return taken
-        for call in self.live:
-            if (unit, pdu) in call.wanted:
-                position = call.wanted[unit, pdu]
-                call.sent[position] += pdu[0] in WRITES
-                return call, position  # it, or something of the master's own that reads the same
+        for question in self.live:
+            if (unit, pdu) in question.wanted:
+                position = question.wanted[unit, pdu]
+                question.sent[position] += pdu[0] in WRITES
+                return question, position  # it, or something of the master's own that reads the same
         return None, 0
 
     # The units.
@@ -552,79 +552,81 @@ class World:
     # The oracle.
 
     def _judge(self) -> None:
-        for call in self.live:
-            for position, outcome in enumerate(call.demand.outcomes):
-                if outcome is not None and not call.judged[position]:
-                    call.judged[position] = True
-                    self._judge_outcome(call, position, outcome)
-        for demand in self.session.finished:
-            for call in self.live:
-                if call.demand is demand:
-                    call.ended = self.now
-                    self.longest_call = max(self.longest_call, self.now - call.asked)
-                    self.live.remove(call)
+        for question in self.live:
+            for position, outcome in enumerate(question.call.outcomes):
+                if outcome is not None and not question.judged[position]:
+                    question.judged[position] = True
+                    self._judge_outcome(question, position, outcome)
+        for call in self.session.finished:
+            for question in self.live:
+                if question.call is call:
+                    question.ended = self.now
+                    self.longest_call = max(self.longest_call, self.now - question.asked)
+                    self.live.remove(question)
                     break
         self.session.finished.clear()
         if self.live and self.now - self.live[0].asked > LONGEST_CALL:
             raise Breach(self._told_all(f"{self.live[0]} hangs"))
 
-    def _judge_outcome(self, call: Call, position: int, outcome: object) -> None:
-        self._say(f"{call}[{position}] ends: {outcome!r}")
-        if call.demand.unit == 0:
+    def _judge_outcome(self, question: Question, position: int, outcome: object) -> None:
+        self._say(f"{question}[{position}] ends: {outcome!r}")
+        if question.call.unit == 0:
             return
-        request = call.demand.requests[position]
+        request = question.call.requests[position]
         cause = outcome.__cause__ if isinstance(outcome, WriteOutcomeUnknown) else outcome
         if isinstance(cause, Message):
-            self._judge_reply(call, position, cause.encode())
+            self._judge_reply(question, position, cause.encode())
             self.right += 1
         elif isinstance(cause, ExceptionReply):
-            self._judge_reply(call, position, bytes((request.code | 0x80, cause.code)))
+            self._judge_reply(question, position, bytes((request.code | 0x80, cause.code)))
             self.right += 1
         elif isinstance(cause, BadReply):
-            self._judge_broken(call, position, cause)
+            self._judge_broken(question, position, cause)
         else:
             self.without_reply += 1
             if isinstance(cause, NoReply) and cause.kind == "in doubt":
                 self.in_doubt += 1
-                self._judge_doubt(call, position)
+                self._judge_doubt(question, position)
         if (
             not isinstance(outcome, Message | ExceptionReply | WriteOutcomeUnknown)
             and request.is_write
-            and call.frames[position]
+            and question.frames[position]
         ):
-            raise Breach(self._told_all(f"{call}, a write that was sent, ends as {outcome!r}"))
+            raise Breach(self._told_all(f"{question}, a write that was sent, ends as {outcome!r}"))
 
-    def _judge_doubt(self, call: Call, position: int) -> None:
-        if call.sent[position]:
-            raise Breach(self._told_all(f"{call} ends as in doubt, but was sent"))
+    def _judge_doubt(self, question: Question, position: int) -> None:
+        if question.sent[position]:
+            raise Breach(self._told_all(f"{question} ends as in doubt, but was sent"))
 
-    def _judge_reply(self, call: Call, position: int, pdu: bytes) -> None:
+    def _judge_reply(self, question: Question, position: int, pdu: bytes) -> None:
         since = self.now - (0.25 if self.path == "port" else 0.03)
         arrived = [
             one
             for one in reversed(self.replies)
             if since <= one.arrived <= self.now + 1e-6
             and not one.used
-            and one.frame.unit == call.demand.unit
+            and one.frame.unit == question.call.unit
             and one.pdu == pdu
         ]
         for reply in arrived:
-            if reply.frame in call.frames[position]:
+            if reply.frame in question.frames[position]:
                 reply.used = True
-                call.confirmed[position] = reply
+                question.confirmed[position] = reply
                 return
         by = f"the reply to {arrived[0].frame}" if arrived else "no reply that has just arrived"
-        raise Breach(self._told_all(f"{call}[{position}] was completed with {pdu.hex(' ')} by {by}"))
+        raise Breach(self._told_all(f"{question}[{position}] was completed with {pdu.hex(' ')} by {by}"))
 
-    def _judge_broken(self, call: Call, position: int, error: BadReply) -> None:
+    def _judge_broken(self, question: Question, position: int, error: BadReply) -> None:
         for reply in reversed(self.replies):
             whole = self.encode(reply.frame.unit, reply.pdu)
             if whole == error.raw or reply.pdu == error.raw:
-                if reply.frame not in call.frames[position]:
-                    raise Breach(self._told_all(f"{call}[{position}] was ended by the reply to {reply.frame}: {error}"))
+                if reply.frame not in question.frames[position]:
+                    raise Breach(
+                        self._told_all(f"{question}[{position}] was ended by the reply to {reply.frame}: {error}")
+                    )
                 return
         if self.path != "port":
-            raise Breach(self._told_all(f"{call}[{position}] ended by a broken reply, and none was sent: {error}"))
+            raise Breach(self._told_all(f"{question}[{position}] ended by a broken reply, and none was sent: {error}"))
 
     def _say(self, what: str) -> None:
         self.history.append(f"{self.now:10.3f}  {what}")

@@ -3,11 +3,11 @@
 import asyncio
 from collections.abc import Callable
 
-PATIENCE = 10.0
+ADAPTIVE_TIMEOUT = 10.0
 """Seconds after which something that should happen at once has failed."""
 
 
-async def until(condition: Callable[[], object], seconds: float = PATIENCE) -> None:
+async def until(condition: Callable[[], object], seconds: float = ADAPTIVE_TIMEOUT) -> None:
     """Let the event loop turn until ``condition()`` holds. Raises `TimeoutError`."""
     async with asyncio.timeout(seconds):
         while not condition():  # noqa: ASYNC110 - what the condition looks at tells nobody when it changes

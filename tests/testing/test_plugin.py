@@ -95,7 +95,7 @@ def test_a_run_that_asks_for_no_fixture_imports_nothing_of_the_simulator() -> No
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     ours = [name for name in done.stdout.split() if name.startswith("busway")]
-    assert set(ours) <= {"busway.version", "busway.testing", "busway.testing.plugin"}
+    assert set(ours) <= {"busway.version", "busway.interpreter", "busway.testing", "busway.testing.plugin"}
     assert not {"asyncio", "pydantic", "socket"} & set(done.stdout.split())
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import busway
 from busway.testing import (
-    PERSONALITIES,
+    FAULT_PROFILES,
     SLOW_LORIS,
     FakeClock,
     FaultyServer,
@@ -61,7 +61,9 @@ def test_unknown_name_or_option_is_refused(names: tuple[str, ...], options: dict
 
 
 def test_fault_can_be_made_from_a_personality_or_by_hand_and_options_go_to_those_that_have_them() -> None:
-    server = FaultyServer(known_device(), PERSONALITIES["busy"](seconds=None), "late", "idle-close", delay=9, seconds=5)
+    server = FaultyServer(
+        known_device(), FAULT_PROFILES["busy"](seconds=None), "late", "idle-close", delay=9, seconds=5
+    )
     assert [one.name for one in server.faults] == ["busy", "late", "idle-close"]
 
 
@@ -74,7 +76,7 @@ def test_faults_are_switched_while_clients_are_connected() -> None:
         assert unit.read_holding_registers(50, count=1) == [50]
         busy.off()
         assert unit.read_holding_registers(150, count=1) == [150]
-        with server.faults.during(PERSONALITIES["hole"](address=150)), pytest.raises(busway.ExceptionReply):
+        with server.faults.during(FAULT_PROFILES["hole"](address=150)), pytest.raises(busway.ExceptionReply):
             unit.read_holding_registers(150, count=1)
         assert unit.read_holding_registers(150, count=1) == [150]
 

@@ -13,13 +13,13 @@ from handles import settled_handles
 from waiting import until
 
 from busway.transport import accepting
-from busway.transport.accepting import NEWCOMERS_OF_A_TURN, CrowdAcceptor, accept_from
-from busway.transport.epoll.watcher import READABLE, Crowd, crowd_for
+from busway.transport.accepting import NEWCOMERS_OF_A_TURN, EpollAcceptor, accept_from
+from busway.transport.epoll.watcher import READABLE, EpollSet, epoll_set_for
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
 
-class Guest(asyncio.BufferedProtocol):
+class UdpPeer(asyncio.BufferedProtocol):
     """A connection that only stands."""
 
     def __init__(self) -> None:
@@ -33,11 +33,11 @@ class Guest(asyncio.BufferedProtocol):
         self.ended = True
 
 
-class Guests(list[Guest]):
+class Guests(list[UdpPeer]):
     """Those that have come; called, it makes the next one."""
 
-    def __call__(self) -> Guest:
-        self.append(Guest())
+    def __call__(self) -> UdpPeer:
+        self.append(UdpPeer())
         return self[-1]
 
     async def leave(self) -> None:
@@ -67,9 +67,9 @@ def listening(*failures: OSError) -> Listening:
 
 
 def acceptor_of(
-    crowd: Crowd, bound: socket.socket, guests: Callable[[], Guest], failed: list[OSError]
-) -> CrowdAcceptor:
-    return CrowdAcceptor(crowd, bound, guests, backlog=1000, failed=failed.append)
+    epoll_set: EpollSet, bound: socket.socket, guests: Callable[[], UdpPeer], failed: list[OSError]
+) -> EpollAcceptor:
+    return EpollAcceptor(epoll_set, bound, guests, backlog=1000, failed=failed.append)
 
 
 @pytest.mark.parametrize("loop", LOOPS)
@@ -82,7 +82,7 @@ def test_newcomers_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, w
             bound,
             guests,
             loop=running,
-            crowd=crowd_for(running) if with_crowd else None,
+            epoll_set=epoll_set_for(running) if with_crowd else None,
             backlog=100,
             failed=pytest.fail,
         )
@@ -107,9 +107,9 @@ def test_newcomers_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, w
 
 
 async def test_one_turn_takes_so_many_and_leaves_the_rest_to_the_next() -> None:
-    crowd, guests = Crowd(asyncio.get_running_loop()), Guests()
+    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
     bound = listening()
-    acceptor = acceptor_of(crowd, bound, guests, [])
+    acceptor = acceptor_of(epoll_set, bound, guests, [])
     clients = [socket.create_connection(bound.getsockname()) for _ in range(NEWCOMERS_OF_A_TURN + 3)]
     acceptor.ready(READABLE)
     assert len(guests) == NEWCOMERS_OF_A_TURN
@@ -126,13 +126,13 @@ async def test_system_that_has_nothing_left_is_asked_again_after_a_pause(
     number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(accepting, "PAUSE_SECONDS", 0.01)
-    crowd, guests = Crowd(asyncio.get_running_loop()), Guests()
+    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
     failures: list[OSError] = []
     bound = listening(OSError(number, "nothing left"), OSError(number, "nothing left"))
-    acceptor = acceptor_of(crowd, bound, guests, failures)
+    acceptor = acceptor_of(epoll_set, bound, guests, failures)
     with socket.create_connection(bound.getsockname()):
         await until(lambda: failures)
-        assert len(crowd) == 0  # or the loop would turn without an end
+        assert len(epoll_set) == 0  # or the loop would turn without an end
         await until(lambda: guests)
         assert [one.errno for one in failures] == [number, number]
         acceptor.close()
@@ -141,21 +141,21 @@ async def test_system_that_has_nothing_left_is_asked_again_after_a_pause(
 
 async def test_acceptor_that_is_closed_in_its_pause_stays_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accepting, "PAUSE_SECONDS", 0.0)
-    crowd, failures = Crowd(asyncio.get_running_loop()), list[OSError]()
+    epoll_set, failures = EpollSet(asyncio.get_running_loop()), list[OSError]()
     bound = listening(OSError(errno.EMFILE, "nothing left"))
-    acceptor = acceptor_of(crowd, bound, Guests(), failures)
+    acceptor = acceptor_of(epoll_set, bound, Guests(), failures)
     with socket.create_connection(bound.getsockname()):
         acceptor.ready(READABLE)
         acceptor.close()
         for _ in range(5):
             await asyncio.sleep(0)
-        assert (len(failures), len(crowd)) == (1, 0)
+        assert (len(failures), len(epoll_set)) == (1, 0)
 
 
 async def test_client_that_has_gone_before_it_was_taken_does_not_stop_the_next() -> None:
-    crowd, guests = Crowd(asyncio.get_running_loop()), Guests()
+    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
     bound = listening(ConnectionAbortedError())
-    acceptor = acceptor_of(crowd, bound, guests, [])
+    acceptor = acceptor_of(epoll_set, bound, guests, [])
     with socket.create_connection(bound.getsockname()):
         acceptor.ready(READABLE)
         assert len(guests) == 1
@@ -169,11 +169,11 @@ async def test_newcomer_for_whom_no_protocol_can_be_made_is_closed_and_reported(
     loop.set_exception_handler(lambda loop, context: reported.append(context))
     failure = ZeroDivisionError("a bug")
 
-    def make() -> Guest:
+    def make() -> UdpPeer:
         raise failure
 
     bound = listening()
-    acceptor = acceptor_of(Crowd(loop), bound, make, [])
+    acceptor = acceptor_of(EpollSet(loop), bound, make, [])
     with socket.create_connection(bound.getsockname()) as client:
         acceptor.ready(READABLE)
         assert client.recv(1) == b""
@@ -181,11 +181,11 @@ async def test_newcomer_for_whom_no_protocol_can_be_made_is_closed_and_reported(
     assert [one["exception"] for one in reported] == [failure]
 
 
-class Full(Crowd):
+class Full(EpollSet):
     """Watches the listening socket and nobody else."""
 
     def watch(self, descriptor: int, events: int, member: object) -> None:
-        if not isinstance(member, CrowdAcceptor):
+        if not isinstance(member, EpollAcceptor):
             raise OSError(errno.ENOSPC, "no room for another descriptor")
         super().watch(descriptor, events, member)
 
@@ -205,13 +205,13 @@ async def test_newcomer_that_can_not_be_watched_is_closed_and_counts_as_a_lack_o
 
 async def test_acceptor_and_its_connections_leave_no_descriptor_behind() -> None:
     before = settled_handles()
-    crowd, guests = Crowd(asyncio.get_running_loop()), Guests()
+    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
     bound = listening()
-    acceptor = acceptor_of(crowd, bound, guests, [])
+    acceptor = acceptor_of(epoll_set, bound, guests, [])
     with socket.create_connection(bound.getsockname()):
         await until(lambda: guests)
         acceptor.close()
-        assert len(crowd) == 1  # connections stay when their listener is closed
+        assert len(epoll_set) == 1  # connections stay when their listener is closed
         await guests.leave()
-        assert len(crowd) == 0
+        assert len(epoll_set) == 0
     assert settled_handles() == before

@@ -14,7 +14,7 @@ from event_loops import LOOPS, run_on
 from waiting import until
 
 from busway.transport import dialling
-from busway.transport.epoll.stream import CrowdStream
+from busway.transport.epoll.stream import EpollStream
 
 CROWDED = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
@@ -70,12 +70,12 @@ def test_a_connection_carries_bytes_both_ways(listening: socket.socket, name: st
 def test_connections_of_a_loop_wait_together(listening: socket.socket, name: str) -> None:
     async def main() -> None:
         streams = [(await opened(listening))[0] for _ in range(3)]
-        assert all(isinstance(one, CrowdStream) for one in streams)
-        (crowd,) = {one._crowd for one in streams if isinstance(one, CrowdStream)}
-        assert len(crowd) == 3
+        assert all(isinstance(one, EpollStream) for one in streams)
+        (epoll_set,) = {one._epoll_set for one in streams if isinstance(one, EpollStream)}
+        assert len(epoll_set) == 3
         for one in streams:
             one.close()
-        await until(lambda: len(crowd) == 0)
+        await until(lambda: len(epoll_set) == 0)
 
     run_on(name, main)
 
@@ -206,7 +206,7 @@ def test_a_loop_that_can_have_no_crowd_uses_its_own_transports(
             transport, protocol = await opened(listening, interface=interface)
         except PermissionError:
             return  # naming an interface needs rights on some systems
-        assert not isinstance(transport, CrowdStream)
+        assert not isinstance(transport, EpollStream)
         transport.close()
         await until(lambda: bool(protocol.lost))
 

@@ -6,7 +6,7 @@ from typing import assert_type
 import busway
 
 
-def blocking(unit: busway.Unit, numbers: Iterable[int], name: str) -> None:
+def blocking(unit: busway.BlockingUnit, numbers: Iterable[int], name: str) -> None:
     assert_type(unit.execute(busway.ReadCoils(0, 1)), busway.ReadCoils.Reply)
     assert_type(unit.execute(busway.ReadHoldingRegisters(0, 2)).registers, list[int])
     assert_type(unit.execute(busway.WriteSingleRegister(0, 2)).value, int)
@@ -69,7 +69,7 @@ class Multiply(busway.Request):
         product: int = busway.u16()
 
 
-def own_function(unit: busway.Unit) -> int:
+def own_function(unit: busway.BlockingUnit) -> int:
     return unit.execute(Multiply(2, 3)).product
 
 
@@ -89,7 +89,7 @@ def servers(device: busway.Device) -> None:
     busway.serve_forever(units={1: device}, started=lambda server: print(server.endpoints), request_rate=5.0)
 
 
-def caught(unit: busway.Unit) -> None:
+def caught(unit: busway.BlockingUnit) -> None:
     try:
         unit.read("4x1")
     except busway.NoAnswer as error:

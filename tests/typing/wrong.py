@@ -3,7 +3,7 @@
 import busway
 
 
-def blocking(unit: busway.Unit, device: busway.Device, link: busway.Link) -> None:
+def blocking(unit: busway.BlockingUnit, device: busway.Device, link: busway.BlockingLink) -> None:
     unit.execute(busway.ReadCoils(0, 1)).registers  # wrong: bits have no registers
     unit.execute(busway.ReadHoldingRegisters(0, 1)).bits(1)  # wrong: registers have no bits
     unit.execute(busway.ReadHoldingRegisters)  # wrong: the class and not a request

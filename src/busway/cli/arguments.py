@@ -13,7 +13,7 @@ import typer
 from ..errors import ConfigError
 
 if TYPE_CHECKING:
-    from ..client.blocking import Unit
+    from ..client.blocking import BlockingUnit
 
 URL = typer.Argument(..., metavar="URL", help="The device: tcp://10.0.0.5, tcp://host:5020.")
 UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="Unit identifier, 0…255. On TCP 255, the device itself.")
@@ -69,7 +69,7 @@ def refuse_unknown_option(value: str) -> None:
 @contextlib.contextmanager
 def opened_unit(
     url: str, *, unit: str | None, timeout: str | None, retries: str | None, verbose: int
-) -> Iterator["Unit"]:
+) -> Iterator["BlockingUnit"]:
     """The unit of a URL behind a blocking link; nothing is sent yet.
 
     Raises:

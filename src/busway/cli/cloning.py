@@ -19,7 +19,7 @@ from .output import say
 
 if TYPE_CHECKING:
     from ..apps.simulator.clone import Clone
-    from ..client.blocking import Unit
+    from ..client.blocking import BlockingUnit
 
 BETWEEN_LOOKS = 1.0
 """Seconds between two readings of a device that is being watched."""
@@ -89,7 +89,7 @@ def clone_device(wishes: CloneWishes) -> int:
     return ExitCode.DONE
 
 
-def _recorded(unit: "Unit", wishes: CloneWishes, duration: float | None) -> "Clone":
+def _recorded(unit: "BlockingUnit", wishes: CloneWishes, duration: float | None) -> "Clone":
     from ..apps.simulator.clone import RANGES, clone_points, clone_tables, watch_points
     from ..apps.simulator.register_map import read_register_map
 

@@ -18,7 +18,7 @@ from .files import capturing
 from .output import print_aligned, print_json, say
 
 if TYPE_CHECKING:
-    from ..client.blocking import Unit
+    from ..client.blocking import BlockingUnit
 
 EXAMPLES = """\b
 Examples:
@@ -105,14 +105,14 @@ def counters(
     return ExitCode.DONE
 
 
-def _questions() -> list[tuple[str, str, Callable[["Unit"], list[Fact]]]]:
+def _questions() -> list[tuple[str, str, Callable[["BlockingUnit"], list[Fact]]]]:
     """Function, name, and how it is asked."""
-    questions: list[tuple[str, str, Callable[[Unit], list[Fact]]]] = []
+    questions: list[tuple[str, str, Callable[[BlockingUnit], list[Fact]]]] = []
     for code, meaning in COUNTERS:
         function, name = f"08/{code:02X}", code.name.lower().removeprefix("return_")
 
         def ask(
-            unit: "Unit",
+            unit: "BlockingUnit",
             code: DiagnosticCode = code,
             function: str = function,
             name: str = name,
@@ -127,7 +127,7 @@ def _questions() -> list[tuple[str, str, Callable[["Unit"], list[Fact]]]]:
     return questions
 
 
-def _event_counter(unit: "Unit") -> list[Fact]:
+def _event_counter(unit: "BlockingUnit") -> list[Fact]:
     reply = unit.get_comm_event_counter()
     return [
         Fact("11", "status", reply.status, _status_text(reply.status)),
@@ -135,7 +135,7 @@ def _event_counter(unit: "Unit") -> list[Fact]:
     ]
 
 
-def _event_log(unit: "Unit") -> list[Fact]:
+def _event_log(unit: "BlockingUnit") -> list[Fact]:
     reply = unit.get_comm_event_log()
     return [
         Fact("12", "message_count", reply.message_count, "frames processed since the last restart"),
@@ -143,7 +143,7 @@ def _event_log(unit: "Unit") -> list[Fact]:
     ]
 
 
-def _exception_status(unit: "Unit") -> list[Fact]:
+def _exception_status(unit: "BlockingUnit") -> list[Fact]:
     return [Fact("07", "exception_status", unit.read_exception_status(), "8 bits that the device defines")]
 
 

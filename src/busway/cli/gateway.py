@@ -139,8 +139,8 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
     if not files:
         if len(words) == 1:
             raise ConfigError("a line is needed behind the listener, for example rtu:///dev/ttyUSB0", key="LINE")
-        patience = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", high=3600)
-        return lambda: simple_gateway(words[:-1], words[-1], changes=changes, client_deadline=patience)
+        adaptive_timeout = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", high=3600)
+        return lambda: simple_gateway(words[:-1], words[-1], changes=changes, client_deadline=adaptive_timeout)
     if len(words) > 1:
         raise ConfigError(f"either URLs or one file, not {' '.join(words)}", key="FILE")
     if deadline is not None:

@@ -16,7 +16,7 @@ from .files import capturing
 from .output import print_aligned, print_csv, print_json, say, shown_value
 
 if TYPE_CHECKING:
-    from ..client.blocking import Unit
+    from ..client.blocking import BlockingUnit
 
 EXAMPLES = """\b
 Examples:
@@ -45,7 +45,7 @@ def identify(
         raise ConfigError("does not go with --json", key="--csv")
     facts: list[Fact] = []
     failures: list[ModbusError] = []
-    questions: tuple[tuple[str, Callable[[Unit], list[Fact]]], ...] = (
+    questions: tuple[tuple[str, Callable[[BlockingUnit], list[Fact]]], ...] = (
         ("device identification (43/14)", _identification),
         ("server id (17)", _server_id),
     )
@@ -67,7 +67,7 @@ def identify(
     return ExitCode.DONE
 
 
-def _identification(unit: "Unit") -> list[Fact]:
+def _identification(unit: "BlockingUnit") -> list[Fact]:
     from ..pdu.encapsulated import OBJECT_NAMES
 
     for level in LEVELS:
@@ -84,7 +84,7 @@ def _identification(unit: "Unit") -> list[Fact]:
     ]
 
 
-def _server_id(unit: "Unit") -> list[Fact]:
+def _server_id(unit: "BlockingUnit") -> list[Fact]:
     return [("17", "ServerId", unit.report_server_id())]
 
 

@@ -38,7 +38,7 @@ from .files import capturing
 from .output import Row, Writer, choose_writer, say, value_rows
 
 if TYPE_CHECKING:
-    from ..client.blocking import Unit
+    from ..client.blocking import BlockingUnit
 
 EXAMPLES = """\b
 Examples:
@@ -121,7 +121,7 @@ def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool)
     return Wanted(place, form, order, count)
 
 
-def _read_once(unit: "Unit", wanted: Sequence[Wanted], writer: Writer, *, split: bool) -> int:
+def _read_once(unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, *, split: bool) -> int:
     rows: list[Row] = []
     code: int = ExitCode.DONE
     for each in wanted:
@@ -139,7 +139,7 @@ def _read_once(unit: "Unit", wanted: Sequence[Wanted], writer: Writer, *, split:
 
 
 def _read_again_and_again(
-    unit: "Unit", wanted: Sequence[Wanted], writer: Writer, period: float, *, split: bool
+    unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, period: float, *, split: bool
 ) -> None:
     due = time.monotonic()
     while True:
@@ -157,7 +157,7 @@ def _read_again_and_again(
         time.sleep(due - time.monotonic() if due > time.monotonic() else 0)
 
 
-def _rows(unit: "Unit", wanted: Wanted, *, split: bool) -> list[Row]:
+def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[Row]:
     """Ask, and keep the bytes beside the values."""
     from ..client.operations import read_values
 

@@ -4,7 +4,7 @@
    gateway that says 0A or 0B says that nobody is. Nothing is ever written.
 2. A line is listened to first. Where others talk, nothing is sent unless ``--force`` says so: two masters disturb each
    other.
-3. The wait for a unit is learnt from the answers (`busway.session.patience`). If one comes late, those who were given
+3. The wait for a unit is learnt from the answers (`session.adaptive_timeout`). If one comes late, those who were given
    less time are asked again.
 4. What answers is asked who it is (43/14, 17).
 5. ``--baud`` and ``--parity`` try several settings of a line, one after the other.
@@ -24,14 +24,14 @@ from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ..errors import BadReply, ConfigError, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..pdu.encapsulated import OBJECT_NAMES
-from ..session.patience import Patience, floor_for
+from ..session.adaptive_timeout import AdaptiveTimeout, floor_for
 from .arguments import CAPTURE, JSON, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
 from .files import capturing
 from .output import print_json, say, shown_value
 
 if TYPE_CHECKING:
-    from ..client.blocking import Link
+    from ..client.blocking import BlockingLink
 
 EXAMPLES = """\b
 Examples:
@@ -208,14 +208,14 @@ class _Scan:
         character = 0.0 if self._port is None else timing_of(self._port).character
         self._endpoint = endpoint
         self._units = units
-        self._patience = Patience(longest, floor_for(character), learns=learns)
+        self._adaptive_timeout = AdaptiveTimeout(longest, floor_for(character), learns=learns)
         self._names = names
         self._as_json = as_json
         self._progress = _Progress(len(units))
         self._found: list[Present] = []
         self._waited: dict[int, float] = {}
         """Units that were silent, and how long they were given."""
-        self._link: Link = connect(endpoint, shared=False, **options)
+        self._link: BlockingLink = connect(endpoint, shared=False, **options)
 
     @property
     def _where(self) -> str:
@@ -223,14 +223,16 @@ class _Scan:
 
     def run(self) -> int:
         """Ask all units; how many answer."""
-        most = len(self._units) * self._patience.longest
+        most = len(self._units) * self._adaptive_timeout.longest
         say(f"asking {len(self._units)} units of {self._where}, {_duration(most)} at most")
         with self._link:
             self._link.connect()
             try:
                 self._ask(self._units)
-                if self._patience.was_late:
-                    self._ask([unit for unit, waited in self._waited.items() if waited < self._patience.timeout])
+                if self._adaptive_timeout.was_late:
+                    self._ask(
+                        [unit for unit, waited in self._waited.items() if waited < self._adaptive_timeout.timeout]
+                    )
             finally:
                 self._progress.clear()
             self._conclude()
@@ -252,7 +254,7 @@ class _Scan:
         """Whether a unit answers, and how."""
         from ..pdu.read_items import ReadHoldingRegisters
 
-        counters, timeout = self._link.counters, self._patience.timeout
+        counters, timeout = self._link.counters, self._adaptive_timeout.timeout
         late_before = counters.late_replies
         began = time.monotonic()
         answer = ""
@@ -262,7 +264,7 @@ class _Scan:
         except ExceptionReply as error:
             # Also a gateway's answer tells how long it takes to get one.
             answer = "" if error.from_gateway else f"answers with exception {error.code:02X}"
-            self._patience.answered(time.monotonic() - began)
+            self._adaptive_timeout.answered(time.monotonic() - began)
         except BadReply as error:
             answer = f"answers, but broken: {error.reason}"
         except NoReply as error:
@@ -272,11 +274,11 @@ class _Scan:
             self._link.connect()  # some devices close the connection for a unit that they do not have
         took = time.monotonic() - began
         if counters.late_replies > late_before:
-            self._patience.late()
+            self._adaptive_timeout.late()
         if not answer:
             return None
         if answer == "answers":
-            self._patience.answered(took)
+            self._adaptive_timeout.answered(took)
         return Present(unit, answer, took)
 
     def _identify(self, present: Present) -> None:
@@ -311,7 +313,7 @@ class _Scan:
         sys.stdout.flush()
 
     def _conclude(self) -> None:
-        timeout = self._patience.timeout
+        timeout = self._adaptive_timeout.timeout
         alike = len(self._found) == len(self._units) >= MANY and len({each.identity for each in self._found}) == 1
         if self._as_json:
             print_json(
@@ -321,7 +323,7 @@ class _Scan:
                     "line": None if self._port is None else str(self._port),
                     "asked": len(self._units),
                     "found": [each.unit for each in self._found],
-                    "slowest": round(self._patience.slowest, 6) if self._found else None,
+                    "slowest": round(self._adaptive_timeout.slowest, 6) if self._found else None,
                     "timeout": round(timeout, 3) if self._found else None,
                     "all_alike": alike,
                 }
@@ -332,7 +334,7 @@ class _Scan:
             return
         several = "unit answers" if len(self._found) == 1 else "units answer"
         print(f"{len(self._found)} {several} on {self._where}")
-        print(f"the slowest took {self._patience.slowest * 1000:.0f} ms; a timeout of {timeout:.2f} s is safe")
+        print(f"the slowest took {self._adaptive_timeout.slowest * 1000:.0f} ms; a timeout of {timeout:.2f} s is safe")
         if alike:
             print("all of them answer alike: this is one device, which does not look at the unit")
 

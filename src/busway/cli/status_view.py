@@ -47,7 +47,7 @@ _HEADINGS: Final = {
     "requests": "transactions",
     "device_status": "device",
 }
-_LAMPS: Final = ("communication", "error", "device_status")
+_INDICATORS: Final = ("communication", "error", "device_status")
 _EXPIRES_SOON_DAYS: Final = 30.0
 _STYLES: Final[Mapping[str, Mapping[str, str]]] = {
     "communication": {"on": "green", "flashing": "yellow"},

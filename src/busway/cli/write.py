@@ -37,7 +37,7 @@ from .files import capturing
 from .output import Row, choose_writer, print_csv, print_json, say, shown_value, value_rows
 
 if TYPE_CHECKING:
-    from ..client.blocking import Unit
+    from ..client.blocking import BlockingUnit
     from ..client.operations import WriteFunction
 
 EXAMPLES = """\b
@@ -127,7 +127,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
         return None
 
 
-def _held(unit: "Unit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
+def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
     """Values and bytes of the places where ``raw`` was written."""
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
@@ -161,7 +161,7 @@ def _masks(place: Address, mask: tuple[str, str], texts: list[str] | None) -> tu
 
 
 def _write_mask(
-    unit: "Unit", place: Address, and_mask: int, or_mask: int, *, verify: bool, as_json: bool, as_csv: bool
+    unit: "BlockingUnit", place: Address, and_mask: int, or_mask: int, *, verify: bool, as_json: bool, as_csv: bool
 ) -> int:
     unit.mask_write_register(place.offset, and_mask=and_mask, or_mask=or_mask)
     code, outcome = ExitCode.DONE, "written"

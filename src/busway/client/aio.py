@@ -30,22 +30,21 @@ from ..pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from ..session.ledger import ClientCounters
+from ..session.call_tracker import ClientCounters
 from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from ..values.names import FloatName, IntegerName, Level, Order
-from .blocking import Link as BlockingLink
-from .blocking import Unit
+from .blocking import BlockingLink, BlockingUnit
 from .calls import (
     SHOWN_STATE,
+    call_for,
     check_selected,
     closed_error,
     default_unit,
-    demand_for,
     refused,
     with_assumed_unit,
 )
-from .link import Link
+from .link import AsyncLinkDriver
 from .management import Selection, selection
 from .operations import (
     CallOptions,
@@ -80,7 +79,7 @@ def documented_by(other: object) -> Callable[[Method], Method]:
 
 
 class AsyncUnit:
-    __doc__ = Unit.__doc__
+    __doc__ = BlockingUnit.__doc__
 
     __slots__ = ("_holding", "_input", "_is_assumed", "_link", "_number", "_parameters", "_width")
 
@@ -97,49 +96,49 @@ class AsyncUnit:
         return f"<AsyncUnit {self._number} of {self._link.endpoint.url}>"
 
     @property
-    @documented_by(Unit.number)
+    @documented_by(BlockingUnit.number)
     def number(self) -> int:
         return self._number
 
-    @documented_by(Unit.execute)
-    async def execute(self, request: TypedRequest[Reply], **call: Unpack[CallOptions]) -> Reply:
-        reply: Reply = await self._ask(request, call)
+    @documented_by(BlockingUnit.execute)
+    async def execute(self, request: TypedRequest[Reply], **call_options: Unpack[CallOptions]) -> Reply:
+        reply: Reply = await self._ask(request, call_options)
         return reply
 
-    async def _ask(self, request: Any, call: CallOptions) -> Any:  # as `execute`, which types them
+    async def _ask(self, request: Any, call_options: CallOptions) -> Any:  # as `execute`, which types them
         """The reply to one request; as `execute`, with the options of the call as they came.
 
         The same as by `AsyncLink.run`, without the coroutine between: 0.5 of 7 µs.
         """
         link = self._link._bound()
         now = link.now()
-        demand = demand_for(self._number, (request,), self._parameters, call, now)
-        future = link.start(demand, now)
+        call = call_for(self._number, (request,), self._parameters, call_options, now)
+        future = link.start(call, now)
         try:
             await future
         except asyncio.CancelledError:
-            link.give_up(demand)
+            link.give_up(call)
             raise
-        outcome = demand.outcomes[0]
+        outcome = call.outcomes[0]
         if isinstance(outcome, ModbusError):
             if self._is_assumed:
                 with_assumed_unit(outcome, self._number)
             try:
                 raise outcome
             finally:
-                del outcome, demand  # else the error and this frame, which it names, keep each other alive
+                del outcome, call  # else the error and this frame, which it names, keep each other alive
         assert outcome is not None
         return outcome
 
-    @documented_by(Unit.execute_many)
+    @documented_by(BlockingUnit.execute_many)
     async def execute_many(
-        self, requests: Sequence[Request], *, return_errors: bool = False, **call: Unpack[CallOptions]
+        self, requests: Sequence[Request], *, return_errors: bool = False, **call_options: Unpack[CallOptions]
     ) -> list[Any]:
         if not requests:
             return []
         outcomes: list[Any]
         try:
-            outcomes = await self._link.run(self._number, requests, call)
+            outcomes = await self._link.run(self._number, requests, call_options)
         except (LinkDown, Overloaded, NoReply) as refusal:
             if not return_errors:
                 raise
@@ -165,7 +164,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> int: ...
 
     @overload
@@ -177,7 +176,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[int]: ...
 
     @overload
@@ -189,7 +188,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> float: ...
 
     @overload
@@ -201,7 +200,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[float]: ...
 
     @overload
@@ -213,7 +212,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> Value: ...
 
     @overload
@@ -225,7 +224,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[Value]: ...
 
     @overload
@@ -237,7 +236,7 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> Any: ...
 
     @overload
@@ -249,10 +248,10 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[Any]: ...
 
-    @documented_by(Unit.read)
+    @documented_by(BlockingUnit.read)
     async def read(
         self,
         address: int | str | Address,
@@ -261,9 +260,9 @@ class AsyncUnit:
         order: Order = "ABCD",
         count: int | None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> Any:
-        return await self._perform(read_values(address, type, order, count, split, self._width), call)
+        return await self._perform(read_values(address, type, order, count, split, self._width), call_options)
 
     @overload
     async def write(
@@ -274,7 +273,7 @@ class AsyncUnit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     @overload
@@ -286,7 +285,7 @@ class AsyncUnit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     @overload
@@ -298,7 +297,7 @@ class AsyncUnit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     @overload
@@ -310,10 +309,10 @@ class AsyncUnit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
-    @documented_by(Unit.write)
+    @documented_by(BlockingUnit.write)
     async def write(
         self,
         address: int | str | Address,
@@ -322,124 +321,142 @@ class AsyncUnit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None:
-        await self._perform(write_values(address, value, type, order, function), call)
+        await self._perform(write_values(address, value, type, order, function), call_options)
 
-    @documented_by(Unit.read_device_identification)
+    @documented_by(BlockingUnit.read_device_identification)
     async def read_device_identification(
-        self, level: Level = "basic", *, object_id: int | None = None, **call: Unpack[CallOptions]
+        self, level: Level = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
     ) -> dict[int, bytes]:
-        found: dict[int, bytes] = await self._perform(read_identification(level, object_id), call)
+        found: dict[int, bytes] = await self._perform(read_identification(level, object_id), call_options)
         return found
 
-    @documented_by(Unit.read_coils)
-    async def read_coils(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
-        reply = await self._ask(read_request(ReadCoils, address, count), call)
+    @documented_by(BlockingUnit.read_coils)
+    async def read_coils(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
+        reply = await self._ask(read_request(ReadCoils, address, count), call_options)
         assert isinstance(reply, ReadCoils.Reply)
         return reply.bits(count)
 
-    @documented_by(Unit.read_discrete_inputs)
-    async def read_discrete_inputs(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
-        reply = await self._ask(read_request(ReadDiscreteInputs, address, count), call)
+    @documented_by(BlockingUnit.read_discrete_inputs)
+    async def read_discrete_inputs(
+        self, address: int, *, count: int, **call_options: Unpack[CallOptions]
+    ) -> list[bool]:
+        reply = await self._ask(read_request(ReadDiscreteInputs, address, count), call_options)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
         return reply.bits(count)
 
-    @documented_by(Unit.read_holding_registers)
-    async def read_holding_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self._ask(read_request(self._holding, address, count), call)
+    @documented_by(BlockingUnit.read_holding_registers)
+    async def read_holding_registers(
+        self, address: int, *, count: int, **call_options: Unpack[CallOptions]
+    ) -> list[int]:
+        reply = await self._ask(read_request(self._holding, address, count), call_options)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
-    @documented_by(Unit.read_input_registers)
-    async def read_input_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self._ask(read_request(self._input, address, count), call)
+    @documented_by(BlockingUnit.read_input_registers)
+    async def read_input_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
+        reply = await self._ask(read_request(self._input, address, count), call_options)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
-    @documented_by(Unit.write_single_coil)
-    async def write_single_coil(self, address: int, value: bool, **call: Unpack[CallOptions]) -> None:
-        await self._ask(WriteSingleCoil.of(address, value), call)
+    @documented_by(BlockingUnit.write_single_coil)
+    async def write_single_coil(self, address: int, value: bool, **call_options: Unpack[CallOptions]) -> None:
+        await self._ask(WriteSingleCoil.of(address, value), call_options)
 
-    @documented_by(Unit.write_single_register)
-    async def write_single_register(self, address: int, value: int, **call: Unpack[CallOptions]) -> None:
-        await self._ask(WriteSingleRegister(address, value), call)
+    @documented_by(BlockingUnit.write_single_register)
+    async def write_single_register(self, address: int, value: int, **call_options: Unpack[CallOptions]) -> None:
+        await self._ask(WriteSingleRegister(address, value), call_options)
 
-    @documented_by(Unit.write_multiple_coils)
-    async def write_multiple_coils(self, address: int, values: Iterable[bool], **call: Unpack[CallOptions]) -> None:
-        await self._ask(WriteMultipleCoils.of(address, values), call)
-
-    @documented_by(Unit.write_multiple_registers)
-    async def write_multiple_registers(self, address: int, values: Iterable[int], **call: Unpack[CallOptions]) -> None:
-        await self._ask(WriteMultipleRegisters.of(address, values), call)
-
-    @documented_by(Unit.mask_write_register)
-    async def mask_write_register(
-        self, address: int, *, and_mask: int, or_mask: int, **call: Unpack[CallOptions]
+    @documented_by(BlockingUnit.write_multiple_coils)
+    async def write_multiple_coils(
+        self, address: int, values: Iterable[bool], **call_options: Unpack[CallOptions]
     ) -> None:
-        await self._ask(MaskWriteRegister(address, and_mask, or_mask), call)
+        await self._ask(WriteMultipleCoils.of(address, values), call_options)
 
-    @documented_by(Unit.read_write_multiple_registers)
+    @documented_by(BlockingUnit.write_multiple_registers)
+    async def write_multiple_registers(
+        self, address: int, values: Iterable[int], **call_options: Unpack[CallOptions]
+    ) -> None:
+        await self._ask(WriteMultipleRegisters.of(address, values), call_options)
+
+    @documented_by(BlockingUnit.mask_write_register)
+    async def mask_write_register(
+        self, address: int, *, and_mask: int, or_mask: int, **call_options: Unpack[CallOptions]
+    ) -> None:
+        await self._ask(MaskWriteRegister(address, and_mask, or_mask), call_options)
+
+    @documented_by(BlockingUnit.read_write_multiple_registers)
     async def read_write_multiple_registers(
-        self, read_address: int, *, count: int, write_address: int, values: Iterable[int], **call: Unpack[CallOptions]
+        self,
+        read_address: int,
+        *,
+        count: int,
+        write_address: int,
+        values: Iterable[int],
+        **call_options: Unpack[CallOptions],
     ) -> list[int]:
-        reply = await self._ask(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), call)
+        reply = await self._ask(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), call_options)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
         return reply.registers
 
-    @documented_by(Unit.read_fifo_queue)
-    async def read_fifo_queue(self, address: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self._ask(ReadFifoQueue(address), call)
+    @documented_by(BlockingUnit.read_fifo_queue)
+    async def read_fifo_queue(self, address: int, **call_options: Unpack[CallOptions]) -> list[int]:
+        reply = await self._ask(ReadFifoQueue(address), call_options)
         assert isinstance(reply, ReadFifoQueue.Reply)
         return reply.registers
 
-    @documented_by(Unit.read_file_record)
-    async def read_file_record(self, file: int, record: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
-        reply = await self._ask(ReadFileRecord.of((FileReference(file, record, count),)), call)
+    @documented_by(BlockingUnit.read_file_record)
+    async def read_file_record(
+        self, file: int, record: int, *, count: int, **call_options: Unpack[CallOptions]
+    ) -> list[int]:
+        reply = await self._ask(ReadFileRecord.of((FileReference(file, record, count),)), call_options)
         assert isinstance(reply, ReadFileRecord.Reply)
         return reply.contents[0].registers
 
-    @documented_by(Unit.write_file_record)
+    @documented_by(BlockingUnit.write_file_record)
     async def write_file_record(
-        self, file: int, record: int, values: Iterable[int], **call: Unpack[CallOptions]
+        self, file: int, record: int, values: Iterable[int], **call_options: Unpack[CallOptions]
     ) -> None:
-        await self._ask(WriteFileRecord.of(file, record, values), call)
+        await self._ask(WriteFileRecord.of(file, record, values), call_options)
 
-    @documented_by(Unit.read_exception_status)
-    async def read_exception_status(self, **call: Unpack[CallOptions]) -> int:
-        reply = await self._ask(ReadExceptionStatus(), call)
+    @documented_by(BlockingUnit.read_exception_status)
+    async def read_exception_status(self, **call_options: Unpack[CallOptions]) -> int:
+        reply = await self._ask(ReadExceptionStatus(), call_options)
         assert isinstance(reply, ReadExceptionStatus.Reply)
         return reply.status
 
-    @documented_by(Unit.diagnostics)
-    async def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call: Unpack[CallOptions]) -> bytes:
-        reply = await self._ask(diagnostic_request(sub_function, data), call)
+    @documented_by(BlockingUnit.diagnostics)
+    async def diagnostics(
+        self, sub_function: int, data: bytes = b"\x00\x00", **call_options: Unpack[CallOptions]
+    ) -> bytes:
+        reply = await self._ask(diagnostic_request(sub_function, data), call_options)
         return diagnostic_data(reply)
 
-    @documented_by(Unit.get_comm_event_counter)
-    async def get_comm_event_counter(self, **call: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
-        reply = await self._ask(GetCommEventCounter(), call)
+    @documented_by(BlockingUnit.get_comm_event_counter)
+    async def get_comm_event_counter(self, **call_options: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
+        reply = await self._ask(GetCommEventCounter(), call_options)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
 
-    @documented_by(Unit.get_comm_event_log)
-    async def get_comm_event_log(self, **call: Unpack[CallOptions]) -> GetCommEventLog.Reply:
-        reply = await self._ask(GetCommEventLog(), call)
+    @documented_by(BlockingUnit.get_comm_event_log)
+    async def get_comm_event_log(self, **call_options: Unpack[CallOptions]) -> GetCommEventLog.Reply:
+        reply = await self._ask(GetCommEventLog(), call_options)
         assert isinstance(reply, GetCommEventLog.Reply)
         return reply
 
-    @documented_by(Unit.report_server_id)
-    async def report_server_id(self, **call: Unpack[CallOptions]) -> bytes:
-        reply = await self._ask(ReportServerId(), call)
+    @documented_by(BlockingUnit.report_server_id)
+    async def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
+        reply = await self._ask(ReportServerId(), call_options)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data
 
-    @documented_by(Unit._perform)
-    async def _perform(self, operation: Operation, call: CallOptions) -> Any:
+    @documented_by(BlockingUnit._perform)
+    async def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
         try:
             requests = next(operation)
             while True:
-                requests = operation.send(await self.execute_many(requests, **call))
+                requests = operation.send(await self.execute_many(requests, **call_options))
         except StopIteration as stop:
             return stop.value
 
@@ -457,10 +474,10 @@ class AsyncLink:
         self._shared = shared
         self._rule = rule
         self._pool: LinkPool | None = None
-        self._link: Link | None = None
+        self._link: AsyncLinkDriver | None = None
         self._closed = False
 
-    def _bound(self) -> Link:
+    def _bound(self) -> AsyncLinkDriver:
         """The link on the running event loop; taken at the first need, so that a link can be made before the loop."""
         link = self._link
         if link is not None and not self._closed:
@@ -474,7 +491,7 @@ class AsyncLink:
             self._link = self._pool.acquire(self._settings, shared=self._shared)
         return self._link
 
-    def _looked_at(self) -> Link | None:
+    def _looked_at(self) -> AsyncLinkDriver | None:
         """The link as far as there is one."""
         if self._rule is None:
             return self._link
@@ -540,17 +557,17 @@ class AsyncLink:
         await self.close()
 
     @documented_by(BlockingLink.run)
-    async def run(self, unit: int, requests: Sequence[Request], call: CallOptions) -> list[Any]:
+    async def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
         link = self._bound()
         now = link.now()
-        demand = demand_for(unit, requests, self.parameters, call, now)
-        future = link.start(demand, now)
+        call = call_for(unit, requests, self.parameters, call_options, now)
+        future = link.start(call, now)
         try:
             await future
         except asyncio.CancelledError:
-            link.give_up(demand)
+            link.give_up(call)
             raise
-        return demand.outcomes
+        return call.outcomes
 
 
 def open_link(

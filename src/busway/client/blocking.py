@@ -30,18 +30,18 @@ from ..pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from ..session.ledger import ClientCounters
+from ..session.call_tracker import ClientCounters
 from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from ..values.names import FloatName, IntegerName, Level, Order
-from .blocking_link import BlockingLink
+from .blocking_link import BlockingLinkDriver
 from .blocking_pool import BLOCKING_POOL
 from .calls import (
     SHOWN_STATE,
+    call_for,
     check_selected,
     closed_error,
     default_unit,
-    demand_for,
     refused,
     with_assumed_unit,
 )
@@ -66,8 +66,8 @@ Reply = TypeVar("Reply", bound=Message)
 Value = TypeVar("Value")
 
 
-class Unit:
-    """One unit behind a link, as `Link.unit` gives it.
+class BlockingUnit:
+    """One unit behind a link, as `BlockingLink.unit` gives it.
 
     Every method sends one request (`read`, `write` and `read_device_identification` perhaps several) and gives plain
     Python values. Every method raises:
@@ -83,7 +83,7 @@ class Unit:
 
     __slots__ = ("_holding", "_input", "_is_assumed", "_link", "_number", "_width")
 
-    def __init__(self, link: "Link", number: int, is_assumed: bool = False) -> None:
+    def __init__(self, link: "BlockingLink", number: int, is_assumed: bool = False) -> None:
         self._link = link
         self._number = number
         self._is_assumed = is_assumed  # nobody has named it
@@ -99,16 +99,16 @@ class Unit:
         """The unit identifier, 0…255."""
         return self._number
 
-    def execute(self, request: TypedRequest[Reply], **call: Unpack[CallOptions]) -> Reply:
+    def execute(self, request: TypedRequest[Reply], **call_options: Unpack[CallOptions]) -> Reply:
         """Send any request and give its reply, for functions that have no method of their own.
 
         Args:
             request: a request, also of a function of yours.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
         requests: tuple[Any] = (request,)  # requests in full; the protocol is what a type checker needs of them
         outcome: Any
-        (outcome,) = self._link.run(self._number, requests, call)
+        (outcome,) = self._link.run(self._number, requests, call_options)
         if isinstance(outcome, ModbusError):
             if self._is_assumed:
                 with_assumed_unit(outcome, self._number)
@@ -117,7 +117,7 @@ class Unit:
         return reply
 
     def execute_many(
-        self, requests: Sequence[Request], *, return_errors: bool = False, **call: Unpack[CallOptions]
+        self, requests: Sequence[Request], *, return_errors: bool = False, **call_options: Unpack[CallOptions]
     ) -> list[Any]:
         """Send many requests, as many at once as the link allows, and give their replies in the same order.
 
@@ -126,13 +126,13 @@ class Unit:
             return_errors: give errors in the place of replies, instead of raising the first one after all have ended.
                 Where nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`) each request has that error;
                 a call that is wrong still raises `InvalidRequest`.
-            call: `CallOptions`; the deadline is for all of them together.
+            call_options: `CallOptions`; the deadline is for all of them together.
         """
         if not requests:
             return []
         outcomes: list[Any]
         try:
-            outcomes = self._link.run(self._number, requests, call)
+            outcomes = self._link.run(self._number, requests, call_options)
         except (LinkDown, Overloaded, NoReply) as refusal:
             if not return_errors:
                 raise
@@ -155,7 +155,7 @@ class Unit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> int: ...
 
     @overload
@@ -167,7 +167,7 @@ class Unit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[int]: ...
 
     @overload
@@ -179,7 +179,7 @@ class Unit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> float: ...
 
     @overload
@@ -191,7 +191,7 @@ class Unit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[float]: ...
 
     @overload
@@ -203,7 +203,7 @@ class Unit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> Value: ...
 
     @overload
@@ -215,7 +215,7 @@ class Unit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[Value]: ...
 
     @overload
@@ -227,7 +227,7 @@ class Unit:
         order: Order = "ABCD",
         count: None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> Any: ...
 
     @overload
@@ -239,7 +239,7 @@ class Unit:
         order: Order = "ABCD",
         count: int,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> list[Any]: ...
 
     def read(
@@ -250,7 +250,7 @@ class Unit:
         order: Order = "ABCD",
         count: int | None = None,
         split: bool = False,
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> Any:
         """One value, or ``count`` values, from an address in any notation.
 
@@ -260,9 +260,9 @@ class Unit:
             order: order of bytes and registers, ``ABCD`` (big-endian) by default.
             count: number of values; a list is given then.
             split: allow several requests where one does not hold that many.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        return self._perform(read_values(address, type, order, count, split, self._width), call)
+        return self._perform(read_values(address, type, order, count, split, self._width), call_options)
 
     @overload
     def write(
@@ -273,7 +273,7 @@ class Unit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     @overload
@@ -285,7 +285,7 @@ class Unit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     @overload
@@ -297,7 +297,7 @@ class Unit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     @overload
@@ -309,7 +309,7 @@ class Unit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None: ...
 
     def write(
@@ -320,7 +320,7 @@ class Unit:
         *,
         order: Order = "ABCD",
         function: WriteFunction = "auto",
-        **call: Unpack[CallOptions],
+        **call_options: Unpack[CallOptions],
     ) -> None:
         """Write a value or a list of values to an address in any notation. A value out of range is never truncated.
 
@@ -330,142 +330,152 @@ class Unit:
             type: type of the values in registers (``uint16`` by default).
             order: order of bytes and registers.
             function: ``single`` (05, 06) or ``multiple`` (15, 16) for devices that have only one of them.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self._perform(write_values(address, value, type, order, function), call)
+        self._perform(write_values(address, value, type, order, function), call_options)
 
     def read_device_identification(
-        self, level: Level = "basic", *, object_id: int | None = None, **call: Unpack[CallOptions]
+        self, level: Level = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
     ) -> dict[int, bytes]:
         """Identification objects by number, function 43/14 (§6.21); as many requests as they need.
 
         Args:
             level: ``basic`` (objects 0–2), ``regular`` (to 0x7F) or ``extended`` (to 0xFF).
             object_id: the one object to read instead, 0…255.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        found: dict[int, bytes] = self._perform(read_identification(level, object_id), call)
+        found: dict[int, bytes] = self._perform(read_identification(level, object_id), call_options)
         return found
 
-    def read_coils(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
+    def read_coils(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
         """Coils as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.1).
 
         Args:
             address: first coil, 0…65535.
             count: number of coils, 1…2000.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(read_request(ReadCoils, address, count), **call)
+        reply = self.execute(read_request(ReadCoils, address, count), **call_options)
         assert isinstance(reply, ReadCoils.Reply)
         return reply.bits(count)
 
-    def read_discrete_inputs(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[bool]:
+    def read_discrete_inputs(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
         """Discrete inputs as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.2).
 
         Args:
             address: first input, 0…65535.
             count: number of inputs, 1…2000.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(read_request(ReadDiscreteInputs, address, count), **call)
+        reply = self.execute(read_request(ReadDiscreteInputs, address, count), **call_options)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
         return reply.bits(count)
 
-    def read_holding_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
+    def read_holding_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
         """Holding registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.3).
 
         Args:
             address: first register, 0…65535.
             count: number of registers, 1…125.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(read_request(self._holding, address, count), **call)
+        reply = self.execute(read_request(self._holding, address, count), **call_options)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
         return reply.registers
 
-    def read_input_registers(self, address: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
+    def read_input_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
         """Input registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.4).
 
         Args:
             address: first register, 0…65535.
             count: number of registers, 1…125.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(read_request(self._input, address, count), **call)
+        reply = self.execute(read_request(self._input, address, count), **call_options)
         assert isinstance(reply, ReadInputRegisters.Reply)
         return reply.registers
 
-    def write_single_coil(self, address: int, value: bool, **call: Unpack[CallOptions]) -> None:
+    def write_single_coil(self, address: int, value: bool, **call_options: Unpack[CallOptions]) -> None:
         """Write one coil, function 05 (MODBUS Application Protocol V1.1b3 §6.5).
 
         Args:
             address: the coil, 0…65535.
             value: True (or 1) for on, False (or 0) for off; anything else is `InvalidRequest`, and nothing is sent.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(WriteSingleCoil.of(address, value), **call)
+        self.execute(WriteSingleCoil.of(address, value), **call_options)
 
-    def write_single_register(self, address: int, value: int, **call: Unpack[CallOptions]) -> None:
+    def write_single_register(self, address: int, value: int, **call_options: Unpack[CallOptions]) -> None:
         """Write one holding register, function 06 (MODBUS Application Protocol V1.1b3 §6.6).
 
         Args:
             address: the register, 0…65535.
             value: 0…65535.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(WriteSingleRegister(address, value), **call)
+        self.execute(WriteSingleRegister(address, value), **call_options)
 
-    def write_multiple_coils(self, address: int, values: Iterable[bool], **call: Unpack[CallOptions]) -> None:
+    def write_multiple_coils(self, address: int, values: Iterable[bool], **call_options: Unpack[CallOptions]) -> None:
         """Write coils, function 15 (MODBUS Application Protocol V1.1b3 §6.11).
 
         Args:
             address: first coil, 0…65535.
             values: 1…1968 bools (or 0 and 1); anything else is `InvalidRequest`, and nothing is sent.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(WriteMultipleCoils.of(address, values), **call)
+        self.execute(WriteMultipleCoils.of(address, values), **call_options)
 
-    def write_multiple_registers(self, address: int, values: Iterable[int], **call: Unpack[CallOptions]) -> None:
+    def write_multiple_registers(
+        self, address: int, values: Iterable[int], **call_options: Unpack[CallOptions]
+    ) -> None:
         """Write holding registers, function 16 (MODBUS Application Protocol V1.1b3 §6.12).
 
         Args:
             address: first register, 0…65535.
             values: 1…123 numbers 0…65535.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(WriteMultipleRegisters.of(address, values), **call)
+        self.execute(WriteMultipleRegisters.of(address, values), **call_options)
 
-    def mask_write_register(self, address: int, *, and_mask: int, or_mask: int, **call: Unpack[CallOptions]) -> None:
+    def mask_write_register(
+        self, address: int, *, and_mask: int, or_mask: int, **call_options: Unpack[CallOptions]
+    ) -> None:
         """Set a register to (current AND and_mask) OR (or_mask AND NOT and_mask), function 22 (§6.16).
 
         Args:
             address: the register, 0…65535.
             and_mask: bits to keep, 0…65535.
             or_mask: values of the other bits, 0…65535.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(MaskWriteRegister(address, and_mask, or_mask), **call)
+        self.execute(MaskWriteRegister(address, and_mask, or_mask), **call_options)
 
     def read_write_multiple_registers(
-        self, read_address: int, *, count: int, write_address: int, values: Iterable[int], **call: Unpack[CallOptions]
+        self,
+        read_address: int,
+        *,
+        count: int,
+        write_address: int,
+        values: Iterable[int],
+        **call_options: Unpack[CallOptions],
     ) -> list[int]:
         """Write holding registers, then read some, in one request, function 23 (§6.17).
 
@@ -474,112 +484,114 @@ class Unit:
             count: number of registers to read, 1…125.
             write_address: first register to write, 0…65535.
             values: 1…121 numbers 0…65535.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        reply = self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call)
+        reply = self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call_options)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
         return reply.registers
 
-    def read_fifo_queue(self, address: int, **call: Unpack[CallOptions]) -> list[int]:
+    def read_fifo_queue(self, address: int, **call_options: Unpack[CallOptions]) -> list[int]:
         """Up to 31 registers of a queue, the oldest first; they stay in it, function 24 (§6.18).
 
         Args:
             address: the queue's pointer, 0…65535.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(ReadFifoQueue(address), **call)
+        reply = self.execute(ReadFifoQueue(address), **call_options)
         assert isinstance(reply, ReadFifoQueue.Reply)
         return reply.registers
 
-    def read_file_record(self, file: int, record: int, *, count: int, **call: Unpack[CallOptions]) -> list[int]:
+    def read_file_record(self, file: int, record: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
         """Registers of a file, function 20 with one group (§6.14).
 
         Args:
             file: 1…65535.
             record: first record, 0…9999.
             count: number of registers, 1…124.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(ReadFileRecord.of((FileReference(file, record, count),)), **call)
+        reply = self.execute(ReadFileRecord.of((FileReference(file, record, count),)), **call_options)
         assert isinstance(reply, ReadFileRecord.Reply)
         return reply.contents[0].registers
 
-    def write_file_record(self, file: int, record: int, values: Iterable[int], **call: Unpack[CallOptions]) -> None:
+    def write_file_record(
+        self, file: int, record: int, values: Iterable[int], **call_options: Unpack[CallOptions]
+    ) -> None:
         """Write registers of a file, function 21 with one group (§6.15).
 
         Args:
             file: 1…65535.
             record: first record, 0…9999.
             values: 1…122 numbers 0…65535.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
 
         Raises:
             WriteOutcomeUnknown: it was sent, and no valid answer came.
         """
-        self.execute(WriteFileRecord.of(file, record, values), **call)
+        self.execute(WriteFileRecord.of(file, record, values), **call_options)
 
-    def read_exception_status(self, **call: Unpack[CallOptions]) -> int:
+    def read_exception_status(self, **call_options: Unpack[CallOptions]) -> int:
         """Eight bits that the device defines, 0…255, function 07 (§6.7)."""
-        reply = self.execute(ReadExceptionStatus(), **call)
+        reply = self.execute(ReadExceptionStatus(), **call_options)
         assert isinstance(reply, ReadExceptionStatus.Reply)
         return reply.status
 
-    def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call: Unpack[CallOptions]) -> bytes:
+    def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call_options: Unpack[CallOptions]) -> bytes:
         """Function 08 with a sub-function; the data of the reply (§6.8).
 
         Args:
             sub_function: 0…65535; `DiagnosticCode` names them.
             data: two bytes; for sub-function 00 any even number of bytes up to 250.
-            call: `CallOptions`.
+            call_options: `CallOptions`.
         """
-        reply = self.execute(diagnostic_request(sub_function, data), **call)
+        reply = self.execute(diagnostic_request(sub_function, data), **call_options)
         return diagnostic_data(reply)
 
-    def get_comm_event_counter(self, **call: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
+    def get_comm_event_counter(self, **call_options: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
         """Status word and number of successful messages, function 11 (§6.9)."""
-        reply = self.execute(GetCommEventCounter(), **call)
+        reply = self.execute(GetCommEventCounter(), **call_options)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
 
-    def get_comm_event_log(self, **call: Unpack[CallOptions]) -> GetCommEventLog.Reply:
+    def get_comm_event_log(self, **call_options: Unpack[CallOptions]) -> GetCommEventLog.Reply:
         """Status, counts and up to 64 event bytes, function 12 (§6.10)."""
-        reply = self.execute(GetCommEventLog(), **call)
+        reply = self.execute(GetCommEventLog(), **call_options)
         assert isinstance(reply, GetCommEventLog.Reply)
         return reply
 
-    def report_server_id(self, **call: Unpack[CallOptions]) -> bytes:
+    def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
         """What the device says of itself, function 17 (§6.13): its layout is the device's own."""
-        reply = self.execute(ReportServerId(), **call)
+        reply = self.execute(ReportServerId(), **call_options)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data
 
-    def _perform(self, operation: Operation, call: CallOptions) -> Any:
+    def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
         """Run an operation: send what it asks for, give it the replies, until it has its result."""
         try:
             requests = next(operation)
             while True:
-                requests = operation.send(self.execute_many(requests, **call))
+                requests = operation.send(self.execute_many(requests, **call_options))
         except StopIteration as stop:
             return stop.value
 
 
-class Link:
+class BlockingLink:
     """A link to an endpoint, as `busway.connect` gives it; a context manager, safe to use from many threads.
 
     It connects at the first need, and again when the connection was lost. By default all links of a process to one
     endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
-    def __init__(self, settings: LinkSettings, link: BlockingLink | None, rule: Selection | None = None) -> None:
+    def __init__(self, settings: LinkSettings, link: BlockingLinkDriver | None, rule: Selection | None = None) -> None:
         self._settings = settings
         self._link = link
         self._rule = rule
         self._closed = False
 
-    def _bound(self) -> BlockingLink:
+    def _bound(self) -> BlockingLinkDriver:
         """The link that takes a request: its own, or the one that the rule chooses now."""
         if self._closed:
             raise closed_error(self._settings)
@@ -587,7 +599,7 @@ class Link:
             return self._link
         return BLOCKING_POOL.choose(self._settings, self._rule or Selection.FIRST)
 
-    def _looked_at(self) -> BlockingLink | None:
+    def _looked_at(self) -> BlockingLinkDriver | None:
         """The link as far as there is one."""
         try:
             return self._link or self._bound()
@@ -625,7 +637,7 @@ class Link:
         link = self._looked_at()
         return ClientCounters() if link is None else link.session.counters
 
-    def unit(self, number: int | None = None) -> Unit:
+    def unit(self, number: int | None = None) -> BlockingUnit:
         """One unit behind this link.
 
         Args:
@@ -635,7 +647,7 @@ class Link:
         Raises:
             InvalidRequest: it is missing on a line, or out of range.
         """
-        return Unit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
+        return BlockingUnit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
     def connect(self) -> None:
         """Connect now, instead of at the first need. Raises `LinkDown`."""
@@ -656,21 +668,21 @@ class Link:
     ) -> None:
         self.close()
 
-    def run(self, unit: int, requests: Sequence[Request], call: CallOptions) -> list[Any]:
+    def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
         """Bring requests to their outcomes: replies or errors, in order. The calls of `AsyncUnit` end here."""
         link = self._link
         if link is None or self._closed:
             link = self._bound()
-        demand = demand_for(
+        call = call_for(
             unit,
             requests,
             self._settings.parameters,
-            call,
+            call_options,
             caller=threading.get_ident(),
             now=link.now(),
         )
-        link.run(demand)
-        return demand.outcomes
+        link.run(call)
+        return call.outcomes
 
 
 def connect(
@@ -679,7 +691,7 @@ def connect(
     shared: bool = True,
     select: Literal["first", "oldest"] | Selection | None = None,
     **options: "Unpack[LinkOptions]",
-) -> Link:
+) -> BlockingLink:
     """A link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
 
     Nothing is sent, and no connection made, before the first request.
@@ -706,5 +718,5 @@ def connect(
     rule = selection(select)
     if rule is not None:
         check_selected(settings, options)
-        return Link(settings, None, rule)
-    return Link(settings, BLOCKING_POOL.acquire(settings, shared=shared))
+        return BlockingLink(settings, None, rule)
+    return BlockingLink(settings, BLOCKING_POOL.acquire(settings, shared=shared))

@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Final
 from ..errors import LinkClosed, LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
+from ..session.call import Call
 from ..session.client import TcpClientSession
 from ..session.connection import ConnectionLife
-from ..session.demand import Demand
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import RECEIVE_SIZE
@@ -55,7 +55,7 @@ _SPIN: Final = 0.0003
 """Seconds before a frame that ``precise_timing`` waits for in a loop: a sleeping thread is woken about that late."""
 
 
-class BlockingLink:
+class BlockingLinkDriver:
     """The blocking driver of one client conversation. Made by `busway.client.blocking_pool`.
 
     Attributes:
@@ -116,7 +116,7 @@ class BlockingLink:
         """Whether a connection stands."""
         return self._connection is not None
 
-    def run(self, demand: Demand) -> None:
+    def run(self, call: Call) -> None:
         """Bring a demand to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
         with self._turn:
             now = time.monotonic()
@@ -126,27 +126,27 @@ class BlockingLink:
             if may_have_ended and self._connection is not None and not self.session.in_flight:
                 # Before the session has the demand: what ends here has failed nobody.
                 self._look_at_idle_connection(self._connection, now)
-            self._refuse_while_down(demand, now)
-            self.session.submit(demand, now)
+            self._refuse_while_down(call, now)
+            self.session.submit(call, now)
             try:
                 if self._connection is not None:
                     if self._line is not None:
                         self._look_at_line()
                     self._transmit(now)
-                leads = self._wait_for_turn(demand)
+                leads = self._wait_for_turn(call)
             except BaseException:
-                self._cancel(demand)
+                self._cancel(call)
                 raise
             if not leads:
                 self._used()
         if leads:
             try:
-                self._lead(demand)
+                self._lead(call)
             finally:
                 with self._turn:
                     self._leading = False
-                    if not demand.ended:
-                        self._cancel(demand)
+                    if not call.ended:
+                        self._cancel(call)
                     if self._waiting:
                         self._turn.notify_all()
                     self._used()
@@ -229,14 +229,14 @@ class BlockingLink:
 
     def serve(self, now: float) -> None:
         """A place that is shared with other links is free: send what waits for one. The lock is held."""
-        if self.session.has_demands and self._connection is not None:
+        if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
     # Turns.
 
-    def _wait_for_turn(self, demand: Demand) -> bool:
+    def _wait_for_turn(self, call: Call) -> bool:
         """Wait until the demand is complete, or until this thread is to lead; the lock is held."""
-        while not demand.ended:
+        while not call.ended:
             if not self._leading:
                 self._leading = True
                 return True
@@ -251,13 +251,13 @@ class BlockingLink:
             self._tick(time.monotonic())
         return False
 
-    def _lead(self, demand: Demand) -> None:
-        """Connect, send and receive until ``demand`` is complete."""
+    def _lead(self, call: Call) -> None:
+        """Connect, send and receive until ``call`` is complete."""
         while True:
             with self._turn:
                 now = time.monotonic()
                 self._tick(now)
-                if demand.ended:
+                if call.ended:
                     return
                 connected = self._connection
                 pause = self._pause(now)
@@ -285,7 +285,7 @@ class BlockingLink:
             due = self.reconnect.not_before
             return max(min(due, deadline) if deadline is not None else due, now) - now or 0.001
         pause = 60.0 if deadline is None else max(deadline - now, 0.0)
-        if self._scope is not None and self.session.has_demands and pause > _STARVED:
+        if self._scope is not None and self.session.has_calls and pause > _STARVED:
             return _STARVED
         return pause
 
@@ -343,9 +343,9 @@ class BlockingLink:
             except OSError as error:
                 self._drop(now, network_reason(error))
 
-    def _cancel(self, demand: Demand) -> None:
+    def _cancel(self, call: Call) -> None:
         """The caller of a demand goes without its end."""
-        if self.session.cancel(demand):
+        if self.session.cancel(call):
             self._end_if_stuck(time.monotonic())
 
     def _end_if_stuck(self, now: float) -> None:
@@ -381,7 +381,7 @@ class BlockingLink:
         self._done()
         if self._scope is not None:
             self._scope.serve(now)
-        if session.has_demands or session.recycle:
+        if session.has_calls or session.recycle:
             self._transmit(now)
 
     def _tick(self, now: float) -> None:
@@ -396,7 +396,7 @@ class BlockingLink:
             self.last_used = now
         if timed_out or session.finished:
             self._end_if_stuck(now)
-        if session.recycle or session.has_demands:
+        if session.recycle or session.has_calls:
             self._transmit(now)
         self._done()
 
@@ -455,12 +455,12 @@ class BlockingLink:
         if connection is not None:
             connection.close()
 
-    def _refuse_while_down(self, demand: Demand, now: float) -> None:
+    def _refuse_while_down(self, call: Call, now: float) -> None:
         """Fail fast while the peer is known to be unreachable."""
         if self._closed:
-            raise LinkClosed("the link is closed", endpoint=self.name, unit=demand.unit)
+            raise LinkClosed("the link is closed", endpoint=self.name, unit=call.unit)
         if self._connection is None and not self._leading:
-            refusal = self._life.refusal(now, demand.unit)
+            refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
                 raise refusal
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from ..session.parameters import TransactionScope
-from .blocking_link import BlockingLink
+from .blocking_link import BlockingLinkDriver
 from .calls import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
@@ -18,7 +18,7 @@ from .settings import LinkSettings
 @dataclass(slots=True)
 class _Shared:
     settings: LinkSettings
-    link: BlockingLink
+    link: BlockingLinkDriver
     users: int = 0
 
 
@@ -28,10 +28,10 @@ class BlockingPool:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._shared: dict[str, _Shared] = {}
-        self._links: dict[str, WeakKeyDictionary[BlockingLink, None]] = {}  # in the order they were made
+        self._links: dict[str, WeakKeyDictionary[BlockingLinkDriver, None]] = {}  # in the order they were made
         self._scope: ClientScope | None = None
 
-    def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLink:
+    def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
         """A link for one more user. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         with self._lock:
@@ -45,12 +45,12 @@ class BlockingPool:
             entry.users += 1
             return entry.link
 
-    def choose(self, settings: LinkSettings, rule: Selection) -> BlockingLink:
+    def choose(self, settings: LinkSettings, rule: Selection) -> BlockingLinkDriver:
         """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
         with self._lock:
             return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
-    def release(self, settings: LinkSettings, link: BlockingLink) -> None:
+    def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
         """A user leaves; the last one closes the connection."""
         name = settings.endpoint.url
         with self._lock:
@@ -65,13 +65,13 @@ class BlockingPool:
                 del self._links[name]
         link.close()
 
-    def _make(self, settings: LinkSettings, *, shared: bool) -> BlockingLink:
+    def _make(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
         scope = None
         if settings.parameters.scope is TransactionScope.CLIENT:
             scope = self._scope = same_scope(self._scope, settings.parameters.max_transactions)
         session = conversation_for(settings, None if scope is None else scope.places)
         connector = connector_for(settings, session, user="busway.connect")
-        link = BlockingLink(connector, session, settings, shared=shared, scope=scope)
+        link = BlockingLinkDriver(connector, session, settings, shared=shared, scope=scope)
         if scope is not None:
             with scope.lock:
                 scope.enter(link)

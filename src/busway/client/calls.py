@@ -12,8 +12,8 @@ from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkClosed, Mo
 from ..options.endpoints import Endpoint
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
-from ..session.demand import Demand
-from ..session.ledger import function_of
+from ..session.call import Call
+from ..session.call_tracker import function_of
 from ..session.parameters import ClientParameters
 from ..session.reconnect import ConnectionState
 from .operations import CallOptions
@@ -60,22 +60,22 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
         outcome.message += f"; unit {unit} was assumed because none was named"
 
 
-def demand_for(
+def call_for(
     unit: int,
     requests: Sequence[Request],
     defaults: ClientParameters,
-    call: CallOptions,
+    call_options: CallOptions,
     now: float,
     caller: object = None,
-) -> Demand:
+) -> Call:
     """The demand of one call; ``caller`` may be named later, when it has to queue."""
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries
     idempotent = False
-    if call:
-        timeout, retries, deadline, idempotent = _checked(call, timeout, retries, deadline)
-    return Demand(
+    if call_options:
+        timeout, retries, deadline, idempotent = _checked(call_options, timeout, retries, deadline)
+    return Call(
         unit,
         requests,
         requests[0].is_write if len(requests) == 1 else any(map(_IS_WRITE, requests)),
@@ -88,9 +88,9 @@ def demand_for(
 
 
 def _checked(
-    call: CallOptions, timeout: float, retries: int, deadline: float | None
+    call_options: CallOptions, timeout: float, retries: int, deadline: float | None
 ) -> tuple[float, int, float | None, bool]:
-    rest: dict[str, Any] = dict(call)
+    rest: dict[str, Any] = dict(call_options)
     timeout = rest.pop("timeout", None) or timeout
     retries = rest.pop("retries", retries)
     deadline = rest.pop("deadline", None) or deadline

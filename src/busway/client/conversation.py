@@ -11,11 +11,11 @@ from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import Parity, SerialTiming
 from ..session.breaker import Breakers
+from ..session.call import Call
+from ..session.call_tracker import ClientCounters
 from ..session.client import TcpClientSession
-from ..session.demand import Demand
-from ..session.flights import Places
-from ..session.ledger import ClientCounters
 from ..session.line_framing import line_framing
+from ..session.requests_in_flight import Places
 from ..session.serial_client import SerialClientSession
 from ..transport.serial.settings import SerialSettings
 from .settings import LineSettings, LinkSettings
@@ -32,7 +32,7 @@ class Conversation(Protocol):
     """
 
     counters: ClientCounters
-    finished: list[Demand]
+    finished: list[Call]
     recycle: str
     valid_reply: bool
 
@@ -41,7 +41,7 @@ class Conversation(Protocol):
         """Which units are not asked; None where units are not watched."""
 
     @property
-    def has_demands(self) -> bool:
+    def has_calls(self) -> bool:
         """Whether something waits to be sent."""
 
     @property
@@ -56,16 +56,16 @@ class Conversation(Protocol):
     def queued(self) -> int:
         """Demands with something left to send."""
 
-    def submit(self, demand: Demand, now: float) -> None:
+    def submit(self, call: Call, now: float) -> None:
         """Take a demand. Raises `ModbusError`; nothing was sent then."""
 
-    def send_now(self, demand: Demand, now: float) -> bytes | None:
+    def send_now(self, call: Call, now: float) -> bytes | None:
         """The frame of a demand that need not queue; None: `submit` it."""
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn."""
 
-    def cancel(self, demand: Demand) -> bool:
+    def cancel(self, call: Call) -> bool:
         """Nobody waits for it any more. Returns whether something of it is in flight."""
 
     def connected(self, now: float) -> None:

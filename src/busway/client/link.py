@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any, Final
 from ..errors import LinkClosed, LinkDown
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
+from ..session.call import Call
 from ..session.client import TcpClientSession
 from ..session.connection import ConnectionLife
-from ..session.demand import Demand
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import receive_buffer
@@ -55,7 +55,7 @@ class _LinkProtocol(asyncio.BufferedProtocol):
 
     __slots__ = ("_buffer", "_link")
 
-    def __init__(self, link: "Link", buffer: bytearray) -> None:
+    def __init__(self, link: "AsyncLinkDriver", buffer: bytearray) -> None:
         self._link = link
         self._buffer = buffer
 
@@ -85,7 +85,7 @@ class _LinkProtocol(asyncio.BufferedProtocol):
         self._link.pause(self, False)
 
 
-class Link:
+class AsyncLinkDriver:
     """The asynchronous driver of one client conversation. Made by `busway.client.pool`.
 
     Attributes:
@@ -196,17 +196,17 @@ class Link:
 
     # What the interface asks.
 
-    def start(self, demand: Demand, now: float) -> "asyncio.Future[None]":
+    def start(self, call: Call, now: float) -> "asyncio.Future[None]":
         """Begin a demand; the future is done when all its outcomes are in it. Raises `Overloaded`, `LinkDown`.
 
         Whoever stops waiting for the future calls `give_up`.
         """
         future: asyncio.Future[None] = self._loop.create_future()
-        demand.owner = future
-        self.begin(demand, now)
+        call.owner = future
+        self.begin(call, now)
         return future
 
-    def begin(self, demand: Demand, now: float) -> None:
+    def begin(self, call: Call, now: float) -> None:
         """Begin a demand whose owner is there already: whatever has ``done()`` and ``set_result(None)``, like a future.
 
         ``set_result`` is called when all outcomes are in the demand, out of the call that brought the last of them.
@@ -215,7 +215,7 @@ class Link:
             Overloaded, LinkDown, and on a serial line `InvalidRequest` and `UnitSuspended`: nothing was sent.
         """
         # Mostly nothing waits and there is room: then the request goes out without a visit to the queue (2 of 12 µs).
-        adu = None if self._transport is None or self._paused else self.session.send_now(demand, now)
+        adu = None if self._transport is None or self._paused else self.session.send_now(call, now)
         if adu is not None:
             self.sent_bytes += len(adu)
             if self._parameters.join:
@@ -226,32 +226,32 @@ class Link:
             if TRACE.level:
                 self._traced().sent(adu)
         else:
-            self._enqueue(demand, now)
+            self._enqueue(call, now)
         if self._line is not None:
             self._rearm()
             return
-        soonest = now + demand.timeout
-        if demand.deadline is not None and demand.deadline < soonest:
-            soonest = demand.deadline
+        soonest = now + call.timeout
+        if call.deadline is not None and call.deadline < soonest:
+            soonest = call.deadline
         if self._timer is None or soonest < self._timer_at:
             self._arm(soonest)
 
-    def give_up(self, demand: Demand) -> None:
+    def give_up(self, call: Call) -> None:
         """Nobody waits for a demand any more."""
         self._write_outgoing()
         now = self._clock()
-        if self.session.cancel(demand):
+        if self.session.cancel(call):
             self._end_if_stuck()
         self._pump(now)
         if self._minds:
             self._after_use(now)
 
-    def _enqueue(self, demand: Demand, now: float) -> None:
+    def _enqueue(self, call: Call, now: float) -> None:
         if self._transport is None:
-            self._refuse_while_down(demand, now)
-        if demand.caller is None:
-            demand.caller = asyncio.current_task()
-        self.session.submit(demand, now)
+            self._refuse_while_down(call, now)
+        if call.caller is None:
+            call.caller = asyncio.current_task()
+        self.session.submit(call, now)
         if self._parameters.join:
             self._plan_flush()
         else:
@@ -349,7 +349,7 @@ class Link:
 
     def serve(self, now: float) -> None:
         """A place that is shared with other links is free: send what waits for one."""
-        if self.session.has_demands and self._transport is not None:
+        if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
 
@@ -369,7 +369,7 @@ class Link:
             self._life.replied(now)
         if session.finished or self.watch is not None:
             self._wake()
-        if session.recycle or (session.has_demands and self._scope is None):
+        if session.recycle or (session.has_calls and self._scope is None):
             self._pump(now)
         if self._line is not None:
             self._rearm()
@@ -399,7 +399,7 @@ class Link:
         session = self.session
         self._life.lost(now, reason)
         self._wake()
-        if session.has_demands:
+        if session.has_calls:
             self._pump(now)
         if self._scope is not None:
             self._scope.serve(now)
@@ -417,7 +417,7 @@ class Link:
     def _flush(self) -> None:
         self._flush_planned = False
         self._write_outgoing()
-        if self.session.has_demands:
+        if self.session.has_calls:
             self._pump(self._clock())
 
     def _write_outgoing(self) -> None:
@@ -434,10 +434,10 @@ class Link:
         """
         session = self.session
         if self._transport is None:
-            if session.has_demands and not self._closed:
+            if session.has_calls and not self._closed:
                 self._ensure_connection(now)
             return
-        out = [] if self._paused or not session.has_demands else session.transmit(now)
+        out = [] if self._paused or not session.has_calls else session.transmit(now)
         if session.recycle:
             self._recycle(now)
         elif out:
@@ -510,7 +510,7 @@ class Link:
             self._arm(until)
 
     def _is_used(self) -> bool:
-        return self.session.has_demands or self.session.in_flight > 0
+        return self.session.has_calls or self.session.in_flight > 0
 
     def _release(self, now: float, reason: str) -> None:
         """Close a connection that nobody uses; the next need makes another one."""
@@ -534,11 +534,11 @@ class Link:
         elif self.reconnect.state is ConnectionState.BACKING_OFF:
             self._arm(self.reconnect.not_before)
 
-    def _refuse_while_down(self, demand: Demand, now: float) -> None:
+    def _refuse_while_down(self, call: Call, now: float) -> None:
         """Fail fast while the peer is known to be unreachable."""
         if self._closed:
-            raise LinkClosed("the link is closed", endpoint=self.name, unit=demand.unit)
-        refusal = self._life.refusal(now, demand.unit)
+            raise LinkClosed("the link is closed", endpoint=self.name, unit=call.unit)
+        refusal = self._life.refusal(now, call.unit)
         if refusal is not None:
             raise refusal
 
@@ -588,8 +588,8 @@ class Link:
         session = self.session
         finished = session.finished[:]
         session.finished.clear()
-        for demand in finished:
-            future = demand.owner
+        for call in finished:
+            future = call.owner
             if future is not None and not future.done():
                 future.set_result(None)
         if self.watch is not None:
@@ -611,7 +611,7 @@ class Link:
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         deadline = self.session.deadline()
-        if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_demands:
+        if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_calls:
             deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
         if deadline is not None:
             if self._timer is None or deadline != self._timer_at:

@@ -18,7 +18,7 @@ from .calls import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
-from .link import Link
+from .link import AsyncLinkDriver
 from .management import Selection
 from .scope import ClientScope, same_scope
 from .settings import LinkSettings
@@ -27,7 +27,7 @@ from .settings import LinkSettings
 @dataclass(slots=True)
 class _Shared:
     settings: LinkSettings
-    link: Link
+    link: AsyncLinkDriver
     users: int = 0
 
 
@@ -36,10 +36,10 @@ class LinkPool:
 
     def __init__(self) -> None:
         self._shared: dict[str, _Shared] = {}
-        self._links: dict[str, WeakKeyDictionary[Link, None]] = {}  # in the order they were made
+        self._links: dict[str, WeakKeyDictionary[AsyncLinkDriver, None]] = {}  # in the order they were made
         self._scope: ClientScope | None = None
 
-    def acquire(self, settings: LinkSettings, *, shared: bool) -> Link:
+    def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
         """A link for one more user. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         if not shared:
@@ -52,11 +52,11 @@ class LinkPool:
         entry.users += 1
         return entry.link
 
-    def choose(self, settings: LinkSettings, rule: Selection) -> Link:
+    def choose(self, settings: LinkSettings, rule: Selection) -> AsyncLinkDriver:
         """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
-    async def release(self, settings: LinkSettings, link: Link) -> None:
+    async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
         """A user leaves."""
         name = settings.endpoint.url
         entry = self._shared.get(name)
@@ -70,13 +70,13 @@ class LinkPool:
             del self._links[name]
         await link.close()
 
-    def _make(self, settings: LinkSettings, *, shared: bool) -> Link:
+    def _make(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
         scope = None
         if settings.parameters.scope is TransactionScope.CLIENT:
             scope = self._scope = same_scope(self._scope, settings.parameters.max_transactions)
         session = conversation_for(settings, None if scope is None else scope.places)
         connector = connector_for(settings, session, user="busway.open on an event loop")
-        link = Link(connector, session, settings, shared=shared, scope=scope)
+        link = AsyncLinkDriver(connector, session, settings, shared=shared, scope=scope)
         if scope is not None:
             scope.enter(link)
         self._links.setdefault(settings.endpoint.url, WeakKeyDictionary())[link] = None

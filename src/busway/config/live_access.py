@@ -21,7 +21,7 @@ NETWORK_SCHEMES: Final = tuple(f"{name}://" for name, scheme in SCHEMES.items() 
 _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 
-class Entrance:
+class ReloadableAllowList:
     """Whether a host may connect, by lists that can be replaced: what a server asks with ``authorise``.
 
     Attributes:

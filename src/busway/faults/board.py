@@ -21,10 +21,10 @@ from ..codes import Table
 from ..server.server import Server
 from ..session.handler import Handler
 from .clock import Clock
-from .connections import FaultyWires
+from .connections import FaultyTap
 from .fault import AppliedFault, Faults, Schedule, Selection
-from .profile import PersonalityTable
-from .profiles import PERSONALITIES
+from .profile import FaultyTable
+from .profiles import FAULT_PROFILES
 from .responder import FaultyHandler
 
 
@@ -66,16 +66,16 @@ class FaultBoard:
     """
 
     def __init__(
-        self, *, seed: int = 0, clock: Clock | None = None, personalities: PersonalityTable = PERSONALITIES
+        self, *, seed: int = 0, clock: Clock | None = None, personalities: FaultyTable = FAULT_PROFILES
     ) -> None:
         self.faults = Faults(seed)
-        self.wires = FaultyWires(self.faults, clock)
+        self.wires = FaultyTap(self.faults, clock)
         self.personalities = personalities
 
     def attach(self, server: Server) -> None:
         """Let a server play the faults, on all its listeners. Raises `ConfigError` while it is running."""
         server.wrap_handler(self.around)
-        server.use_wires(self.wires)
+        server.use_tap(self.wires)
 
     def around(self, handler: Handler) -> FaultyHandler:
         """A handler that plays the faults on what ``handler`` answers; its server needs ``wires`` too."""

@@ -13,8 +13,8 @@ from ..options.endpoints import parse_endpoint
 
 
 @dataclass(frozen=True, slots=True)
-class ClientPersonality:
-    """One way for a client to misbehave; documented as `Personality` is.
+class ClientFaultProfile:
+    """One way for a client to misbehave; documented as `FaultProfile` is.
 
     Attributes:
         name: as the documentation has it.
@@ -36,7 +36,7 @@ def _slow_loris(size: int = 3) -> bytes:
     return bytes.fromhex("0001 0000 0006 01 03 0000 0001")[:size]
 
 
-SLOW_LORIS: Final = ClientPersonality(
+SLOW_LORIS: Final = ClientFaultProfile(
     "slow-loris",
     "sends half a header and waits",
     (),
@@ -44,13 +44,13 @@ SLOW_LORIS: Final = ClientPersonality(
     _slow_loris,
 )
 
-CLIENT_PERSONALITIES: Final = {one.name: one for one in (SLOW_LORIS,)}
+CLIENT_FAULT_PROFILES: Final = {one.name: one for one in (SLOW_LORIS,)}
 """The personalities of clients."""
 
 
 @contextlib.contextmanager
 def misbehaving_client(
-    endpoint: str, personality: ClientPersonality, **options: Any
+    endpoint: str, personality: ClientFaultProfile, **options: Any
 ) -> Iterator[socket.socket]:  # Any: what the personality takes
     """A connection on which the personality has sent its bytes.
 

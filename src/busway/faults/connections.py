@@ -19,7 +19,7 @@ from .fault import Carrier, Contact, Faults
 _CONNECTED = frozenset({"tcp", "tls"})
 
 
-class FaultyWires:
+class FaultyTap:
     """All wires of one server, or of several that share their faults; to be given to it as ``wires``.
 
     Args:
@@ -62,7 +62,7 @@ class FaultyWires:
     # What the server tells.
 
     def came(self, wire: Wire) -> None:
-        """As `busway.server.wires.Wires.came`."""
+        """As `busway.server.wires.ConnectionTap.came`."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
         way = Way(wire, self._faults, clock, loop, others=len(self._ways), moved=self._moved)
@@ -72,7 +72,7 @@ class FaultyWires:
         self._changed()
 
     def left(self, wire: Wire) -> None:
-        """As `busway.server.wires.Wires.left`. It counts until its socket is closed, which comes after this call."""
+        """As `ConnectionTap.left`. It counts until its socket is closed, which comes after this call."""
         way = self._ways.get((wire.listener, wire.peer))
         if way is not None and way.wire is wire:
             way.end()

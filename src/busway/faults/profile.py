@@ -4,7 +4,7 @@ Knows what is said of one and how its fault is made; knows no conversation.
 
 1. One name means the same thing in tests, in the simulator, in the options of the client and in the documentation; the
    documentation's table is made from these objects.
-2. A table is immutable; a new one with more comes from `PersonalityTable.with_personalities`.
+2. A table is immutable; a new one with more comes from `FaultyTable.with_personalities`.
 3. An option is declared where it is used, in the signature of what makes the fault: type, default, and by `Says` its
    meaning and range. From there come the checks, the documentation and what other programs are told.
 """
@@ -94,7 +94,7 @@ def _parameter(declared: inspect.Parameter) -> Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Personality:
+class FaultProfile:
     """One way to misbehave; calling it with its options makes its fault.
 
     Attributes:
@@ -135,30 +135,30 @@ class Personality:
         return Fault(self.name, fault.admits, fault.asked, fault.answered, fault.closes_at, self.carriers, options)
 
 
-class PersonalityTable(Mapping[str, Personality]):
+class FaultyTable(Mapping[str, FaultProfile]):
     """Personalities by name, in the order of the documentation. Raises `ConfigError` for two of one name."""
 
     __slots__ = ("_by_name",)
 
-    def __init__(self, *personalities: Personality) -> None:
-        self._by_name: dict[str, Personality] = {}
+    def __init__(self, *personalities: FaultProfile) -> None:
+        self._by_name: dict[str, FaultProfile] = {}
         for one in personalities:
             if one.name in self._by_name:
                 raise ConfigError(f"there are two personalities {one.name}", key=one.name)
             self._by_name[one.name] = one
 
-    def with_personalities(self, *personalities: Personality) -> "PersonalityTable":
+    def with_personalities(self, *personalities: FaultProfile) -> "FaultyTable":
         """A new table that also holds ``personalities``."""
-        return PersonalityTable(*self.values(), *personalities)
+        return FaultyTable(*self.values(), *personalities)
 
-    def named(self, name: str) -> Personality:
+    def named(self, name: str) -> FaultProfile:
         """The personality of a name. Raises `ConfigError` that lists those there are."""
         found = self._by_name.get(name)
         if found is None:
             raise ConfigError(f"there is no personality {name!r}; there are {', '.join(self._by_name)}", key=name)
         return found
 
-    def __getitem__(self, name: str) -> Personality:
+    def __getitem__(self, name: str) -> FaultProfile:
         return self._by_name[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -168,4 +168,4 @@ class PersonalityTable(Mapping[str, Personality]):
         return len(self._by_name)
 
 
-__all__ = ["Carrier", "Parameter", "Personality", "PersonalityTable", "Says", "in_seconds"]
+__all__ = ["Carrier", "FaultProfile", "FaultyTable", "Parameter", "Says", "in_seconds"]

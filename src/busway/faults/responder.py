@@ -29,7 +29,7 @@ from ..session.handler import (
     UnitHolder,
     WriteObserver,
 )
-from .connections import FaultyWires, Way
+from .connections import FaultyTap, Way
 from .conversation import Struck
 from .fault import Exchange, Faults
 
@@ -51,7 +51,7 @@ class FaultyHandler:
     listed_unit: Callable[[int], int]
 
     def __init__(
-        self, inner: Handler, faults: Faults, wires: FaultyWires, *, heard: Callable[[Exchange], None] | None = None
+        self, inner: Handler, faults: Faults, wires: FaultyTap, *, heard: Callable[[Exchange], None] | None = None
     ) -> None:
         self.inner = inner
         self._faults = faults

@@ -48,7 +48,7 @@ class AsciiState(Enum):
     """Where the receiver is (figure 18)."""
 
     IDLE = "idle"
-    RECEPTION = "reception"
+    LISTENER_CONTEXT = "reception"
     WAITING_FOR_DELIMITER = "waiting for the end delimiter"
 
 
@@ -215,12 +215,12 @@ class AsciiReceiver:
                 self._interrupted += b":"
                 self._interrupted += self._text
             self._text.clear()
-        self.state = AsciiState.RECEPTION
+        self.state = AsciiState.LISTENER_CONTEXT
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
         """Characters without a colon, within a frame."""
-        if self.state is AsciiState.RECEPTION:
+        if self.state is AsciiState.LISTENER_CONTEXT:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
             if len(self._text) > _MOST_DIGITS:

@@ -30,7 +30,7 @@ class LineState(Enum):
 
     INITIAL = "initial"
     IDLE = "idle"
-    RECEPTION = "reception"
+    LISTENER_CONTEXT = "reception"
     CONTROL_AND_WAITING = "control and waiting"
     EMISSION = "emission"
 
@@ -41,16 +41,16 @@ class LineEvent(Enum):
     CHARACTER = "character"
     T1_5 = "t1.5 expired"
     T3_5 = "t3.5 expired"
-    DEMAND = "demand of emission"
+    CALL = "demand of emission"
 
 
 _NEXT: Final = {
     (LineState.INITIAL, LineEvent.CHARACTER): LineState.INITIAL,
     (LineState.INITIAL, LineEvent.T3_5): LineState.IDLE,
-    (LineState.IDLE, LineEvent.CHARACTER): LineState.RECEPTION,
-    (LineState.IDLE, LineEvent.DEMAND): LineState.EMISSION,
-    (LineState.RECEPTION, LineEvent.CHARACTER): LineState.RECEPTION,
-    (LineState.RECEPTION, LineEvent.T1_5): LineState.CONTROL_AND_WAITING,
+    (LineState.IDLE, LineEvent.CHARACTER): LineState.LISTENER_CONTEXT,
+    (LineState.IDLE, LineEvent.CALL): LineState.EMISSION,
+    (LineState.LISTENER_CONTEXT, LineEvent.CHARACTER): LineState.LISTENER_CONTEXT,
+    (LineState.LISTENER_CONTEXT, LineEvent.T1_5): LineState.CONTROL_AND_WAITING,
     (LineState.CONTROL_AND_WAITING, LineEvent.CHARACTER): LineState.CONTROL_AND_WAITING,
     (LineState.CONTROL_AND_WAITING, LineEvent.T3_5): LineState.IDLE,
     (LineState.EMISSION, LineEvent.CHARACTER): LineState.EMISSION,
@@ -109,7 +109,7 @@ class StrictRtuReceiver:
         if released:
             self._characters(released, self._last, self._last)
         # At t1.5 itself the frame is still whole: only a longer gap makes it incomplete.
-        if self.state is LineState.RECEPTION and now > self._last + self.timing.t1_5:
+        if self.state is LineState.LISTENER_CONTEXT and now > self._last + self.timing.t1_5:
             self._move(LineEvent.T1_5)
         if now < self._last + self.timing.t3_5:
             return []
@@ -143,7 +143,7 @@ class StrictRtuReceiver:
         if self.state not in (LineState.IDLE, LineState.EMISSION):
             raise ValueError(f"emission begins only from the state idle, and the line is in {self.state.value}")
         if self.state is LineState.IDLE:
-            self._move(LineEvent.DEMAND)
+            self._move(LineEvent.CALL)
         self._last = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is Role.MASTER)
 
@@ -177,7 +177,7 @@ class StrictRtuReceiver:
         if self.state is LineState.CONTROL_AND_WAITING:
             self._lost.mark(Damage.GAP, ended)
         self._move(LineEvent.CHARACTER)
-        if self.state in (LineState.RECEPTION, LineState.CONTROL_AND_WAITING):
+        if self.state in (LineState.LISTENER_CONTEXT, LineState.CONTROL_AND_WAITING):
             self._frame += data
             if len(self._frame) > RTU_ADU_LIMIT:
                 self._lost.add(self._frame, self._began, ended)

@@ -26,7 +26,7 @@ from typing import BinaryIO, Final
 from ..codes import BROADCAST_UNIT
 from ..framing.received import Damaged, Direction, Received
 from ..framing.rtu import encode_rtu
-from .ends import Ends
+from .ends import SocketAddresses
 from .headers import Node, line_pdu, tcp_packet, udp_packet
 from .pcapng import SECTION_HEADER, Flow, LinkType, PcapngWriter
 from .trace import TRACE
@@ -94,7 +94,7 @@ class Capture:
         """A TCP connection, between what ``getsockname`` and ``getpeername`` gave."""
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
-    def connection(self, ends: Ends) -> "StreamCapture | DatagramCapture":
+    def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
         """A connection, TCP or UDP, between these ends."""
         return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
@@ -193,7 +193,7 @@ class DatagramCapture:
 
     __slots__ = ("_capture", "_ends")
 
-    def __init__(self, capture: Capture, ends: Ends) -> None:
+    def __init__(self, capture: Capture, ends: SocketAddresses) -> None:
         self._capture = capture
         self._ends = ends
 

@@ -11,7 +11,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Ends:
+class SocketAddresses:
     """Both ends of a connection, as ``getsockname`` and ``getpeername`` give them; None where there is no telling."""
 
     local: object = None
@@ -19,16 +19,16 @@ class Ends:
     is_datagram: bool = False
 
 
-def ends_of(carrier: object) -> Ends:
+def socket_addresses_of(carrier: object) -> SocketAddresses:
     """The ends of a socket, of a transport of asyncio, or of what has the descriptor of a socket."""
-    if isinstance(carrier, Ends):
+    if isinstance(carrier, SocketAddresses):
         return carrier
     ask = getattr(carrier, "get_extra_info", None)
     asked: Any = ask("socket") if ask is not None else carrier  # sockets of asyncio share no base with the others
     with contextlib.suppress(OSError):
         if hasattr(asked, "getpeername"):
-            return Ends(asked.getsockname(), asked.getpeername(), asked.type == socket.SOCK_DGRAM)
+            return SocketAddresses(asked.getsockname(), asked.getpeername(), asked.type == socket.SOCK_DGRAM)
         if hasattr(asked, "fileno"):
             with socket.socket(fileno=os.dup(asked.fileno())) as own:
-                return Ends(own.getsockname(), own.getpeername(), own.type == socket.SOCK_DGRAM)
-    return Ends()
+                return SocketAddresses(own.getsockname(), own.getpeername(), own.type == socket.SOCK_DGRAM)
+    return SocketAddresses()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from ..framing.mbap import FrameKind, MbapFrame, MbapReceiver
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
-from .ends import Ends, ends_of
+from .ends import SocketAddresses, socket_addresses_of
 
 if TYPE_CHECKING:
     from ..framing.received import Received
@@ -54,7 +54,7 @@ class LineRecorder(Protocol):
 class Recorder(Protocol):
     """What traffic goes into: a capture file (`busway.observe.capture.Capture`), or whatever keeps it."""
 
-    def connection(self, ends: Ends) -> ConnectionRecorder:
+    def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
         """A connection between these ends."""
 
     def line(self, name: str) -> LineRecorder:
@@ -108,14 +108,14 @@ TRACE = Trace()
 
 
 class StreamTrace:
-    """Shows one MBAP connection; ``carrier`` is what `ends_of` can tell its addresses from."""
+    """Shows one MBAP connection; ``carrier`` is what `socket_addresses_of` can tell its addresses from."""
 
     __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
     def __init__(
         self, name: str, *, is_server: bool, functions: FunctionTable = STANDARD, carrier: object = None
     ) -> None:
-        self._capture = None if TRACE.capture is None else TRACE.capture.connection(ends_of(carrier))
+        self._capture = None if TRACE.capture is None else TRACE.capture.connection(socket_addresses_of(carrier))
         self._name = name
         self._is_server = is_server
         self._functions = functions

@@ -9,7 +9,7 @@ Authorise = Callable[[str], bool]
 """Takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``, and says whether it may connect."""
 
 
-def everybody(host: str) -> bool:
+def allow_all(host: str) -> bool:
     """Nobody is refused."""
     return True
 
@@ -18,6 +18,6 @@ def both(server: Authorise, listener: Authorise | None) -> Authorise:
     """The question of a server, and that of one of its listeners beside it: both must say yes."""
     if listener is None:
         return server
-    if server is everybody:
+    if server is allow_all:
         return listener
     return lambda host: server(host) and listener(host)

@@ -401,4 +401,4 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _report(self, session: Session) -> None:
         failures, session.failures = session.failures, []
-        self._management.reception.failed(self.peer, failures)
+        self._management.listener_context.failed(self.peer, failures)

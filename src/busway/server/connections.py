@@ -23,15 +23,15 @@ from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue
 from .diagnosis import Diagnosis
 from .framed import Session
+from .listener_context import ListenerContext, add_living
 from .parameters import ListenerParameters
 from .peers import host_of
 from .pools import Pools
-from .reception import Reception, add_living
 from .status import ConnectionStatus, ListenerStatus
 from .turns import Turns
 
 if TYPE_CHECKING:
-    from .secure import Gate
+    from .secure import TlsHandshakeAcceptor
 
 _log = logging.getLogger("busway.server")
 
@@ -48,7 +48,7 @@ class ConnectionManagement:
     """The connections of one listener.
 
     Args:
-        reception: what the listener knows beside its connections.
+        listener_context: what the listener knows beside its connections.
         pools: places, its own or shared with other listeners.
         sockets: parameters of the sockets of newcomers.
         turns: where connections wait that have more to do than one turn allows; None for its own, unshared.
@@ -59,23 +59,23 @@ class ConnectionManagement:
 
     def __init__(
         self,
-        reception: Reception,
+        listener_context: ListenerContext,
         pools: Pools[ServerConnection],
         sockets: SocketParameters,
         turns: Turns | None = None,
     ) -> None:
-        self.reception = reception
+        self.listener_context = listener_context
         self.pools = pools
-        self.turns = turns or Turns(reception.loop)
+        self.turns = turns or Turns(listener_context.loop)
         self._sockets = sockets
-        self._sockets_of_marked = replace(sockets, user_timeout=None)
+        self._sockets_of_priority_hosts = replace(sockets, user_timeout=None)
         self._connections: dict[ServerConnection, None] = {}  # in the order they came
-        self._deadlines: Deadlines[ServerConnection] = Deadlines(reception.parameters)
+        self._deadlines: Deadlines[ServerConnection] = Deadlines(listener_context.parameters)
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at = 0.0
         self._emptied: asyncio.Event | None = None
         self._is_draining = False
-        self.gate: Gate | None = None
+        self.gate: TlsHandshakeAcceptor | None = None
 
     def __len__(self) -> int:
         return len(self._connections)
@@ -83,37 +83,37 @@ class ConnectionManagement:
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
         """The event loop they live on."""
-        return self.reception.loop
+        return self.listener_context.loop
 
     @property
     def listener(self) -> str:
         """URL of the listener, as it is bound."""
-        return self.reception.listener
+        return self.listener_context.listener
 
     @property
     def parameters(self) -> ListenerParameters:
         """Limits of the connections."""
-        return self.reception.parameters
+        return self.listener_context.parameters
 
     @property
     def counters(self) -> ServerCounters:
         """Counters, shared by all listeners of a server."""
-        return self.reception.counters
+        return self.listener_context.counters
 
     @property
     def framing(self) -> str:
         """``mbap``, ``rtu`` or ``ascii``."""
-        return self.reception.framing
+        return self.listener_context.framing
 
     @property
     def diagnosis(self) -> Diagnosis:
         """For the lamps."""
-        return self.reception.diagnosis
+        return self.listener_context.diagnosis
 
     @property
     def rates(self) -> Rates | None:
         """Of requests; None without a limit."""
-        return self.reception.rates
+        return self.listener_context.rates
 
     # Coming and going.
 
@@ -124,24 +124,24 @@ class ConnectionManagement:
         """
         address = transport.get_extra_info("peername")
         host = host_of(address)
-        if not self.reception.welcomes(host, address):
+        if not self.listener_context.welcomes(host, address):
             return False
         socket = transport.get_extra_info("socket")
         if socket is not None:
-            parameters = self._sockets_of_marked if self.reception.is_marked(host) else self._sockets
+            parameters = self._sockets_of_priority_hosts if self.listener_context.is_priority(host) else self._sockets
             parameters.apply(socket)
         return True
 
     def admit(self, connection: ServerConnection) -> Session | None:
         """Give a newcomer a place, and its session; None where nobody can make room for it."""
-        reception = self.reception
-        connection.marked = reception.is_marked(connection.host)
+        listener_context = self.listener_context
+        connection.marked = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)
         if not admission.accepted:
             self.counters.refused_full += 1
             if connection.has_ended:
                 return None  # it had gone before it came, and hears nothing
-            reception.say(
+            listener_context.say(
                 logging.WARNING,
                 connection.host,
                 "%s: refused: all %d places are taken by marked devices",
@@ -152,15 +152,15 @@ class ConnectionManagement:
         if admission.evicted is not None:
             admission.evicted.make_room()
         self._connections[connection] = None
-        reception.came(connection)
+        listener_context.came(connection)
         if self.parameters.idle_timeout is not None and self._timer is None:
             self._set_timer(time.monotonic())
-        return reception.session_for(connection, share=REQUESTS_OF_A_TURN)
+        return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ServerConnection) -> None:
         """A connection has lost its place to a newcomer."""
         self.counters.evicted += 1
-        self.reception.say(
+        self.listener_context.say(
             logging.WARNING,
             "",
             "%s: closed to make room; %d connections are there with the newcomer",
@@ -179,19 +179,19 @@ class ConnectionManagement:
             self._stop_timer()
             if self._emptied is not None:
                 self._emptied.set()
-        self.reception.left(connection, session)
+        self.listener_context.left(connection, session)
         if error is not None:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
     def broken(self, connection: ServerConnection, reason: str) -> None:
         """The stream of a connection can not be followed any more."""
         self.counters.broken_streams += 1
-        self.reception.broken()
-        self.reception.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
+        self.listener_context.broken()
+        self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
 
     def end_unauthorised(self) -> int:
         """End connections of hosts that may no longer connect, and their handshakes; how many there were."""
-        ended = [one for one in self._connections if not self.reception.may_stay(one)]
+        ended = [one for one in self._connections if not self.listener_context.may_stay(one)]
         for connection in ended:
             connection.abort()
         return len(ended) + (0 if self.gate is None else self.gate.end_unauthorised())
@@ -224,7 +224,7 @@ class ConnectionManagement:
         wait = self.rates.charge(connection.host, requests, now)
         if wait:
             self.counters.rate_limited += 1
-            self.reception.say(
+            self.listener_context.say(
                 logging.INFO,
                 connection.host,
                 "%s: held back, %g requests a second are its rate",
@@ -272,9 +272,9 @@ class ConnectionManagement:
         if what is Overdue.IDLE:
             level = logging.INFO
         elif what is not Overdue.WRITE:
-            self.reception.broken()
+            self.listener_context.broken()
         seconds = getattr(self.parameters, what.value) or self.parameters.frame_timeout
-        self.reception.say(level, connection.host, f"%s: {_SENTENCES[what]}", connection.peer, seconds)
+        self.listener_context.say(level, connection.host, f"%s: {_SENTENCES[what]}", connection.peer, seconds)
         connection.abort()
 
     # What is shown.
@@ -282,7 +282,7 @@ class ConnectionManagement:
     def status(self) -> list[ConnectionStatus]:
         """The connections, the oldest first."""
         now = time.monotonic()
-        return [self.reception.guest_status(one, now) for one in self._connections]
+        return [self.listener_context.udp_peer_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
         """The listener itself."""
@@ -290,7 +290,7 @@ class ConnectionManagement:
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         pools = [one.pool for one in self._connections]
         security = self.gate.status() if self.gate is not None else None
-        return self.reception.status(pools.count, security=security)
+        return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
         """Add what the living connections have not handed over yet."""

@@ -115,7 +115,7 @@ class Deadlines(Generic[One]):
             times.append(self._next_look)
         return min((one for one in times if one is not None), default=None)
 
-    def due(self, everybody: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
+    def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
         """What is over at ``now``, each once."""
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):
@@ -125,7 +125,7 @@ class Deadlines(Generic[One]):
         idle = self._parameters.idle_timeout
         if idle is not None and self._next_look is not None and now >= self._next_look:
             self._next_look = None
-            found += [(one, Overdue.IDLE) for one in everybody if now >= one.last_used + idle and one.is_idle]
+            found += [(one, Overdue.IDLE) for one in allow_all if now >= one.last_used + idle and one.is_idle]
         return found
 
     def _frame_deadline(self, one: One, since: float) -> float | None:

@@ -19,7 +19,7 @@ FAULT_SHOWN: Final = 10.0
 _NEVER: Final = float("-inf")
 
 
-class Lamp(Enum):
+class StatusIndicator(Enum):
     """The states of one lamp."""
 
     OFF = "off"
@@ -28,12 +28,12 @@ class Lamp(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Lamps:
+class StatusIndicators:
     """The lamps of a listener at one moment."""
 
-    communication: Lamp
-    error: Lamp
-    device_status: Lamp
+    communication: StatusIndicator
+    error: StatusIndicator
+    device_status: StatusIndicator
 
 
 class Diagnosis:
@@ -52,14 +52,16 @@ class Diagnosis:
         self.is_open = False
         self.traffic = self.communication_fault = self.internal_fault = _NEVER
 
-    def lamps(self, now: float, *, listen_only: bool = False) -> Lamps:
+    def lamps(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
         """What the lamps show at ``now``."""
-        error = Lamp.OFF
+        error = StatusIndicator.OFF
         if now < self.internal_fault + FAULT_SHOWN:
-            error = Lamp.ON
+            error = StatusIndicator.ON
         elif not self.is_open or now < self.communication_fault + FAULT_SHOWN:
-            error = Lamp.FLASHING
-        device = Lamp.OFF
+            error = StatusIndicator.FLASHING
+        device = StatusIndicator.OFF
         if self.is_open:
-            device = Lamp.FLASHING if listen_only else Lamp.ON
-        return Lamps(Lamp.ON if now < self.traffic + ACTIVITY_SHOWN else Lamp.OFF, error, device)
+            device = StatusIndicator.FLASHING if listen_only else StatusIndicator.ON
+        return StatusIndicators(
+            StatusIndicator.ON if now < self.traffic + ACTIVITY_SHOWN else StatusIndicator.OFF, error, device
+        )

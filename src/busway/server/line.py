@@ -33,7 +33,7 @@ from .diagnosis import Diagnosis
 from .failures import answer_later, report_failures
 from .listener_settings import ListenerSettings
 from .status import ListenerStatus
-from .wires import Wire, Wires, stay
+from .wires import ConnectionTap, Wire, stay
 
 _log = logging.getLogger("busway.server")
 
@@ -63,7 +63,7 @@ class SerialListener:
         *,
         counters: ServerCounters,
         changes_allowed: bool,
-        wires: Wires | None = None,
+        wires: ConnectionTap | None = None,
     ) -> None:
         assert settings.port is not None
         self.name = settings.endpoint.url

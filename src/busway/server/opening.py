@@ -14,21 +14,21 @@ from ..options.endpoints import Endpoint
 from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
 from ..session.server import TransactionSlots
-from ..transport.epoll.watcher import Crowd, crowd_for
+from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, both
 from .connection import ServerConnection
 from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .line import SerialListener
+from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
 from .parameters import ListenerParameters
 from .pools import Pools
-from .reception import Reception
 from .tcp import TcpListener
 from .turns import Turns
 from .udp import UdpListener
-from .wires import Wires
+from .wires import ConnectionTap
 
 _log = logging.getLogger("busway.server")
 
@@ -48,7 +48,7 @@ class Opening:
         wires: is told of the ways by which bytes leave.
         slots: of transactions, where the server has them as a whole.
         places: that listeners share, where they do.
-        crowd: where all TCP connections wait together; None where the event loop can have none.
+        epoll_set: where all TCP connections wait together; None where the event loop can have none.
         turns: where they wait when they have more to do than one turn of the loop allows.
     """
 
@@ -59,16 +59,16 @@ class Opening:
     sockets: SocketParameters
     counters: ServerCounters
     authorise: Authorise
-    wires: Wires | None = None
+    wires: ConnectionTap | None = None
     slots: TransactionSlots = field(init=False)
     places: Pools[ServerConnection] = field(init=False)
-    crowd: Crowd | None = field(init=False)
+    epoll_set: EpollSet | None = field(init=False)
     turns: Turns = field(init=False)
 
     def __post_init__(self) -> None:
         self.slots = TransactionSlots(self.parameters.max_transactions)
         self.places = Pools(self.limits.pools)
-        self.crowd = crowd_for(self.loop)
+        self.epoll_set = epoll_set_for(self.loop)
         self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
@@ -76,9 +76,9 @@ class Opening:
         limits = settings.limits
         shares = limits.shared_places and limits is self.limits
         management = ConnectionManagement(
-            self._reception(settings), self.places if shares else Pools(limits.pools), self.sockets, self.turns
+            self._listener_context(settings), self.places if shares else Pools(limits.pools), self.sockets, self.turns
         )
-        listener = TcpListener(management, settings, self.sockets, self.crowd)
+        listener = TcpListener(management, settings, self.sockets, self.epoll_set)
         try:
             await listener.open()
         except OSError as error:
@@ -91,7 +91,7 @@ class Opening:
 
     async def datagrams(self, settings: ListenerSettings) -> UdpListener:
         """A listener over UDP. Raises `OSError`, `ConfigError`."""
-        listener = UdpListener(self._reception(settings), self.sockets)
+        listener = UdpListener(self._listener_context(settings), self.sockets)
         await listener.open()
         return listener
 
@@ -109,9 +109,9 @@ class Opening:
         await line.open()
         return line
 
-    def _reception(self, settings: ListenerSettings) -> Reception:
+    def _listener_context(self, settings: ListenerSettings) -> ListenerContext:
         endpoint = settings.endpoint
-        return Reception(
+        return ListenerContext(
             self.loop,
             self.handler,
             settings,

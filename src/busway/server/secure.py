@@ -64,17 +64,17 @@ class SecurityStatus:
     without_role: int
 
 
-def gate(management: "ConnectionManagement", parameters: TlsParameters) -> "Gate":
+def gate(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":
     """The gate of a listener; calling it gives the protocol of a newcomer.
 
     Raises:
         ConfigError: a file can not be used, or ``cryptography`` is missing.
     """
-    management.gate = made = Gate(management, parameters)
+    management.gate = made = TlsHandshakeAcceptor(management, parameters)
     return made
 
 
-class Gate:
+class TlsHandshakeAcceptor:
     """Lets clients of one listener in. Made by `gate`."""
 
     def __init__(self, management: "ConnectionManagement", parameters: TlsParameters) -> None:
@@ -96,7 +96,7 @@ class Gate:
 
     def __call__(self) -> asyncio.BaseProtocol:
         """The protocol of a connection that the system has accepted."""
-        return _Newcomer(self)
+        return _PendingHandshake(self)
 
     def reload(self) -> None:
         """Read certificate, key and authorities now. Raises `ConfigError`; then they stay as they were."""
@@ -106,11 +106,13 @@ class Gate:
 
     def end_unauthorised(self) -> int:
         """End handshakes of hosts that may no longer connect; how many there were."""
-        reception = self._management.reception
+        listener_context = self._management.listener_context
         ended = [
             layer
             for layer, peer in self._waiting.items()
-            if not reception.welcomes(host_of(layer.get_extra_info("peername")), layer.get_extra_info("peername"))
+            if not listener_context.welcomes(
+                host_of(layer.get_extra_info("peername")), layer.get_extra_info("peername")
+            )
         ]
         for layer in ended:
             layer.failure = TlsFailure(FailureKind.GONE, "its address is no longer authorised")
@@ -171,7 +173,7 @@ class Gate:
             transport.abort()
             return
         address = transport.get_extra_info("peername")
-        peer, marked = peer_name(address), management.reception.is_marked(host_of(address))
+        peer, marked = peer_name(address), management.listener_context.is_priority(host_of(address))
         limit = self._parameters.max_handshakes
         while len(self._waiting) >= limit:
             oldest = next(iter(self._strangers), next(iter(self._waiting)) if marked else None)
@@ -255,7 +257,7 @@ class Gate:
         self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
 
     def _say(self, about: str, message: str, *arguments: object) -> None:
-        self._management.reception.say(logging.WARNING, about, message, *arguments)
+        self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
         """The connection of somebody who was refused has ended."""
@@ -266,10 +268,10 @@ def _host_of(peer: str) -> str:
     return peer.rpartition(":")[0]
 
 
-class _Newcomer(asyncio.Protocol):
+class _PendingHandshake(asyncio.Protocol):
     """What a connection has until its TLS takes over, within the call that tells of it."""
 
-    def __init__(self, gate: Gate) -> None:
+    def __init__(self, gate: TlsHandshakeAcceptor) -> None:
         self._gate = gate
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

@@ -19,7 +19,7 @@ from ..session.handler import Handler
 from ..session.parameters import ServerParameters
 from ..transport.dialled import dialled_connections
 from ..transport.tcp import SocketParameters, network_reason
-from .authorisation import Authorise, everybody
+from .authorisation import Authorise, allow_all
 from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .exposure import Guard, warn_of_exposure
@@ -33,7 +33,7 @@ from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
 from .udp import UdpListener
-from .wires import Wires
+from .wires import ConnectionTap
 
 if TYPE_CHECKING:
     from ..access.audit import AuditLog
@@ -80,13 +80,13 @@ class Server:
         parameters: ServerParameters | None = None,
         listener: ListenerParameters | None = None,
         sockets: SocketParameters | None = None,
-        authorise: Authorise = everybody,
+        authorise: Authorise = allow_all,
         tls: "TlsParameters | None" = None,
         policy: "Policy | None" = None,
         audit: "AuditLog | None" = None,
         standard_port: bool | None = None,
         local_connections: Callable[[], int] | None = None,
-        wires: Wires | None = None,
+        wires: ConnectionTap | None = None,
     ) -> None:
         self._limits = listener or ListenerParameters()
         wanted = [listener_settings(one, limits=self._limits, tls=tls) for one in as_listeners(endpoints)]
@@ -132,7 +132,7 @@ class Server:
         if isinstance(self._handler, Guard):
             self._guard = self._handler
 
-    def use_wires(self, wires: Wires) -> None:
+    def use_tap(self, wires: ConnectionTap) -> None:
         """Tell somebody of every way by which bytes leave, as ``wires`` does. Only while stopped.
 
         Raises:
@@ -310,10 +310,10 @@ class Server:
             refusals=dict(getattr(self._guard, "refusals", {})),
         )
 
-    def is_marked(self, listener: str, host: str) -> bool:
+    def is_priority(self, listener: str, host: str) -> bool:
         """Whether a host has priority connections at the listener of a URL, as it is bound."""
-        receptions = [each.reception for each in self._with_peers()]
-        return any(one.is_marked(host) for one in receptions if one.listener == listener)
+        listener_contexts = [each.listener_context for each in self._with_peers()]
+        return any(one.is_priority(host) for one in listener_contexts if one.listener == listener)
 
     def _with_peers(self) -> "list[ConnectionManagement | UdpListener]":
         return [*(each.management for each in self._streams), *self._datagrams]

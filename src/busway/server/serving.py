@@ -15,7 +15,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 from ..session.handler import Handler
 from ..session.parameters import ServerParameters
 from ..transport.tcp import SocketParameters
-from .authorisation import Authorise, everybody
+from .authorisation import Authorise, allow_all
 from .device import Device
 from .listener import Listener
 from .local import LocalHandler, UnitPolicy, UnlistedUnit
@@ -57,7 +57,7 @@ def serve(
     unit_policy: UnitPolicy | Literal["listed", "any"] = UnitPolicy.LISTED,
     unlisted: UnlistedUnit | Literal["exception", "silence"] | None = None,
     functions: FunctionTable = STANDARD,
-    authorise: Authorise = everybody,
+    authorise: Authorise = allow_all,
     tls: "TlsParameters | None" = None,
     policy: "Policy | None" = None,
     audit: "AuditLog | None" = None,

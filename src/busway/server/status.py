@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..session.diagnostics import Counters
 from ..transport.interfaces import Interface
 from .counters import ServerCounters
-from .diagnosis import Lamps
+from .diagnosis import StatusIndicators
 from .pools import Pool
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class ListenerStatus:
 
     endpoint: str
     is_open: bool
-    lamps: Lamps
+    lamps: StatusIndicators
     counters: Counters
     event_count: int
     listen_only: bool

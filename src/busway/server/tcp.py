@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from ..transport.accepting import Acceptor, accept_from
-from ..transport.epoll.watcher import Crowd
+from ..transport.epoll.watcher import EpollSet
 from ..transport.tcp import SocketParameters, network_reason
 from .connection import ServerConnection
 from .connections import ConnectionManagement
@@ -29,7 +29,7 @@ class TcpListener:
         management: of its connections.
         settings: where it listens, and how.
         sockets: parameters of its sockets.
-        crowd: where its sockets and connections wait; None leaves them to the event loop.
+        epoll_set: where its sockets and connections wait; None leaves them to the event loop.
 
     Attributes:
         management: of its connections.
@@ -41,13 +41,13 @@ class TcpListener:
         management: ConnectionManagement,
         settings: ListenerSettings,
         sockets: SocketParameters,
-        crowd: Crowd | None = None,
+        epoll_set: EpollSet | None = None,
     ) -> None:
         self.management = management
         self.names: list[str] = []
         self._settings = settings
         self._sockets = sockets
-        self._crowd = crowd
+        self._epoll_set = epoll_set
         self._acceptors: list[Acceptor] = []
 
     async def open(self) -> None:
@@ -64,7 +64,7 @@ class TcpListener:
                     one,
                     protocols,
                     loop=loop,
-                    crowd=self._crowd,
+                    epoll_set=self._epoll_set,
                     backlog=settings.limits.backlog,
                     failed=self._can_not_accept,
                 )
@@ -72,10 +72,10 @@ class TcpListener:
                 undo.callback(made.close)
             undo.pop_all()
         self.names = [bound_name(settings.endpoint.scheme, one) for one in bound]
-        reception = self.management.reception
-        reception.listener = self.names[0]
-        reception.hosts = tuple(str(one.getsockname()[0]) for one in bound)
-        reception.diagnosis.is_open = True
+        listener_context = self.management.listener_context
+        listener_context.listener = self.names[0]
+        listener_context.hosts = tuple(str(one.getsockname()[0]) for one in bound)
+        listener_context.diagnosis.is_open = True
 
     def _protocols(self) -> Callable[[], asyncio.BaseProtocol]:
         """What makes the protocol of each newcomer: over TLS, a gate that lets it in after the handshake."""
@@ -88,10 +88,10 @@ class TcpListener:
 
     def _can_not_accept(self, error: OSError) -> None:
         """Somebody waits, and the system has nothing left for another connection."""
-        reception = self.management.reception
-        reception.diagnosis.internal_fault = time.monotonic()
+        listener_context = self.management.listener_context
+        listener_context.diagnosis.internal_fault = time.monotonic()
         sentence = "%s: nobody can be accepted for now: %s"
-        reception.say(logging.ERROR, "", sentence, reception.listener, network_reason(error))
+        listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:
         """Take no newcomer. Those that are being accepted arrive within `settle`."""
@@ -105,7 +105,7 @@ class TcpListener:
         self._acceptors.clear()
         if self.management.gate is not None:
             self.management.gate.close()
-        self.management.reception.diagnosis.is_open = False
+        self.management.listener_context.diagnosis.is_open = False
         self.management.close_all()
 
 

@@ -19,17 +19,17 @@ import time
 from typing import Any, cast
 
 from ..framing.datagram import WHOLE
-from ..observe.ends import Ends
+from ..observe.ends import SocketAddresses
 from ..observe.line_trace import Trace, trace_for
 from ..observe.trace import TRACE
 from ..transport.tcp import SocketParameters
 from .counters import ServerCounters
 from .failures import answer_later
 from .framed import Session
+from .listener_context import ListenerContext, add_living
 from .naming import bound_name, listening_sockets
 from .peers import host_of, peer_name
 from .pools import Pool, Pools
-from .reception import Reception, add_living
 from .status import ConnectionState, ConnectionStatus, ListenerStatus
 
 
@@ -37,24 +37,24 @@ class UdpListener:
     """The peers of one listener, on one socket or, for every address of both families, on two.
 
     Attributes:
-        reception: what the listener knows beside its peers.
+        listener_context: what the listener knows beside its peers.
         names: URLs as they are bound.
     """
 
-    def __init__(self, reception: Reception, sockets: SocketParameters) -> None:
-        self.reception = reception
+    def __init__(self, listener_context: ListenerContext, sockets: SocketParameters) -> None:
+        self.listener_context = listener_context
         self.names: list[str] = []
         self._parameters = sockets
-        self._is_whole = WHOLE[reception.framing]
+        self._is_whole = WHOLE[listener_context.framing]
         self._sockets: list[_Socket] = []
-        self._pools: Pools[_Peer] = Pools(reception.parameters.pools)
+        self._pools: Pools[_Peer] = Pools(listener_context.parameters.pools)
         self._peers: dict[Any, _Peer] = {}  # by socket and address
         self._takes_more = True
 
     async def open(self) -> None:
         """Listen. Raises `OSError` or `ConfigError`; then nothing is open."""
-        reception = self.reception
-        bound = await listening_sockets(reception.loop, reception.settings)
+        listener_context = self.listener_context
+        bound = await listening_sockets(listener_context.loop, listener_context.settings)
         with contextlib.ExitStack() as undo:
             for one in bound:
                 undo.callback(one.close)
@@ -62,12 +62,12 @@ class UdpListener:
             for one in bound:
                 self._parameters.apply_buffers(one)
                 made = _Socket(self)
-                await reception.loop.create_datagram_endpoint(lambda made=made: made, sock=one)  # type: ignore[misc]
+                await listener_context.loop.create_datagram_endpoint(lambda made=made: made, sock=one)  # type: ignore[misc]
                 self._sockets.append(made)
             undo.pop_all()
-        self.names = [bound_name(reception.settings.endpoint.scheme, one) for one in bound]
-        reception.listener = self.names[0]
-        reception.hosts = tuple(str(one.getsockname()[0]) for one in bound)
+        self.names = [bound_name(listener_context.settings.endpoint.scheme, one) for one in bound]
+        listener_context.listener = self.names[0]
+        listener_context.hosts = tuple(str(one.getsockname()[0]) for one in bound)
 
     # What the server asks.
 
@@ -87,7 +87,7 @@ class UdpListener:
 
     def end_unauthorised(self) -> int:
         """Forget peers whose hosts may no longer send; how many there were. What is in work for them gets no answer."""
-        ended = [peer for peer in self._peers.values() if not self.reception.may_stay(peer)]
+        ended = [peer for peer in self._peers.values() if not self.listener_context.may_stay(peer)]
         for peer in ended:
             self.leave(peer)
         return len(ended)
@@ -95,11 +95,11 @@ class UdpListener:
     def status(self) -> list[ConnectionStatus]:
         """The peers, the one that came first first."""
         now = time.monotonic()
-        return [self.reception.guest_status(peer, now) for peer in self._peers.values()]
+        return [self.listener_context.udp_peer_status(peer, now) for peer in self._peers.values()]
 
     def listener_status(self) -> ListenerStatus:
         """The listener itself."""
-        return self.reception.status(self._pools.count)
+        return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:
         """Add what the conversations have not handed over yet."""
@@ -112,20 +112,24 @@ class UdpListener:
         """A datagram has come: answer it."""
         if not self._takes_more:
             return
-        reception = self.reception
+        listener_context = self.listener_context
         now = time.monotonic()
-        reception.diagnosis.traffic = now
+        listener_context.diagnosis.traffic = now
         host = host_of(address)
-        if not reception.welcomes(host, address):
+        if not listener_context.welcomes(host, address):
             return
         if not self._is_whole(data):
-            reception.broken()
-            reception.counters.discarded_frames += 1
-            if reception.framing != "mbap":
-                reception.diagnostics.received_damaged()
+            listener_context.broken()
+            listener_context.counters.discarded_frames += 1
+            if listener_context.framing != "mbap":
+                listener_context.diagnostics.received_damaged()
             return
-        if reception.rates is not None and not reception.is_marked(host) and not reception.rates.allows(host, now):
-            reception.counters.rate_limited += 1
+        if (
+            listener_context.rates is not None
+            and not listener_context.is_priority(host)
+            and not listener_context.rates.allows(host, now)
+        ):
+            listener_context.counters.rate_limited += 1
             return
         peer = self._peers.get((socket, address)) or self._admit(socket, address)
         if peer is not None:
@@ -133,7 +137,7 @@ class UdpListener:
 
     def closed(self, socket: "_Socket") -> None:
         """A socket is closed."""
-        self.reception.diagnosis.is_open = False
+        self.listener_context.diagnosis.is_open = False
         for peer in [one for one in self._peers.values() if one.socket is socket]:
             self.leave(peer)
 
@@ -142,21 +146,21 @@ class UdpListener:
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
-        self.reception.left(peer, peer.session)
+        self.listener_context.left(peer, peer.session)
 
     def _admit(self, socket: "_Socket", address: Any) -> "_Peer | None":
-        peer = _Peer(self.reception, socket, address)
+        peer = _Peer(self.listener_context, socket, address)
         admission = self._pools.admit(peer)
         if not admission.accepted and self._forget_unused():
             admission = self._pools.admit(peer)
         if not admission.accepted:
-            self.reception.counters.refused_full += 1
+            self.listener_context.counters.refused_full += 1
             return None
         if admission.evicted is not None:
-            self.reception.counters.evicted += 1
+            self.listener_context.counters.evicted += 1
             self.leave(admission.evicted)
         self._peers[socket, address] = peer
-        self.reception.came(peer)
+        self.listener_context.came(peer)
         return peer
 
     def _forget_unused(self) -> bool:
@@ -164,7 +168,7 @@ class UdpListener:
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
             return False
-        self.reception.counters.evicted += 1
+        self.listener_context.counters.evicted += 1
         self.leave(min(unused, key=lambda one: one.last_used))
         return True
 
@@ -180,7 +184,7 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener = listener
         self._transport: asyncio.DatagramTransport | None = None
         self._is_full = False
-        self.closed = listener.reception.loop.create_future()
+        self.closed = listener.listener_context.loop.create_future()
 
     # What asyncio calls.
 
@@ -188,8 +192,8 @@ class _Socket(asyncio.DatagramProtocol):
         """Bound."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
         limits: Any = transport  # every transport has them, but the declared type of those for datagrams
-        limits.set_write_buffer_limits(high=self._listener.reception.parameters.write_buffer)
-        self._listener.reception.diagnosis.is_open = True
+        limits.set_write_buffer_limits(high=self._listener.listener_context.parameters.write_buffer)
+        self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
         """A datagram has come."""
@@ -201,7 +205,7 @@ class _Socket(asyncio.DatagramProtocol):
     def pause_writing(self) -> None:
         """The system takes no more: answers are lost from now on, as datagrams may be, and nothing piles up."""
         self._is_full = True
-        self._listener.reception.counters.reading_paused += 1
+        self._listener.listener_context.counters.reading_paused += 1
 
     def resume_writing(self) -> None:
         """It takes them again."""
@@ -220,10 +224,10 @@ class _Socket(asyncio.DatagramProtocol):
         if self._transport is not None and not self._is_full and not self._transport.is_closing():
             self._transport.sendto(adu, address)
 
-    def ends(self, address: Any) -> Ends:
+    def ends(self, address: Any) -> SocketAddresses:
         """Both ends of the conversation with a peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
-        return Ends(own, address, is_datagram=True)
+        return SocketAddresses(own, address, is_datagram=True)
 
     def close(self) -> None:
         """Close it."""
@@ -234,24 +238,24 @@ class _Socket(asyncio.DatagramProtocol):
 
 
 class _Peer:
-    """One sender and its conversation; its attributes as of `busway.server.reception.Guest`."""
+    """One sender and its conversation; its attributes as of `busway.server.listener_context.UdpPeer`."""
 
     session: Session
 
-    def __init__(self, reception: Reception, socket: _Socket, address: Any) -> None:
+    def __init__(self, listener_context: ListenerContext, socket: _Socket, address: Any) -> None:
         self.socket = socket
         self.address = address
         self.peer, self.host = peer_name(address), host_of(address)
         self.role: str | None = None
         self.subject = ""
-        self.marked = reception.is_marked(self.host)
+        self.marked = listener_context.is_priority(self.host)
         self.pool = Pool.OTHER
         self.opened = self.last_used = time.monotonic()
         self.received = self.sent = 0
-        self._reception = reception
+        self._listener_context = listener_context
         self._tasks: set[asyncio.Task[None]] = set()
         self._trace: Trace | None = None
-        self.session = reception.session_for(self)
+        self.session = listener_context.session_for(self)
 
     def receive(self, data: bytes, now: float) -> None:
         """Answer a datagram."""
@@ -269,12 +273,12 @@ class _Peer:
         if session.deferred:
             deferred, session.deferred = session.deferred, []
             for one in deferred:
-                task = self._reception.loop.create_task(answer_later(one))
+                task = self._listener_context.loop.create_task(answer_later(one))
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
         if session.failures:
             failures, session.failures = session.failures, []
-            self._reception.failed(self.peer, failures)
+            self._listener_context.failed(self.peer, failures)
 
     def deliver(self, adu: bytes) -> None:
         """Send a reply."""
@@ -313,6 +317,6 @@ class _Peer:
     def _traced(self) -> Trace:
         if self._trace is None:
             self._trace = trace_for(
-                self._reception.framing, self.peer, is_server=True, carrier=self.socket.ends(self.address)
+                self._listener_context.framing, self.peer, is_server=True, carrier=self.socket.ends(self.address)
             )
         return self._trace

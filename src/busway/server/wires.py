@@ -34,7 +34,7 @@ class Wire:
     close: Callable[[], None]
 
 
-class Wires(Protocol):
+class ConnectionTap(Protocol):
     """Is told of every way; in the thread of the server's event loop."""
 
     def came(self, wire: Wire) -> None:

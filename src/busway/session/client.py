@@ -18,7 +18,7 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
 8. Where units are watched, one that does not answer is not asked for a while, and its requests fail with
    `UnitSuspended`: one transaction at a time would else be lost to it, and all others wait (`breaker`).
 9. Reads of one demand fly as a volley, and are taken together when all of them are answered in their order. Whatever
-   else happens takes all volleys apart first (`_scatter`), so that all rules are about single requests.
+   else happens takes all volleys apart first (`_split_batches`), so that all rules are about single requests.
 """
 
 from collections import deque
@@ -33,11 +33,11 @@ from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from .breaker import Breakers, BreakerState
-from .demand import Demand
-from .flights import HEAD_SIZE, Flight, Places, Volley, places, plan_of, route_of
-from .ledger import Ledger
+from .call import Call
+from .call_tracker import CallTracker
 from .parameters import ClientParameters, MismatchPolicy
 from .queue import BURST
+from .requests_in_flight import HEAD_SIZE, PipelinedBatch, Places, RequestInFlight, places, plan_of, route_of
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
@@ -70,6 +70,7 @@ class TcpClientSession:
     """
 
     __slots__ = (
+        "_batches",
         "_buffer",
         "_connected",
         "_doubtful",
@@ -77,15 +78,14 @@ class TcpClientSession:
         "_foreign_in_row",
         "_free",
         "_launches_apart",
-        "_ledger",
         "_not_before",
         "_pace",
         "_pending",
         "_queue",
         "_timeouts_in_row",
         "_timeouts_since_reply",
+        "_tracker",
         "_transaction",
-        "_volleys",
         "breakers",
         "counters",
         "finished",
@@ -104,15 +104,15 @@ class TcpClientSession:
         shared_places: Places | None = None,
     ) -> None:
         self.parameters = parameters
-        self._ledger = Ledger(parameters, endpoint)
-        self.counters = self._ledger.counters
-        self.finished = self._ledger.finished
+        self._tracker = CallTracker(parameters, endpoint)
+        self.counters = self._tracker.counters
+        self.finished = self._tracker.finished
         self.recycle = ""
         self.late_units: dict[int, tuple[float, float]] = {}
         self.valid_reply = False
-        self._queue = self._ledger.queue
-        self._pending: dict[int, Flight] = {}
-        self._volleys: deque[Volley] = deque()
+        self._queue = self._tracker.queue
+        self._pending: dict[int, RequestInFlight] = {}
+        self._batches: deque[PipelinedBatch] = deque()
         self._free = places(parameters.max_transactions) if shared_places is None else shared_places
         self._expired: dict[int, float] = {}
         self._transaction = first_transaction & 0xFFFF
@@ -134,26 +134,26 @@ class TcpClientSession:
 
     # What the application asks.
 
-    def submit(self, demand: Demand, now: float) -> None:
+    def submit(self, call: Call, now: float) -> None:
         """Take a demand. Raises `Overloaded` where the queue is full, `UnitSuspended`; nothing was sent then."""
         if self.breakers is not None:
-            pause = self.breakers.suspended_for(demand.unit, now)
+            pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
-                raise self._ledger.suspended(demand, pause, self.breakers.parameters.open_after)
-        self._ledger.submit(demand, now)
+                raise self._tracker.suspended(call, pause, self.breakers.parameters.open_after)
+        self._tracker.submit(call, now)
 
-    def cancel(self, demand: Demand) -> bool:
+    def cancel(self, call: Call) -> bool:
         """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen.
 
         Returns:
             Whether something of it is in flight.
         """
-        self._scatter()
-        flights = [flight for flight in self._pending.values() if flight.demand is demand]
-        for flight in flights:
-            flight.demand = None
-        self._ledger.withdraw(demand)
-        return bool(flights)
+        self._split_batches()
+        requests_in_flight = [awaited for awaited in self._pending.values() if awaited.call is call]
+        for awaited in requests_in_flight:
+            awaited.call = None
+        self._tracker.withdraw(call)
+        return bool(requests_in_flight)
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""
@@ -161,7 +161,7 @@ class TcpClientSession:
         self._queue.burst = BURST
 
     @property
-    def has_demands(self) -> bool:
+    def has_calls(self) -> bool:
         """Whether something waits to be sent."""
         return self._queue.size > 0
 
@@ -178,7 +178,7 @@ class TcpClientSession:
     @property
     def in_flight(self) -> int:
         """Requests whose reply is awaited."""
-        return len(self._pending) + sum(len(volley.places) for volley in self._volleys)
+        return len(self._pending) + sum(len(batch.places) for batch in self._batches)
 
     # What the connection reports.
 
@@ -205,14 +205,14 @@ class TcpClientSession:
             self.counters.lost_connections += 1
         self._connected = False
         self.recycle = ""
-        self._scatter()
-        for flight in list(self._pending.values()):
-            self._release(flight)
+        self._split_batches()
+        for awaited in list(self._pending.values()):
+            self._release(awaited)
             if self.breakers is not None:
-                self.breakers.not_decided(flight.route.unit)
-            if flight.demand is not None:
+                self.breakers.not_decided(awaited.route.unit)
+            if awaited.call is not None:
                 error = LinkDown(f"the connection ended before the reply: {reason}", sent=True)
-                self._failed(flight, flight.demand, error, now, again=True)
+                self._failed(awaited, awaited.call, error, now, again=True)
         self._pending.clear()
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
@@ -220,7 +220,7 @@ class TcpClientSession:
 
         With ``keep_repeated`` a demand that is about to be repeated waits for the next attempt.
         """
-        self._ledger.unreachable(now, error, keep_repeated=keep_repeated)
+        self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     # What goes out and comes in.
 
@@ -230,7 +230,7 @@ class TcpClientSession:
         queue = self._queue
         if not queue.size or not self._connected or self.recycle or not self._free:
             return out
-        if self._buffer.kept and not self._pending and not self._volleys:
+        if self._buffer.kept and not self._pending and not self._batches:
             # Bytes that answer nothing: the next reply would be read as their continuation.
             self._recycle(f"{len(self._buffer.kept)} bytes of an unfinished frame before the request")
             return out
@@ -241,22 +241,22 @@ class TcpClientSession:
         gap = self.parameters.request_gap
         room = len(free)
         eligible = partial(self._may_ask, now) if self._doubtful else None
-        while free and (demand := queue.pick(eligible)) is not None:
+        while free and (call := queue.pick(eligible)) is not None:
             turn = 1 if gap else min(len(free), queue.share(room))
-            while demand is not None:
+            while call is not None:
                 before = len(free)
-                self._send(demand, now, out, at_most=turn)
+                self._send(call, now, out, at_most=turn)
                 sent = before - len(free)
-                queue.sent(demand, sent)
+                queue.sent(call, sent)
                 turn -= sent
-                demand = queue.pick_same(eligible) if turn > 0 else None
+                call = queue.pick_same(eligible) if turn > 0 else None
             if gap:
                 break
         return out
 
-    def send_now(self, demand: Demand, now: float) -> bytes | None:
+    def send_now(self, call: Call, now: float) -> bytes | None:
         """The ADUs of a demand, joined, if nothing waits and all of it may go at once; None: `submit` it."""
-        count = len(demand.requests)
+        count = len(call.requests)
         if (
             self._queue.size
             or len(self._free) < count
@@ -264,46 +264,46 @@ class TcpClientSession:
             or now < self._not_before
             or self.recycle
             or self._buffer.kept
-            or (self._doubtful and self._is_doubted(demand))
+            or (self._doubtful and self._is_doubted(call))
         ):
             return None
         if count == 1:
-            self._ledger.begin(demand, now)
-            demand.next = 1
+            self._tracker.begin(call, now)
+            call.next = 1
             self.counters.requests += 1
-            return self._launch(demand, 0, now)
-        if self.parameters.request_gap or self.parameters.single_adu_segments or demand.is_write:
+            return self._launch(call, 0, now)
+        if self.parameters.request_gap or self.parameters.single_adu_segments or call.is_write:
             return None
-        adus = self._launch_volley(demand, count, now)
+        adus = self._send_batch(call, count, now)
         if adus is not None:
-            self._ledger.begin(demand, now)
+            self._tracker.begin(call, now)
         return adus
 
-    def _is_doubted(self, demand: Demand) -> bool:
+    def _is_doubted(self, call: Call) -> bool:
         """Whether the unit is not asked, or only probed."""
-        return self.breakers is not None and self.breakers.state(demand.unit) is not BreakerState.CLOSED
+        return self.breakers is not None and self.breakers.state(call.unit) is not BreakerState.CLOSED
 
-    def _may_ask(self, now: float, demand: Demand) -> bool:
-        return self.breakers is None or self.breakers.suspended_for(demand.unit, now) is None
+    def _may_ask(self, now: float, call: Call) -> bool:
+        return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
-    def _send(self, demand: Demand, now: float, out: list[bytes], *, at_most: int) -> None:
+    def _send(self, call: Call, now: float, out: list[bytes], *, at_most: int) -> None:
         """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
-        if self._doubtful and self._is_doubted(demand):
+        if self._doubtful and self._is_doubted(call):
             at_most = 1  # it is a probe
-        requests = len(demand.requests)
-        if requests > 1 and not demand.again and not demand.is_write and not self.parameters.single_adu_segments:
-            together = self._launch_volley(demand, min(at_most, requests - demand.next), now)
+        requests = len(call.requests)
+        if requests > 1 and not call.again and not call.is_write and not self.parameters.single_adu_segments:
+            together = self._send_batch(call, min(at_most, requests - call.next), now)
             if together is not None:
                 out.append(together)
                 return
-        adus = [self._launch(demand, position, now) for position in demand.take(at_most)]
+        adus = [self._launch(call, position, now) for position in call.take(at_most)]
         self.counters.requests += len(adus)
         if len(adus) == 1 or self.parameters.single_adu_segments:
             out += adus
         else:
             out.append(b"".join(adus))
 
-    def _launch_volley(self, demand: Demand, count: int, now: float) -> bytes | None:
+    def _send_batch(self, call: Call, count: int, now: float) -> bytes | None:
         """Put the next ``count`` requests in flight together, one for each free place; None if they can not go so.
 
         Where others fly by themselves the device answers one by one, or in another order: a volley would only be taken
@@ -314,8 +314,8 @@ class TcpClientSession:
         if self._launches_apart:
             self._launches_apart -= 1
             return None
-        first = demand.next
-        plan = plan_of(demand.requests, first, count, demand.unit)
+        first = call.next
+        plan = plan_of(call.requests, first, count, call.unit)
         if not plan.fits:
             return None
         start = self._transaction + _STEP
@@ -328,43 +328,43 @@ class TcpClientSession:
             return None
         self._transaction = transactions[-1]
         free = self._free
-        self._volleys.append(Volley(demand, first, plan, transactions, free[-count:], now))
+        self._batches.append(PipelinedBatch(call, first, plan, transactions, free[-count:], now))
         del free[-count:]
-        demand.next = first + count
+        call.next = first + count
         self.counters.requests += count
         return plan.encode(transactions)
 
-    def _launch(self, demand: Demand, position: int, now: float) -> bytes:
+    def _launch(self, call: Call, position: int, now: float) -> bytes:
         """Put a request in flight, on a place that is free; its ADU."""
         pending, expired = self._pending, self._expired
-        route = route_of(demand.requests[position], demand.unit)
+        route = route_of(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
         while transaction in pending or transaction in expired:
             transaction = transaction + _STEP & 0xFFFF
         self._transaction = transaction
-        flight = pending[transaction] = self._free.pop()
-        flight.demand = demand
-        flight.position = position
-        flight.route = route
-        flight.sent = now
-        flight.expires = now + (self._patience(demand, now) if self._doubtful else demand.timeout)
+        awaited = pending[transaction] = self._free.pop()
+        awaited.call = call
+        awaited.position = position
+        awaited.route = route
+        awaited.sent = now
+        awaited.expires = now + (self._adaptive_timeout(call, now) if self._doubtful else call.timeout)
         return transaction.to_bytes(2, "big") + route.tail
 
-    def _patience(self, demand: Demand, now: float) -> float:
+    def _adaptive_timeout(self, call: Call, now: float) -> float:
         """Seconds to wait for a unit that is watched: fewer for a probe, where it is known what is usual."""
         assert self.breakers is not None
-        usual = self._usual(demand.unit)
-        return self.breakers.asked(demand.unit, now, demand.timeout, usual or demand.timeout)
+        usual = self._usual(call.unit)
+        return self.breakers.asked(call.unit, now, call.timeout, usual or call.timeout)
 
     def _usual(self, unit: int) -> float:
         """Seconds that a unit usually takes, or else the slowest of the others; 0 if nobody has answered yet."""
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
-    def _scatter(self) -> None:
+    def _split_batches(self) -> None:
         """Take all volleys apart: from here on each of their requests flies by itself."""
-        for volley in self._volleys:
-            self._pending.update(volley.apart())
-        self._volleys.clear()
+        for batch in self._batches:
+            self._pending.update(batch.apart())
+        self._batches.clear()
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
         """Work through the first ``size`` bytes of ``buffer``. Demands that are complete are in ``finished``."""
@@ -375,33 +375,33 @@ class TcpClientSession:
             data = buffer if isinstance(buffer, bytes) else bytes(memoryview(buffer)[:size])
         pending = self._pending
         free = self._free
-        ledger = self._ledger
+        tracker = self._tracker
         doubtful = self._doubtful
-        last: Flight | None = None
+        last: RequestInFlight | None = None
         at = good = 0
-        if self._volleys:
-            at = self._receive_volleys(data, size, now)
+        if self._batches:
+            at = self._receive_batches(data, size, now)
         # 1.0 µs per reply: one that answers its request is told by the seven bytes behind its transaction, and
         # `Request.take` makes it of its data. All else goes through _odd_frame.
         while size - at >= 8:
             transaction = data[at] << 8 | data[at + 1]
-            flight = pending.get(transaction)
-            if flight is not None and data[at + 2 : at + 9] == flight.route.head:
-                demand, route = flight.demand, flight.route
+            awaited = pending.get(transaction)
+            if awaited is not None and data[at + 2 : at + 9] == awaited.route.head:
+                call, route = awaited.call, awaited.route
                 end = at + route.reply_size
                 if end > size:
                     break
-                if demand is not None:
+                if call is not None:
                     del pending[transaction]
-                    free.append(flight)
+                    free.append(awaited)
                     good += 1
-                    last = flight
+                    last = awaited
                     if doubtful:
-                        self._unit_lives(demand.unit)
-                    demand.outcomes[flight.position] = route.take(data[at + HEAD_SIZE : end])
-                    demand.open -= 1
-                    if not demand.open:
-                        ledger.finish(demand)
+                        self._unit_lives(call.unit)
+                    call.outcomes[awaited.position] = route.take(data[at + HEAD_SIZE : end])
+                    call.open -= 1
+                    if not call.open:
+                        tracker.finish(call)
                     at = end
                     continue
             transaction, protocol, length, unit, _ = _unpack(data, at)
@@ -422,59 +422,59 @@ class TcpClientSession:
         if at < size:
             self._buffer.keep(data, at, size)
 
-    def _receive_volleys(self, buffer: bytes, size: int, now: float) -> int:
+    def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
         """Take replies that come in the order of what was asked; where those end that did.
 
         This is the hot path of `execute_many`: 0.5 µs per reply where all of a volley are there, 0.9 where some are.
         """
-        volleys = self._volleys
+        batches = self._batches
         at = good = 0
-        while volleys and size - at >= HEAD_SIZE:
-            volley = volleys[0]
-            plan, demand, answered = volley.plan, volley.demand, volley.answered
+        while batches and size - at >= HEAD_SIZE:
+            batch = batches[0]
+            plan, call, answered = batch.plan, batch.call, batch.answered
             end = at + plan.reply_size
-            replies = plan.replies(volley.transactions, buffer, at) if not answered and end <= size else None
+            replies = plan.replies(batch.transactions, buffer, at) if not answered and end <= size else None
             if replies is not None:
-                demand.outcomes[volley.first : volley.first + len(replies)] = replies
-                self._free += volley.places
-                volley.answered = len(replies)
-            elif volley.expects(buffer, at):
+                call.outcomes[batch.first : batch.first + len(replies)] = replies
+                self._free += batch.places
+                batch.answered = len(replies)
+            elif batch.expects(buffer, at):
                 end = at + plan.reply_sizes[answered]
                 if end > size:
                     break
                 replies = [plan.takers[answered](buffer[at + HEAD_SIZE : end])]
-                demand.outcomes[volley.first + answered] = replies[0]
-                self._free.append(volley.places.pop())
-                volley.answered += 1
+                call.outcomes[batch.first + answered] = replies[0]
+                self._free.append(batch.places.pop())
+                batch.answered += 1
             else:
-                self._scatter()
+                self._split_batches()
                 self._launches_apart = _LAUNCHES_APART
                 break
             at = end
             good += len(replies)
-            if volley.answered == len(plan.heads):
-                volleys.popleft()
-            demand.open -= len(replies)
+            if batch.answered == len(plan.heads):
+                batches.popleft()
+            call.open -= len(replies)
             if self.breakers is not None:
-                took, known = now - volley.sent, self._pace.get(demand.unit, 0.0) * _PACE_FORGETS
-                self._pace[demand.unit] = took if took > known else known
+                took, known = now - batch.sent, self._pace.get(call.unit, 0.0) * _PACE_FORGETS
+                self._pace[call.unit] = took if took > known else known
                 if self._doubtful:
-                    self._unit_lives(demand.unit)
-            if not demand.open:
-                self._ledger.finish(demand)
+                    self._unit_lives(call.unit)
+            if not call.open:
+                self._tracker.finish(call)
         if good:
             self._answered(good, now)
         return at
 
-    def in_work(self) -> list[Demand]:
+    def in_work(self) -> list[Call]:
         """The demands of several requests of which some are in flight, or are ended while others wait for their turn.
 
         One may be named more than once, and others that are in flight may be named too.
         """
-        if not (self._volleys or self._pending or self._queue.begun):
+        if not (self._batches or self._pending or self._queue.begun):
             return []  # as a rule, where a server answers in one go
-        found = [volley.demand for volley in self._volleys]
-        found += [flight.demand for flight in self._pending.values() if flight.demand is not None]
+        found = [batch.call for batch in self._batches]
+        found += [awaited.call for awaited in self._pending.values() if awaited.call is not None]
         found += self._queue.begun
         return found
 
@@ -482,49 +482,49 @@ class TcpClientSession:
 
     def deadline(self) -> float | None:
         """When `tick` has something to do; None for never."""
-        times = [flight.expires for flight in self._pending.values()]
-        times += [volley.expires for volley in self._volleys]
-        if self._ledger.deadlines:
-            queued = self._ledger.next_deadline()
+        times = [awaited.expires for awaited in self._pending.values()]
+        times += [batch.expires for batch in self._batches]
+        if self._tracker.deadlines:
+            queued = self._tracker.next_deadline()
             if queued is not None:
                 times.append(queued)
             times += [
-                flight.demand.deadline
-                for flight in self._pending.values()
-                if flight.demand is not None and flight.demand.deadline is not None
+                awaited.call.deadline
+                for awaited in self._pending.values()
+                if awaited.call is not None and awaited.call.deadline is not None
             ]
-            times += [one.demand.deadline for one in self._volleys if one.demand.deadline is not None]
+            times += [one.call.deadline for one in self._batches if one.call.deadline is not None]
         if self._queue.size and self._connected and self._free and self._not_before:
             times.append(self._not_before)
         return min(times, default=None)
 
     def tick(self, now: float) -> None:
         """End what has run out of time."""
-        self._scatter()
-        for transaction, flight in list(self._pending.items()):
-            demand = flight.demand
-            over = demand is not None and demand.deadline is not None and now >= demand.deadline
-            if now >= flight.expires or over:
+        self._split_batches()
+        for transaction, awaited in list(self._pending.items()):
+            call = awaited.call
+            over = call is not None and call.deadline is not None and now >= call.deadline
+            if now >= awaited.expires or over:
                 del self._pending[transaction]
-                self._release(flight)
-                self._timed_out(transaction, flight, now, over=over)
+                self._release(awaited)
+                self._timed_out(transaction, awaited, now, over=over)
         if now >= self._not_before:
             self._not_before = 0.0  # else a link that may not send for another reason would be woken again and again
-        if self._ledger.deadlines:
-            in_flight = {(id(one.demand), one.position) for one in self._pending.values()}
-            self._ledger.expire_queue(now, in_flight)
+        if self._tracker.deadlines:
+            in_flight = {(id(one.call), one.position) for one in self._pending.values()}
+            self._tracker.expire_queue(now, in_flight)
 
-    def _timed_out(self, transaction: int, flight: Flight, now: float, *, over: bool) -> None:
+    def _timed_out(self, transaction: int, awaited: RequestInFlight, now: float, *, over: bool) -> None:
         """The reply did not come in time: remember the identifier, and repeat or fail."""
-        self._remember(transaction, flight.sent)
+        self._remember(transaction, awaited.sent)
         kept = self._buffer.kept
-        is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, flight, now)
-        if flight.demand is not None:
+        is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, awaited, now)
+        if awaited.call is not None:
             self.counters.timeouts += 1
             self._timeouts_in_row += 1
             self._timeouts_since_reply += 1
-            error = self._no_reply(flight, kept, now, over=over)
-            self._failed(flight, flight.demand, error, now, again=not over and not is_given_up)
+            error = self._no_reply(awaited, kept, now, over=over)
+            self._failed(awaited, awaited.call, error, now, again=not over and not is_given_up)
         if is_given_up:
             self._fail_suspended(now)
         if kept:
@@ -536,11 +536,11 @@ class TcpClientSession:
         elif self._timeouts_since_reply >= _LATE_FACTOR * self.parameters.recycle_after_timeouts:
             self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
 
-    def _unit_is_silent(self, breakers: Breakers, flight: Flight, now: float) -> bool:
+    def _unit_is_silent(self, breakers: Breakers, awaited: RequestInFlight, now: float) -> bool:
         """A unit did not answer; whether it is not asked any more now."""
-        unit, waited = flight.route.unit, now - flight.sent
+        unit, waited = awaited.route.unit, now - awaited.sent
         usual = self._usual(unit)
-        if now < flight.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
+        if now < awaited.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
             breakers.not_decided(unit)  # its call had waited for its turn, and ends before the unit could have answered
             return False
         return breakers.timed_out(unit, now)
@@ -549,12 +549,12 @@ class TcpClientSession:
         """What waits for a unit that is not asked any more does not wait for its probe."""
         breakers = self.breakers
         assert breakers is not None
-        in_flight = {(id(one.demand), one.position) for one in self._pending.values()}
-        for demand in list(self._queue):
-            pause = breakers.suspended_for(demand.unit, now)
+        in_flight = {(id(one.call), one.position) for one in self._pending.values()}
+        for call in list(self._queue):
+            pause = breakers.suspended_for(call.unit, now)
             if pause is not None:
-                reason = partial(self._ledger.suspended, demand, pause, breakers.parameters.open_after)
-                self._ledger.give_up(demand, now, reason, in_flight)
+                reason = partial(self._tracker.suspended, call, pause, breakers.parameters.open_after)
+                self._tracker.give_up(call, now, reason, in_flight)
 
     def _unit_lives(self, unit: int) -> None:
         """A unit has answered, whatever it said."""
@@ -565,15 +565,15 @@ class TcpClientSession:
         """The usual time of a unit is its slowest lately."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
-    def _no_reply(self, flight: Flight, partial: bytes, now: float, *, over: bool) -> NoReply:
-        timeout = flight.expires - flight.sent
-        if over and now < flight.expires:
+    def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:
+        timeout = awaited.expires - awaited.sent
+        if over and now < awaited.expires:
             return NoReply(
                 "no answer before the deadline of the call", kind="partial" if partial else "nothing", raw=partial
             )
         if partial:
             return NoReply(f"only a part of a reply came within {timeout:g} s", kind="partial", raw=partial)
-        came, delay = self.late_units.get(flight.route.unit, (-_LATE_KNOWN, 0.0))
+        came, delay = self.late_units.get(awaited.route.unit, (-_LATE_KNOWN, 0.0))
         if now - came < _LATE_KNOWN:
             return NoReply(
                 f"no reply within {timeout:g} s; the unit is slow: its last late reply had taken "
@@ -587,9 +587,9 @@ class TcpClientSession:
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
         """Anything but a plainly fitting reply (Messaging on TCP/IP §4.4.1.4)."""
-        self._scatter()
-        flight = self._pending.get(transaction)
-        if flight is None:
+        self._split_batches()
+        awaited = self._pending.get(transaction)
+        if awaited is None:
             sent = self._expired.pop(transaction, None)
             if sent is not None:
                 self.counters.late_replies += 1
@@ -599,74 +599,74 @@ class TcpClientSession:
                 self.valid_reply = True
                 self._start_gap(now)
                 return
-            flight = self._tolerated(transaction, protocol, unit, adu)
-            if flight is None:
+            awaited = self._tolerated(transaction, protocol, unit, adu)
+            if awaited is None:
                 self._foreign(protocol)
                 return
-            transaction = next(key for key, value in self._pending.items() if value is flight)
+            transaction = next(key for key, value in self._pending.items() if value is awaited)
         del self._pending[transaction]
-        self._free.append(flight)
-        if flight.demand is None:
-            self._unit_lives(flight.route.unit)
+        self._free.append(awaited)
+        if awaited.call is None:
+            self._unit_lives(awaited.route.unit)
             return  # cancelled: its reply has come, the place is free
-        self._confirm(flight, flight.demand, protocol, unit, adu, now)
+        self._confirm(awaited, awaited.call, protocol, unit, adu, now)
 
-    def _confirm(self, flight: Flight, demand: Demand, protocol: int, unit: int, adu: bytes, now: float) -> None:
+    def _confirm(self, awaited: RequestInFlight, call: Call, protocol: int, unit: int, adu: bytes, now: float) -> None:
         pdu = adu[7:]
-        request = demand.requests[flight.position]
+        request = call.requests[awaited.position]
         function = request.wire[0]
         reason = ""
         if protocol:
             self.counters.foreign_protocol += 1
             reason = f"protocol identifier {protocol} where 0 is Modbus"
-        elif not self._unit_fits(flight, unit, alone=not self._pending):
-            reason = f"unit {unit} answered where {flight.route.unit} was asked"
+        elif not self._unit_fits(awaited, unit, alone=not self._pending):
+            reason = f"unit {unit} answered where {awaited.route.unit} was asked"
         elif pdu[0] & 0x7F != function:
             reason = f"function {pdu[0]} answers function {function}"
         if not reason:
-            self._unit_lives(demand.unit)
+            self._unit_lives(call.unit)
             try:
-                self._accept(flight, demand, pdu, now)
+                self._accept(awaited, call, pdu, now)
                 return
             except MalformedPdu as error:
                 reason = error.reason
         self.counters.bad_replies += 1
         self._timeouts_in_row = self._timeouts_since_reply = 0
         self._start_gap(now)
-        self._failed(flight, demand, BadReply(reason, raw=adu), now, again=False)
+        self._failed(awaited, call, BadReply(reason, raw=adu), now, again=False)
 
-    def _accept(self, flight: Flight, demand: Demand, pdu: bytes, now: float) -> None:
-        """Take a reply or an exception that belongs to ``flight``. Raises `MalformedPdu` where it is broken."""
-        request = demand.requests[flight.position]
+    def _accept(self, awaited: RequestInFlight, call: Call, pdu: bytes, now: float) -> None:
+        """Take a reply or an exception that belongs to ``awaited``. Raises `MalformedPdu` where it is broken."""
+        request = call.requests[awaited.position]
         if pdu[0] & 0x80:
             code = decode_exception(pdu).exception
             self.counters.exceptions += 1
             self._answered(0, now)
             error = ExceptionReply(code, raw=pdu)
             if code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and request.is_write:
-                self._failed(flight, demand, error, now, again=False)
+                self._failed(awaited, call, error, now, again=False)
             else:
-                self._ledger.conclude(demand, flight.position, self._ledger.placed(error, demand, flight.position, now))
+                self._tracker.conclude(call, awaited.position, self._tracker.placed(error, call, awaited.position, now))
             return
         reply = request.accept(pdu)
         self._answered(1, now)
-        self._ledger.conclude(demand, flight.position, reply)
+        self._tracker.conclude(call, awaited.position, reply)
 
-    def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> Flight | None:
+    def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
         """The one request in flight, if a reply with a foreign transaction may be taken for its answer."""
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
             # Where the connection is to be made anew after a timeout, it may be the late reply of that one.
             return None
-        flight = next(iter(self._pending.values()))
+        awaited = next(iter(self._pending.values()))
         if policy is MismatchPolicy.AUTOMATIC and (
-            flight.demand is None
-            or not self._unit_fits(flight, unit, alone=True)
-            or not self._fits(flight.demand.requests[flight.position], adu[7:])
+            awaited.call is None
+            or not self._unit_fits(awaited, unit, alone=True)
+            or not self._fits(awaited.call.requests[awaited.position], adu[7:])
         ):
             return None
         self.counters.tolerated_replies += 1
-        return flight
+        return awaited
 
     def _fits(self, request: Request, pdu: bytes) -> bool:
         try:
@@ -678,9 +678,9 @@ class TcpClientSession:
             return False
         return True
 
-    def _unit_fits(self, flight: Flight, unit: int, *, alone: bool) -> bool:
+    def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
         """Whether ``unit`` may answer; ``alone`` says that nothing else is in flight."""
-        if unit == flight.route.unit or flight.route.unit in (0, TCP_DEVICE_UNIT):
+        if unit == awaited.route.unit or awaited.route.unit in (0, TCP_DEVICE_UNIT):
             return True
         policy = self.parameters.unit_policy
         return policy is MismatchPolicy.IGNORE or (policy is MismatchPolicy.AUTOMATIC and alone)
@@ -701,12 +701,12 @@ class TcpClientSession:
     def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
         """A length that can not be: nothing behind it can be read."""
         self._recycle(reason)
-        self._scatter()
-        for flight in list(self._pending.values()):
-            self._release(flight)
-            if flight.demand is not None:
+        self._split_batches()
+        for awaited in list(self._pending.values()):
+            self._release(awaited)
+            if awaited.call is not None:
                 self.counters.bad_replies += 1
-                self._failed(flight, flight.demand, BadReply(reason, raw=raw), now, again=False)
+                self._failed(awaited, awaited.call, BadReply(reason, raw=raw), now, again=False)
         self._pending.clear()
 
     # How a request ends.
@@ -722,11 +722,11 @@ class TcpClientSession:
         if self.parameters.request_gap:
             self._not_before = now + self.parameters.request_gap
 
-    def _failed(self, flight: Flight, demand: Demand, error: ModbusError, now: float, *, again: bool) -> None:
-        self._ledger.failed(demand, flight.position, error, now, again=again)
+    def _failed(self, awaited: RequestInFlight, call: Call, error: ModbusError, now: float, *, again: bool) -> None:
+        self._tracker.failed(call, awaited.position, error, now, again=again)
 
-    def _release(self, flight: Flight) -> None:
-        self._free.append(flight)
+    def _release(self, awaited: RequestInFlight) -> None:
+        self._free.append(awaited)
 
     def _remember(self, transaction: int, sent: float) -> None:
         """Keep an identifier from being used while its late reply may still come."""

@@ -111,7 +111,7 @@ class ConnectionLife:
     def lost(self, now: float, reason: str) -> None:
         """It has ended, or had to. Where that goes on and on, nobody waits but who is about to be repeated."""
         conversation = self._conversation
-        if conversation.has_demands or conversation.counters.requests != self._asked_before:
+        if conversation.has_calls or conversation.counters.requests != self._asked_before:
             self._move(ConnectionEvent.LOST, now, reason, had_reply=conversation.valid_reply)
         else:
             self._move(ConnectionEvent.RELEASED, now, reason)

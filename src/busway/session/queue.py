@@ -16,54 +16,54 @@ from collections import deque
 from collections.abc import Callable, Iterator
 
 from ..errors import Overloaded
-from .demand import Demand
+from .call import Call
 
 BURST = 8
 """What is a turn of a gateway's client at most, where others wait and there is room. What leaves together comes back
 together, and is one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, and one by one
 they take 45. Half of what may be in flight, so that two clients have their turns at once."""
 
-Eligible = Callable[[Demand], bool]
+Eligible = Callable[[Call], bool]
 """Whether the unit of a demand may be asked now."""
 
 
 class _Caller:
     """The demands of one caller, in the order they came."""
 
-    __slots__ = ("demands", "key", "served", "units", "writes")
+    __slots__ = ("calls", "key", "served", "units", "writes")
 
     def __init__(self, key: object) -> None:
         self.key = key
-        self.demands: deque[Demand] = deque()
+        self.calls: deque[Call] = deque()
         self.writes = 0
         self.units: dict[int, int] = {}  # demands by unit, where units are served in turn
         self.served: dict[int, None] | None = None  # units in the order in which they were served, if that matters
 
-    def pick(self, eligible: Eligible | None) -> Demand | None:
-        first = self.demands[0]
+    def pick(self, eligible: Eligible | None) -> Call | None:
+        first = self.calls[0]
         if len(self.units) > 1 and self.served is not None and not self.writes:
             return self._unit_in_turn(self.served, eligible)
         if (not self.writes or first.is_write) and (eligible is None or eligible(first)):
             return first
-        chosen: Demand | None = None
+        chosen: Call | None = None
         passed: set[int] = set()
-        for demand in self.demands:
-            if demand.unit in passed:
+        for call in self.calls:
+            if call.unit in passed:
                 continue
-            passed.add(demand.unit)
-            if eligible is not None and not eligible(demand):
+            passed.add(call.unit)
+            if eligible is not None and not eligible(call):
                 continue
-            if demand.is_write:
-                return demand
+            if call.is_write:
+                return call
             if chosen is None:
-                chosen = demand
+                chosen = call
         return chosen
 
-    def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Demand | None:
+    def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
         """The oldest demand of the unit that was served longest ago."""
-        oldest: dict[int, Demand] = {}
-        for demand in self.demands:
-            oldest.setdefault(demand.unit, demand)
+        oldest: dict[int, Call] = {}
+        for call in self.calls:
+            oldest.setdefault(call.unit, call)
         order = [unit for unit in oldest if unit not in served] + [unit for unit in served if unit in oldest]
         return next((oldest[unit] for unit in order if eligible is None or eligible(oldest[unit])), None)
 
@@ -74,7 +74,7 @@ class RequestQueue:
     Attributes:
         limit: how many there may be.
         size: how many there are.
-        waiting: how many places they take (`Demand.places`): what the limit is about.
+        waiting: how many places they take (`Call.places`): what the limit is about.
         burst: requests of one caller that may be sent before the next one's turn, where there is room for all of them.
         begun: those of which some requests were sent and others wait, where turns may be more than one request.
         units_in_turn: whether the units of a caller are served in turn, and not its requests in their order.
@@ -87,32 +87,32 @@ class RequestQueue:
         self.size = 0
         self.waiting = 0
         self.burst = 1
-        self.begun: dict[Demand, None] = {}
+        self.begun: dict[Call, None] = {}
         self.units_in_turn = False
         self._callers: dict[object, _Caller] = {}
         self._ring: deque[_Caller] = deque()
         self._last: _Caller | None = None  # who was served last
 
-    def add(self, demand: Demand) -> None:
+    def add(self, call: Call) -> None:
         """Put a demand behind the others of its caller. Raises `Overloaded` where the queue is full."""
-        if self.waiting + demand.places > self.limit:
+        if self.waiting + call.places > self.limit:
             raise Overloaded(f"{self.limit} calls wait on this link already; nothing was sent")
-        caller = self._callers.get(demand.caller) or self._new_caller(demand.caller)
-        caller.demands.append(demand)
-        self._count(caller, demand)
+        caller = self._callers.get(call.caller) or self._new_caller(call.caller)
+        caller.calls.append(call)
+        self._count(caller, call)
 
-    def add_again(self, demand: Demand) -> None:
+    def add_again(self, call: Call) -> None:
         """Put a demand with a request to repeat before the others of its caller; the limit does not count here."""
-        caller = self._callers.get(demand.caller) or self._new_caller(demand.caller)
-        if demand not in caller.demands:  # else its other requests still wait
-            demand.places = 1  # those of its others were free when they were sent
-            caller.demands.appendleft(demand)
-            self._count(caller, demand)
+        caller = self._callers.get(call.caller) or self._new_caller(call.caller)
+        if call not in caller.calls:  # else its other requests still wait
+            call.places = 1  # those of its others were free when they were sent
+            caller.calls.appendleft(call)
+            self._count(caller, call)
         elif self.burst > 1:
-            demand.places += 1
+            call.places += 1
             self.waiting += 1
         if self.burst > 1:
-            self.begun[demand] = None
+            self.begun[call] = None
 
     def _new_caller(self, key: object) -> _Caller:
         caller = self._callers[key] = _Caller(key)
@@ -124,13 +124,13 @@ class RequestQueue:
             self._ring.append(caller)
         return caller
 
-    def _count(self, caller: _Caller, demand: Demand) -> None:
-        if demand.is_write:
+    def _count(self, caller: _Caller, call: Call) -> None:
+        if call.is_write:
             caller.writes += 1
         if caller.served is not None:
-            caller.units[demand.unit] = caller.units.get(demand.unit, 0) + 1
+            caller.units[call.unit] = caller.units.get(call.unit, 0) + 1
         self.size += 1
-        self.waiting += demand.places
+        self.waiting += call.places
 
     def share(self, room: int) -> int:
         """How many requests are a turn, where ``room`` of them may be sent at once: the burst, or more for few."""
@@ -139,81 +139,81 @@ class RequestQueue:
             return room
         return 1 if self.burst == 1 else max(self.burst, room // callers)
 
-    def sent(self, demand: Demand, count: int) -> None:
+    def sent(self, call: Call, count: int) -> None:
         """So many requests of a demand that was picked were sent; with the last one it leaves the queue."""
-        if not demand.has_more:
-            self.remove(demand)
+        if not call.has_more:
+            self.remove(call)
             return
         if self.burst > 1:
-            self.begun[demand] = None
-            freed = min(count, demand.places)
-            demand.places -= freed
+            self.begun[call] = None
+            freed = min(count, call.places)
+            call.places -= freed
             self.waiting -= freed
 
-    def pick_same(self, eligible: Eligible | None = None) -> Demand | None:
+    def pick_same(self, eligible: Eligible | None = None) -> Call | None:
         """The next demand of the caller that was picked last, while it is its turn; None where it has no more."""
         caller = self._last
-        if caller is None or not caller.demands:
+        if caller is None or not caller.calls:
             return None
-        demand = caller.pick(eligible)
-        if demand is None:
+        call = caller.pick(eligible)
+        if call is None:
             return None
-        self._note_unit(caller, demand)
-        return demand
+        self._note_unit(caller, call)
+        return call
 
-    def _note_unit(self, caller: _Caller, demand: Demand) -> None:
+    def _note_unit(self, caller: _Caller, call: Call) -> None:
         served = caller.served
         if served is not None and len(caller.units) > 1:
-            served.pop(demand.unit, None)
-            served[demand.unit] = None
+            served.pop(call.unit, None)
+            served[call.unit] = None
 
-    def pick(self, eligible: Eligible | None = None) -> Demand | None:
+    def pick(self, eligible: Eligible | None = None) -> Call | None:
         """The demand whose next request is due, or None. Its caller goes to the end of the round."""
         ring = self._ring
         for _ in range(len(ring)):
             caller = ring[0]
             ring.rotate(-1)
-            demand = caller.pick(eligible)
-            if demand is not None:
+            call = caller.pick(eligible)
+            if call is not None:
                 self._last = caller
-                self._note_unit(caller, demand)
-                return demand
+                self._note_unit(caller, call)
+                return call
         return None
 
-    def peek(self, eligible: Eligible | None = None) -> Demand | None:
+    def peek(self, eligible: Eligible | None = None) -> Call | None:
         """What `pick` would give now; the round stays where it is."""
-        return next((demand for caller in self._ring if (demand := caller.pick(eligible)) is not None), None)
+        return next((call for caller in self._ring if (call := caller.pick(eligible)) is not None), None)
 
-    def remove(self, demand: Demand) -> bool:
+    def remove(self, call: Call) -> bool:
         """Take a demand out, sent to the end or given up; whether it was in."""
-        caller = self._callers.get(demand.caller)
+        caller = self._callers.get(call.caller)
         if caller is None:
             return False
-        demands = caller.demands
-        if demands[0] is demand:  # as a rule
-            demands.popleft()
-        elif demand in demands:
-            demands.remove(demand)
+        calls = caller.calls
+        if calls[0] is call:  # as a rule
+            calls.popleft()
+        elif call in calls:
+            calls.remove(call)
         else:
             return False
-        if demand.is_write:
+        if call.is_write:
             caller.writes -= 1
         if caller.served is not None:
-            left = caller.units.pop(demand.unit) - 1
+            left = caller.units.pop(call.unit) - 1
             if left:
-                caller.units[demand.unit] = left
+                caller.units[call.unit] = left
         self.size -= 1
-        self.waiting -= demand.places
+        self.waiting -= call.places
         if self.begun:
-            self.begun.pop(demand, None)
-        if not demands:
-            del self._callers[demand.caller]
+            self.begun.pop(call, None)
+        if not calls:
+            del self._callers[call.caller]
             if self._ring[-1] is caller:  # who was just served
                 self._ring.pop()
             else:
                 self._ring.remove(caller)
         return True
 
-    def __iter__(self) -> Iterator[Demand]:
+    def __iter__(self) -> Iterator[Call]:
         for caller in list(self._ring):
-            yield from list(caller.demands)
+            yield from list(caller.calls)

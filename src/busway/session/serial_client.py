@@ -40,9 +40,9 @@ from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .breaker import BreakerParameters, Breakers
-from .demand import Demand
+from .call import Call
+from .call_tracker import CallTracker, function_of
 from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
-from .ledger import Ledger, function_of
 from .line_framing import LineFraming
 from .parameters import ClientParameters
 
@@ -96,10 +96,10 @@ class MasterState(Enum):
 
 
 @dataclass(slots=True)
-class _Flight:
-    """The request on the line. ``demand`` None: nobody waits for it any more, or it is a ``marker``."""
+class _RequestInFlight:
+    """The request on the line. ``call`` None: nobody waits for it any more, or it is a ``marker``."""
 
-    demand: Demand | None
+    call: Call | None
     request: Request
     position: int
     unit: int
@@ -115,7 +115,7 @@ class _Flight:
     @property
     def deadline(self) -> float | None:
         """When the call must have ended."""
-        return None if self.demand is None else self.demand.deadline
+        return None if self.call is None else self.call.deadline
 
 
 class SerialClientSession:
@@ -132,19 +132,19 @@ class SerialClientSession:
     """
 
     __slots__ = (
+        "_awaited",
         "_connected",
         "_drain_until",
-        "_flight",
         "_framing",
         "_last_byte",
         "_last_unit",
-        "_ledger",
         "_not_asked_before",
         "_not_before",
         "_pace",
         "_receiver",
         "_serial",
         "_timeouts_in_row",
+        "_tracker",
         "_try_at",
         "_unit_gaps",
         "breakers",
@@ -190,14 +190,14 @@ class SerialClientSession:
         self.state = MasterState.IDLE
         self.breakers = Breakers(breaker or BreakerParameters(), jitter)
         self._not_asked_before: dict[int, float] = {}
-        self._ledger = Ledger(parameters, endpoint)
-        self.counters = self._ledger.counters
-        self.finished = self._ledger.finished
+        self._tracker = CallTracker(parameters, endpoint)
+        self.counters = self._tracker.counters
+        self.finished = self._tracker.finished
         self._serial = serial or SerialClientParameters()
         self._framing = framing
         self._receiver = framing.receiver
         self._connected = False
-        self._flight: _Flight | None = None
+        self._awaited: _RequestInFlight | None = None
         self._last_byte = 0.0
         self._last_unit: int | None = None
         self._not_before = 0.0
@@ -213,7 +213,7 @@ class SerialClientSession:
         """Leave these units alone for so many seconds after each of their replies."""
         self._unit_gaps = dict(unit_gaps)
 
-    def submit(self, demand: Demand, now: float) -> None:
+    def submit(self, call: Call, now: float) -> None:
         """Take a demand.
 
         Raises:
@@ -222,27 +222,27 @@ class SerialClientSession:
             UnitSuspended: the unit's breaker is open.
             In all cases nothing was sent.
         """
-        self._check_unit(demand)
-        pause = self.breakers.suspended_for(demand.unit, now)
+        self._check_unit(call)
+        pause = self.breakers.suspended_for(call.unit, now)
         if pause is not None:
-            raise self._suspended(demand, pause)
-        self._ledger.submit(demand, now)
+            raise self._suspended(call, pause)
+        self._tracker.submit(call, now)
         self._try_at = 0.0
 
-    def send_now(self, demand: Demand, now: float) -> bytes | None:
+    def send_now(self, call: Call, now: float) -> bytes | None:
         """Always None: on a shared line every request takes its turn."""
         return None
 
-    def _check_unit(self, demand: Demand) -> None:
-        endpoint = self._ledger.endpoint or None
-        if not 0 <= demand.unit <= LAST_SERIAL_UNIT:
+    def _check_unit(self, call: Call) -> None:
+        endpoint = self._tracker.endpoint or None
+        if not 0 <= call.unit <= LAST_SERIAL_UNIT:
             raise InvalidRequest(
-                f"a unit on a serial line is 1…{LAST_SERIAL_UNIT}, or 0 for a broadcast, not {demand.unit}; "
+                f"a unit on a serial line is 1…{LAST_SERIAL_UNIT}, or 0 for a broadcast, not {call.unit}; "
                 "nothing was sent",
                 endpoint=endpoint,
             )
-        if demand.unit == BROADCAST_UNIT:
-            for request in demand.requests:
+        if call.unit == BROADCAST_UNIT:
+            for request in call.requests:
                 if not request.broadcast:
                     raise InvalidRequest(
                         "can not be broadcast: nobody answers on unit 0, only writes go there; nothing was sent",
@@ -251,30 +251,30 @@ class SerialClientSession:
                         function=function_of(request),
                     )
 
-    def _suspended(self, demand: Demand, pause: float) -> UnitSuspended:
-        return self._ledger.suspended(demand, pause, self.breakers.parameters.open_after)
+    def _suspended(self, call: Call, pause: float) -> UnitSuspended:
+        return self._tracker.suspended(call, pause, self.breakers.parameters.open_after)
 
-    def cancel(self, demand: Demand) -> bool:
+    def cancel(self, call: Call) -> bool:
         """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen.
 
         Returns:
             Whether something of it is in flight.
         """
-        flight = self._flight
-        is_flying = flight is not None and flight.demand is demand
-        if flight is not None and is_flying:
-            flight.demand = None
-        self._ledger.withdraw(demand)
+        awaited = self._awaited
+        is_flying = awaited is not None and awaited.call is call
+        if awaited is not None and is_flying:
+            awaited.call = None
+        self._tracker.withdraw(call)
         return is_flying
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""
-        self._ledger.queue.units_in_turn = True
+        self._tracker.queue.units_in_turn = True
 
     @property
-    def has_demands(self) -> bool:
+    def has_calls(self) -> bool:
         """Whether something waits to be sent."""
-        return self._ledger.queue.size > 0
+        return self._tracker.queue.size > 0
 
     @property
     def has_gap(self) -> bool:
@@ -284,12 +284,12 @@ class SerialClientSession:
     @property
     def queued(self) -> int:
         """Demands with something left to send."""
-        return self._ledger.queue.size
+        return self._tracker.queue.size
 
     @property
     def in_flight(self) -> int:
         """1 while a reply, or the end of the turnaround, is awaited."""
-        return 0 if self._flight is None else 1
+        return 0 if self._awaited is None else 1
 
     # What the port reports.
 
@@ -319,13 +319,13 @@ class SerialClientSession:
         self._connected = False
         self.recycle = ""
         self.state = MasterState.IDLE
-        flight, self._flight = self._flight, None
-        if flight is not None:
-            self.breakers.not_decided(flight.unit)
-            self._owe(flight)
+        awaited, self._awaited = self._awaited, None
+        if awaited is not None:
+            self.breakers.not_decided(awaited.unit)
+            self._owe(awaited)
             what = "connection" if self._framing.is_network else "port"
             self._failed(
-                flight, LinkDown(f"the {what} was lost before the reply: {reason}", sent=True), now, again=True
+                awaited, LinkDown(f"the {what} was lost before the reply: {reason}", sent=True), now, again=True
             )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
@@ -333,30 +333,30 @@ class SerialClientSession:
 
         With ``keep_repeated`` a demand that is about to be repeated waits for the next attempt.
         """
-        self._ledger.unreachable(now, error, keep_repeated=keep_repeated)
+        self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     def written(self, until: float) -> None:
         """The frame that `transmit` gave was handed over; its last character leaves at ``until``."""
-        flight = self._flight
-        if flight is not None and until > flight.sent:
-            self._leaves_later(flight, until)
-            self._receiver.sent(flight.frame, until)
+        awaited = self._awaited
+        if awaited is not None and until > awaited.sent:
+            self._leaves_later(awaited, until)
+            self._receiver.sent(awaited.frame, until)
 
     def still_sending(self, until: float) -> None:
         """The port still holds characters of the frame; the last one leaves at ``until`` at the earliest."""
-        if self._flight is not None and until > self._flight.sent:
-            self._leaves_later(self._flight, until)
+        if self._awaited is not None and until > self._awaited.sent:
+            self._leaves_later(self._awaited, until)
 
-    def _leaves_later(self, flight: _Flight, until: float) -> None:
-        flight.expires += until - flight.sent
-        flight.sent = until
+    def _leaves_later(self, awaited: _RequestInFlight, until: float) -> None:
+        awaited.expires += until - awaited.sent
+        awaited.sent = until
         self._last_byte = max(self._last_byte, until)
 
     # What goes out.
 
     def transmit(self, now: float) -> list[bytes]:
         """The frame to send now, or nothing; it counts as sent when its last character has left."""
-        queue = self._ledger.queue
+        queue = self._tracker.queue
         if not self._connected or self.state is not MasterState.IDLE or not queue.size or self.recycle:
             return []
         for found in self._receiver.tick(now):
@@ -365,57 +365,57 @@ class SerialClientSession:
         if now < clear:
             self._try_at = clear
             return []
-        demand = queue.peek(lambda one: self._may_ask(one, now))
-        if demand is None:
+        call = queue.peek(lambda one: self._may_ask(one, now))
+        if call is None:
             self._fail_suspended(now)
             # What could be asked now stands behind something that cannot: that time counts.
             times = [self._askable_at(one, now) for one in queue]
             self._try_at = min((time for time in times if time > now), default=0.0)
             return []
-        if self._last_unit is not None and demand.unit != self._last_unit:
+        if self._last_unit is not None and call.unit != self._last_unit:
             clear = max(clear, self._last_byte + self._serial.unit_switch_gap)
             if now < clear:
                 self._try_at = clear
                 return []
         self._try_at = 0.0
-        marker = self._marker_before(demand)
+        marker = self._marker_before(call)
         if marker is not None:
-            return [self._send_marker(marker, demand, now)]
-        queue.pick(lambda one: one is demand)
-        return [self._send(demand, now)]
+            return [self._send_marker(marker, call, now)]
+        queue.pick(lambda one: one is call)
+        return [self._send(call, now)]
 
-    def _may_ask(self, demand: Demand, now: float) -> bool:
-        return self.breakers.suspended_for(demand.unit, now) is None and self._askable_at(demand, now) <= now
+    def _may_ask(self, call: Call, now: float) -> bool:
+        return self.breakers.suspended_for(call.unit, now) is None and self._askable_at(call, now) <= now
 
-    def _askable_at(self, demand: Demand, now: float) -> float:
+    def _askable_at(self, call: Call, now: float) -> float:
         """When the unit may be asked, as far as a reply of it may still be on its way."""
-        at = self._not_asked_before.get(demand.unit, now)
-        doubt = self.doubts.units.get(demand.unit)
+        at = self._not_asked_before.get(call.unit, now)
+        doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
             return at
-        position = demand.next_position
-        request = demand.requests[position]
+        position = call.next_position
+        request = call.requests[position]
         if isinstance(request, RestartCommunications):
             return at
-        return max(at, doubt.waits_until(function_of(request), demand, position, now))
+        return max(at, doubt.waits_until(function_of(request), call, position, now))
 
-    def _marker_before(self, demand: Demand) -> Marker | None:
+    def _marker_before(self, call: Call) -> Marker | None:
         """What has to be asked before the next request of a demand; None where it may go out as it is.
 
         A restart may: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
-        unit = demand.unit
+        unit = call.unit
         doubt = self.doubts.units.get(unit)
         if doubt is None or unit == BROADCAST_UNIT:
             return None
-        if not (doubt.owed or doubt.unasked is not None or doubt.older) or not self._is_in_doubt(doubt, demand):
+        if not (doubt.owed or doubt.unasked is not None or doubt.older) or not self._is_in_doubt(doubt, call):
             if doubt.alike < CHECK_EVERY:
                 return None
             marker = self.doubts.marker(unit, is_check=True)
             if marker is None:
                 doubt.alike = 0  # it answers no request of ours: a shift cannot be seen
             return marker
-        request = demand.requests[demand.next_position]
+        request = call.requests[call.next_position]
         if isinstance(request, RestartCommunications):
             return None
         marker = self.doubts.marker(unit)
@@ -424,63 +424,63 @@ class SerialClientSession:
             marker = self.doubts.marker(unit)
         return marker
 
-    def _is_in_doubt(self, doubt: UnitDoubt, demand: Demand) -> bool:
+    def _is_in_doubt(self, doubt: UnitDoubt, call: Call) -> bool:
         """Whether the reply to the next request of a demand could be taken for another one."""
-        position = demand.next_position
-        request = demand.requests[position]
+        position = call.next_position
+        request = call.requests[position]
         if not hasattr(request, "wire"):
             request.prepare()
-        return doubt.in_doubt(request, demand, position)
+        return doubt.in_doubt(request, call, position)
 
     def _fail_suspended(self, now: float) -> None:
         """What waits for a unit whose breaker has opened meanwhile does not wait for its probe."""
-        for demand in list(self._ledger.queue):
-            pause = self.breakers.suspended_for(demand.unit, now)
+        for call in list(self._tracker.queue):
+            pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
-                self._ledger.give_up(demand, now, partial(self._suspended, demand, pause))
+                self._tracker.give_up(call, now, partial(self._suspended, call, pause))
 
-    def _send(self, demand: Demand, now: float) -> bytes:
-        (position,) = demand.take(1)
-        if not demand.has_more:
-            self._ledger.queue.remove(demand)
-        request = demand.requests[position]
+    def _send(self, call: Call, now: float) -> bytes:
+        (position,) = call.take(1)
+        if not call.has_more:
+            self._tracker.queue.remove(call)
+        request = call.requests[position]
         try:
             wire = request.wire
         except AttributeError:
             wire = request.prepare()
-        unit = demand.unit
+        unit = call.unit
         frame = self._framing.encode(unit, wire)
         if unit == BROADCAST_UNIT:
             self.state = MasterState.WAITING_TURNAROUND
         else:
             self.state = MasterState.WAITING_FOR_REPLY
-        self._begin(_Flight(demand, request, position, unit, frame, now, now, 0.0, demand.timeout))
+        self._begin(_RequestInFlight(call, request, position, unit, frame, now, now, 0.0, call.timeout))
         return frame
 
-    def _send_marker(self, marker: Marker, demand: Demand, now: float) -> bytes:
+    def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
         """Send a request of our own to the unit of a demand, which stays where it is in the queue."""
-        frame = self._framing.encode(demand.unit, marker.request.wire)
+        frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
-        doubt = self.doubts.of(demand.unit)
+        doubt = self.doubts.of(call.unit)
         why = "a check" if doubt.is_empty else f"it owes {len(doubt.owed) + sum(doubt.older.values())}"
-        self._note(f"unit {demand.unit}: that was a request of the link's own, a marker ({why})")
+        self._note(f"unit {call.unit}: that was a request of the link's own, a marker ({why})")
         self.state = MasterState.WAITING_FOR_REPLY
-        self._begin(_Flight(None, marker.request, 0, demand.unit, frame, now, now, 0.0, demand.timeout, marker))
+        self._begin(_RequestInFlight(None, marker.request, 0, call.unit, frame, now, now, 0.0, call.timeout, marker))
         return frame
 
-    def _begin(self, flight: _Flight) -> None:
-        unit, frame, now = flight.unit, flight.frame, flight.begun
-        flight.sent = leaves = now + self._framing.timing.duration(len(frame))
+    def _begin(self, awaited: _RequestInFlight) -> None:
+        unit, frame, now = awaited.unit, awaited.frame, awaited.begun
+        awaited.sent = leaves = now + self._framing.timing.duration(len(frame))
         self._receiver.sent(frame, leaves)
         if self.state is MasterState.WAITING_TURNAROUND:
             self._receiver.expect_nothing()
             wait = self._serial.turnaround_delay
         else:
-            self._receiver.expect(unit, flight.request.wire[0], flight.request.expected_size)
+            self._receiver.expect(unit, awaited.request.wire[0], awaited.request.expected_size)
             usual = self._pace.get(unit) or max(self._pace.values(), default=0.0)
-            wait = self.breakers.asked(unit, now, flight.timeout, usual)
-        flight.expires = leaves + wait
-        self._flight = flight
+            wait = self.breakers.asked(unit, now, awaited.timeout, usual)
+        awaited.expires = leaves + wait
+        self._awaited = awaited
         self._last_unit = unit
         self._last_byte = max(self._last_byte, leaves)
         self.counters.requests += 1
@@ -504,65 +504,65 @@ class SerialClientSession:
             self._found(found, now)
 
     def _found(self, found: Received, now: float) -> None:
-        flight = self._flight
+        awaited = self._awaited
         if isinstance(found, Damaged):
             self.counters.damaged_frames += 1
             self.counters.overruns += found.overrun
-            if flight is not None:
-                flight.damage = found.raw
+            if awaited is not None:
+                awaited.damage = found.raw
             return
         self._timeouts_in_row = 0
-        if flight is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != flight.unit:
+        if awaited is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != awaited.unit:
             self._not_awaited(found)  # late, or of somebody else; in a turnaround somebody answers a broadcast
-        elif found.direction is Direction.REQUEST and found.raw == flight.frame:
+        elif found.direction is Direction.REQUEST and found.raw == awaited.frame:
             self.counters.foreign_replies += 1  # our own frame, on a line that is not known to echo
-        elif found.began < flight.sent + self._framing.send_gap and self._is_early(flight, found):
-            flight.early = True
+        elif found.began < awaited.sent + self._framing.send_gap and self._is_early(awaited, found):
+            awaited.early = True
             self._not_awaited(found)
         else:
-            self._of_awaited_unit(flight, found, now)
+            self._of_awaited_unit(awaited, found, now)
 
-    def _is_early(self, flight: _Flight, frame: SerialFrame) -> bool:
+    def _is_early(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
         """Whether a frame began before the request had left and t3.5 had passed (rule 8)."""
         if not self.characters_take_time or self._framing.is_network:
-            return frame.ended < flight.begun
+            return frame.ended < awaited.begun
         if self._serial.early_replies:
-            return frame.began < flight.begun
+            return frame.began < awaited.begun
         framing = self._framing
         # What is read late seems to begin late. A tenth of a character is what sums of times differ by.
-        return frame.began < flight.sent + framing.send_gap - framing.timing.character / 10
+        return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10
 
-    def _of_awaited_unit(self, flight: _Flight, frame: SerialFrame, now: float) -> None:
+    def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
         """The unit that was asked speaks: in reply to the request in flight, or to an earlier one (see `doubt`)."""
-        doubt = self.doubts.of(flight.unit)
+        doubt = self.doubts.of(awaited.unit)
         if not doubt.owed and not doubt.older:  # as a rule
-            if frame.pdu[0] & 0x7F == flight.request.wire[0]:
-                self._reply(flight, frame, now, doubt)
+            if frame.pdu[0] & 0x7F == awaited.request.wire[0]:
+                self._reply(awaited, frame, now, doubt)
             else:
                 self._not_awaited(frame)
             return
         owed = doubt.candidates(frame.pdu)
-        if doubt.is_older(frame.pdu) or not all(one.is_of(flight.demand, flight.position) for one in owed):
+        if doubt.is_older(frame.pdu) or not all(one.is_of(awaited.call, awaited.position) for one in owed):
             self._late(doubt, owed, frame)
-            self._ask_at_once(flight, frame)
+            self._ask_at_once(awaited, frame)
         elif owed:
             # As far as can be known it answers an earlier attempt of the call: the one in flight is owed its own reply.
             doubt.came(owed[0])
-            self._owe(flight)
-            self._reply(flight, frame, now, doubt, owes_own=True)
-        elif frame.pdu[0] & 0x7F != flight.request.wire[0]:
+            self._owe(awaited)
+            self._reply(awaited, frame, now, doubt, owes_own=True)
+        elif frame.pdu[0] & 0x7F != awaited.request.wire[0]:
             self._not_awaited(frame)
         else:
-            self._reply(flight, frame, now, doubt)
+            self._reply(awaited, frame, now, doubt)
 
-    def _is_of_another(self, flight: _Flight, doubt: UnitDoubt, pdu: bytes) -> bool:
+    def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
         """Whether a PDU of the right function that does not fit the request in flight is taken for an older reply.
 
         Otherwise it is a broken one.
         """
         last = doubt.last
         return (
-            flight.marker is not None
+            awaited.marker is not None
             or any(one.function == pdu[0] for one in doubt.owed)
             or (last is not None and last.wire[0] == pdu[0] and _fits(last, pdu))
         )
@@ -580,14 +580,14 @@ class SerialClientSession:
         self.counters.foreign_replies += 1
         doubt.unasked = frame.pdu[0] & 0x7F
 
-    def _ask_at_once(self, flight: _Flight, frame: SerialFrame) -> None:
+    def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
         """What came may have been the reply to the read in flight, and was taken for an older one: ask it again now."""
-        demand = flight.demand
-        if demand is None or flight.request.is_write or frame.pdu[0] & 0x7F != flight.request.wire[0]:
+        call = awaited.call
+        if call is None or awaited.request.is_write or frame.pdu[0] & 0x7F != awaited.request.wire[0]:
             return
-        self._owe(flight)
+        self._owe(awaited)
         self._idle(frame.ended)
-        self._ledger.repeat(demand, flight.position)
+        self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
         """A reply that was owed has come, the earliest of these, or an older one; nobody waits for it any more."""
@@ -610,18 +610,18 @@ class SerialClientSession:
         if len(self.notes) < _NOTES_AT_MOST:
             self.notes.append(text)
 
-    def _owe(self, flight: _Flight) -> None:
+    def _owe(self, awaited: _RequestInFlight) -> None:
         """The request in flight gets no answer now; it may still come."""
-        if flight.unit == BROADCAST_UNIT:
+        if awaited.unit == BROADCAST_UNIT:
             return
-        until = flight.sent + OWED_FOR * flight.timeout
-        function = flight.request.wire[0]
-        self.doubts.of(flight.unit).owe(
-            OwedReply(flight.request, function, flight.sent, until, flight.demand, flight.position)
+        until = awaited.sent + OWED_FOR * awaited.timeout
+        function = awaited.request.wire[0]
+        self.doubts.of(awaited.unit).owe(
+            OwedReply(awaited.request, function, awaited.sent, until, awaited.call, awaited.position)
         )
 
     def _reply(
-        self, flight: _Flight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
+        self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
     ) -> None:
         """End the request in flight; ``owes_own``: by what may answer an earlier attempt of it."""
         pdu = frame.pdu
@@ -630,33 +630,33 @@ class SerialClientSession:
             if pdu[0] & 0x80:
                 outcome = ExceptionReply(decode_exception(pdu).exception, raw=frame.raw)
             else:
-                outcome = flight.request.accept(pdu)
+                outcome = awaited.request.accept(pdu)
         except MalformedPdu as error:
-            if self._is_of_another(flight, doubt, pdu):
+            if self._is_of_another(awaited, doubt, pdu):
                 self._not_awaited(frame)
                 return
             # The unit speaks, but breaks the protocol: no reason to ask it again, and none to give it up.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, raw=frame.raw)
         if not owes_own and (doubt.owed or doubt.unasked is not None):
-            doubt.answered(flight.request)
+            doubt.answered(awaited.request)
         self.valid_reply = True
         if self.breakers.answered(frame.unit):
             doubt.revived()
-        self._learn_pace(flight, frame, doubt)
+        self._learn_pace(awaited, frame, doubt)
         if self._unit_gaps:
             self._keep_gap(frame)
         self._idle(frame.ended)
-        if flight.marker is not None:
-            self._marked(flight.marker, outcome, doubt)
+        if awaited.marker is not None:
+            self._marked(awaited.marker, outcome, doubt)
             return
         if not isinstance(outcome, ModbusError):
             self.counters.replies += 1
-            doubt.heard(flight.request, is_exception=False)
+            doubt.heard(awaited.request, is_exception=False)
         elif isinstance(outcome, ExceptionReply):
             self.counters.exceptions += 1
-            doubt.heard(flight.request, is_exception=True)
-        self._conclude(flight, outcome, now)
+            doubt.heard(awaited.request, is_exception=True)
+        self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
         """A request of our own was answered: what it was sent for is in order again."""
@@ -665,20 +665,20 @@ class SerialClientSession:
         else:
             doubt.marked(marker.kind)
 
-    def _conclude(self, flight: _Flight, outcome: Message | ModbusError, now: float) -> None:
-        demand, position = flight.demand, flight.position
-        if demand is None:
+    def _conclude(self, awaited: _RequestInFlight, outcome: Message | ModbusError, now: float) -> None:
+        call, position = awaited.call, awaited.position
+        if call is None:
             return
         if not isinstance(outcome, ModbusError):
-            self._ledger.conclude(demand, position, outcome)
+            self._tracker.conclude(call, position, outcome)
         elif isinstance(outcome, BadReply) or (
-            _exception_code(outcome) == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and flight.request.is_write
+            _exception_code(outcome) == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND and awaited.request.is_write
         ):
-            self._ledger.failed(demand, position, outcome, now, again=False)
+            self._tracker.failed(call, position, outcome, now, again=False)
         else:
-            self._ledger.conclude(demand, position, self._ledger.placed(outcome, demand, position, now))
+            self._tracker.conclude(call, position, self._tracker.placed(outcome, call, position, now))
 
-    def _learn_pace(self, flight: _Flight, frame: SerialFrame, doubt: UnitDoubt) -> None:
+    def _learn_pace(self, awaited: _RequestInFlight, frame: SerialFrame, doubt: UnitDoubt) -> None:
         """How long the unit takes; where an earlier attempt may be what was answered, nothing is learnt."""
         unit = frame.unit
         if self._not_asked_before:
@@ -686,7 +686,7 @@ class SerialClientSession:
         if doubt.owed:
             return
         doubt.delay = None
-        self._pace[unit] = max(frame.ended - flight.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
+        self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
         """The unit misses what comes too soon after its reply."""
@@ -698,7 +698,7 @@ class SerialClientSession:
     def _idle(self, last_byte: float) -> None:
         """The transaction is over; gaps count from the end of the last frame."""
         self.state = MasterState.IDLE
-        self._flight = None
+        self._awaited = None
         self._try_at = 0.0
         self._receiver.expect_nothing()
         if self.parameters.request_gap:
@@ -708,15 +708,15 @@ class SerialClientSession:
 
     def deadline(self) -> float | None:
         """When `tick` or `transmit` has something to do; None for never."""
-        times = [time for time in (self._ledger.next_deadline(), self._receiver.deadline()) if time is not None]
-        flight = self._flight
-        if flight is not None:
-            times.append(flight.expires)
-            if flight.deadline is not None and self.state is MasterState.WAITING_FOR_REPLY:
-                times.append(flight.deadline)
+        times = [time for time in (self._tracker.next_deadline(), self._receiver.deadline()) if time is not None]
+        awaited = self._awaited
+        if awaited is not None:
+            times.append(awaited.expires)
+            if awaited.deadline is not None and self.state is MasterState.WAITING_FOR_REPLY:
+                times.append(awaited.deadline)
         elif self.state is MasterState.DRAINING:
             times.append(self._drained_at())
-        elif self._ledger.queue.size and self._connected:
+        elif self._tracker.queue.size and self._connected:
             times.append(self._try_at)
         return min(times, default=None)
 
@@ -727,34 +727,34 @@ class SerialClientSession:
         """Let silences take effect, and end what has run out of time."""
         for found in self._receiver.tick(now):
             self._found(found, now)
-        flight = self._flight
-        if flight is not None:
-            if now >= flight.expires:
+        awaited = self._awaited
+        if awaited is not None:
+            if now >= awaited.expires:
                 if self.state is MasterState.WAITING_TURNAROUND:
-                    self._turned_around(flight, now)
+                    self._turned_around(awaited, now)
                 else:
-                    self._time_out(flight, now)
+                    self._time_out(awaited, now)
             elif self.state is MasterState.WAITING_FOR_REPLY:
-                self._keep_deadline(flight, now)
+                self._keep_deadline(awaited, now)
         elif self.state is MasterState.DRAINING and now >= self._drained_at():
             for found in self._receiver.flush(now):
                 self._found(found, now)
             self.state = MasterState.IDLE
             self._try_at = 0.0
-        flight = self._flight
-        in_flight = {(id(flight.demand), flight.position)} if flight is not None else set()
-        self._ledger.expire_queue(now, in_flight, self._why_not_sent)
+        awaited = self._awaited
+        in_flight = {(id(awaited.call), awaited.position)} if awaited is not None else set()
+        self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
-    def _why_not_sent(self, demand: Demand) -> NoReply | None:
+    def _why_not_sent(self, call: Call) -> NoReply | None:
         """Why a call was not sent before its deadline, where its unit is in doubt."""
-        doubt = self.doubts.units.get(demand.unit)
-        if doubt is None or not self._is_in_doubt(doubt, demand):
+        doubt = self.doubts.units.get(call.unit)
+        if doubt is None or not self._is_in_doubt(doubt, call):
             return None
-        return self._in_doubt(doubt, demand, "the deadline of the call passed")
+        return self._in_doubt(doubt, call, "the deadline of the call passed")
 
-    def _in_doubt(self, doubt: UnitDoubt, demand: Demand, why: str) -> NoReply:
+    def _in_doubt(self, doubt: UnitDoubt, call: Call, why: str) -> NoReply:
         owed = len(doubt.owed) + sum(doubt.older.values())
-        if demand.next_position in demand.attempts:
+        if call.next_position in call.attempts:
             return NoReply(
                 f"no reply, and {why} before the unit, which owes {owed} more, answered what tells its replies apart",
                 observed_delay=doubt.delay,
@@ -767,39 +767,39 @@ class SerialClientSession:
             observed_delay=doubt.delay,
         )
 
-    def _keep_deadline(self, flight: _Flight, now: float) -> None:
+    def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
         """A call that has run out of time ends; its request stays in flight (rule 7)."""
-        demand = flight.demand
-        if demand is not None and demand.deadline is not None and now >= demand.deadline:
-            flight.demand = None
-            error = NoReply("no answer before the deadline of the call", raw=flight.damage)
-            self._ledger.failed(demand, flight.position, error, now, again=False)
+        call = awaited.call
+        if call is not None and call.deadline is not None and now >= call.deadline:
+            awaited.call = None
+            error = NoReply("no answer before the deadline of the call", raw=awaited.damage)
+            self._tracker.failed(call, awaited.position, error, now, again=False)
 
-    def _turned_around(self, flight: _Flight, now: float) -> None:
+    def _turned_around(self, awaited: _RequestInFlight, now: float) -> None:
         """A broadcast has been sent and every server had its time: it is done."""
         self._idle(now)
-        if flight.demand is not None:
-            self._ledger.conclude(flight.demand, flight.position, flight.request)
+        if awaited.call is not None:
+            self._tracker.conclude(awaited.call, awaited.position, awaited.request)
 
-    def _time_out(self, flight: _Flight, now: float) -> None:
+    def _time_out(self, awaited: _RequestInFlight, now: float) -> None:
         for found in self._receiver.flush(now):
             self._found(found, now)
-        if self._flight is None:
+        if self._awaited is None:
             return  # the reply was there, held back until it was clear that nothing follows
-        self._flight = None
+        self._awaited = None
         self.counters.timeouts += 1
-        unit = flight.unit
+        unit = awaited.unit
         probing = self.breakers.is_probing(unit)
         opened = self.breakers.timed_out(unit, now)
         self.state = MasterState.DRAINING
         self._drain_until = now + self._serial.drain_limit
         self._receiver.expect_nothing()
-        self._owe(flight)
+        self._owe(awaited)
         self._not_asked_before[unit] = now + self._serial.quiet_window
-        if flight.marker is None:
-            self._failed(flight, self._no_reply(flight), now, again=not probing and not opened)
+        if awaited.marker is None:
+            self._failed(awaited, self._no_reply(awaited), now, again=not probing and not opened)
         else:
-            self._not_marked(flight, flight.marker, now)
+            self._not_marked(awaited, awaited.marker, now)
         if opened:
             self._fail_suspended(now)
         self._timeouts_in_row += 1
@@ -807,33 +807,33 @@ class SerialClientSession:
             self.recycle = f"{self._timeouts_in_row} timeouts in a row"
             self.counters.recycled += 1
 
-    def _not_marked(self, flight: _Flight, marker: Marker, now: float) -> None:
+    def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
         """A marker was not answered: whoever waited for it and has had enough of them is told."""
-        doubt = self.doubts.of(flight.unit)
+        doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0
         self._try_at = 0.0
-        for demand in list(self._ledger.queue):
-            if demand.unit != flight.unit:
+        for call in list(self._tracker.queue):
+            if call.unit != awaited.unit:
                 continue
-            if not self._is_in_doubt(doubt, demand):
+            if not self._is_in_doubt(doubt, call):
                 continue
-            demand.markers += 1
-            if demand.markers > demand.retries:
-                why = "it did not answer" if demand.markers == 1 else f"{demand.markers} attempts passed"
-                self._ledger.give_up(demand, now, partial(self._in_doubt, doubt, demand, why))
+            call.markers += 1
+            if call.markers > call.retries:
+                why = "it did not answer" if call.markers == 1 else f"{call.markers} attempts passed"
+                self._tracker.give_up(call, now, partial(self._in_doubt, doubt, call, why))
 
-    def _no_reply(self, flight: _Flight) -> NoReply:
-        waited = flight.expires - flight.sent
-        if flight.damage:
-            return NoReply(f"only a damaged reply came within {waited:.3g} s", kind="partial", raw=flight.damage)
-        if flight.early:
+    def _no_reply(self, awaited: _RequestInFlight) -> NoReply:
+        waited = awaited.expires - awaited.sent
+        if awaited.damage:
+            return NoReply(f"only a damaged reply came within {waited:.3g} s", kind="partial", raw=awaited.damage)
+        if awaited.early:
             return NoReply(
                 f"no reply within {waited:.3g} s but one that began before t3.5 had passed since the request; "
                 "early_replies takes such replies",
                 kind="early",
             )
-        delay = self.doubts.of(flight.unit).delay
+        delay = self.doubts.of(awaited.unit).delay
         if delay is not None:
             return NoReply(
                 f"no reply within {waited:.3g} s; the last late reply of this unit had taken {delay:.3f} s, "
@@ -843,11 +843,11 @@ class SerialClientSession:
             )
         return NoReply(f"no reply within {waited:.3g} s")
 
-    def _failed(self, flight: _Flight, error: ModbusError, now: float, *, again: bool) -> None:
+    def _failed(self, awaited: _RequestInFlight, error: ModbusError, now: float, *, again: bool) -> None:
         """End what was in flight with an error, or repeat it."""
         self._try_at = 0.0
-        if flight.demand is not None:
-            self._ledger.failed(flight.demand, flight.position, error, now, again=again)
+        if awaited.call is not None:
+            self._tracker.failed(awaited.call, awaited.position, error, now, again=again)
 
 
 def _fits(request: Request, pdu: bytes) -> bool:

@@ -282,7 +282,7 @@ class TcpServerSession:
                 if reads is not None and self._can_forward(reads, unit, buffer[at:end]):
                     left += 1  # it is taken in the next round
                     continue
-                adu = self._long_road(transaction, unit, bytes(buffer[at + 7 : end]))
+                adu = self._generic_path(transaction, unit, bytes(buffer[at + 7 : end]))
                 if adu:
                     out.append(adu)
                 # Function 08 may have muted a unit, or woken it.
@@ -394,7 +394,7 @@ class TcpServerSession:
             finish=self._finish,
         )
 
-    def _long_road(self, transaction: int, unit: int, pdu: bytes) -> bytes:
+    def _generic_path(self, transaction: int, unit: int, pdu: bytes) -> bytes:
         """Decode, hand to the handler, encode. Empty where there is no answer, or not yet."""
         function = pdu[0]
         if function > 0x7F:

@@ -7,12 +7,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..faults.clients import CLIENT_PERSONALITIES, SLOW_LORIS, ClientPersonality, misbehaving_client
+    from ..faults.clients import CLIENT_FAULT_PROFILES, SLOW_LORIS, ClientFaultProfile, misbehaving_client
     from ..faults.clock import Clock, FakeClock, LoopClock
     from ..faults.conversation import FaultyConversation
     from ..faults.fault import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
-    from ..faults.profile import Carrier, Parameter, Personality, PersonalityTable, Says
-    from ..faults.profiles import PERSONALITIES
+    from ..faults.profile import Carrier, FaultProfile, FaultyTable, Parameter, Says
+    from ..faults.profiles import FAULT_PROFILES
     from .certificates import CertificateFiles, CertificateStore
     from .device import known_device
     from .golden import GOLDEN_EXCEPTIONS, GOLDEN_EXCHANGES, GoldenExchange, golden_adu
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "certificates": ("CertificateFiles", "CertificateStore"),
-    ".faults.clients": ("CLIENT_PERSONALITIES", "SLOW_LORIS", "ClientPersonality", "misbehaving_client"),
+    ".faults.clients": ("CLIENT_FAULT_PROFILES", "SLOW_LORIS", "ClientFaultProfile", "misbehaving_client"),
     ".faults.clock": ("Clock", "FakeClock", "LoopClock"),
     ".faults.conversation": ("FaultyConversation",),
     "device": ("known_device",),
@@ -39,42 +39,42 @@ _HOME = {
     ),
     "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
     "memory": ("MemoryPair", "MemoryTransport", "Passage"),
-    ".faults.profiles": ("PERSONALITIES",),
-    ".faults.profile": ("Carrier", "Parameter", "Personality", "PersonalityTable", "Says"),
+    ".faults.profiles": ("FAULT_PROFILES",),
+    ".faults.profile": ("Carrier", "Parameter", "FaultProfile", "FaultyTable", "Says"),
     "server": ("FaultyServer", "faulty_server"),
     "simulated": ("SimulatedDevice", "simulated_device"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "CLIENT_PERSONALITIES",
+    "CLIENT_FAULT_PROFILES",
+    "FAULT_PROFILES",
     "GOLDEN_EXCEPTIONS",
     "GOLDEN_EXCHANGES",
-    "PERSONALITIES",
     "SILENCE",
     "SLOW_LORIS",
     "AppliedFault",
     "Carrier",
     "CertificateFiles",
     "CertificateStore",
-    "ClientPersonality",
+    "ClientFaultProfile",
     "Clock",
     "Contact",
     "Emission",
     "Exchange",
     "FakeClock",
     "Fault",
+    "FaultProfile",
     "Faults",
     "FaultyConversation",
     "FaultyServer",
+    "FaultyTable",
     "GoldenExchange",
     "LoopClock",
     "MemoryPair",
     "MemoryTransport",
     "Parameter",
     "Passage",
-    "Personality",
-    "PersonalityTable",
     "Says",
     "Schedule",
     "Selection",

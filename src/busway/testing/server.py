@@ -24,9 +24,9 @@ from typing import Any, Self
 
 from ..errors import ConfigError
 from ..faults.clock import Clock, LoopClock
-from ..faults.connections import FaultyWires
+from ..faults.connections import FaultyTap
 from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
-from ..faults.profiles import PERSONALITIES
+from ..faults.profiles import FAULT_PROFILES
 from ..faults.responder import FaultyHandler
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
@@ -35,7 +35,7 @@ from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
 """Requests that a server keeps for its test to look at."""
-PATIENCE = 10.0
+ADAPTIVE_TIMEOUT = 10.0
 """Seconds after which waiting for something that should happen at once has failed."""
 
 
@@ -80,7 +80,7 @@ class FaultyServer:
         self.faults = Faults(seed)
         for fault in _faults_of(personalities, options):
             self.faults.add(fault)
-        self._wires = FaultyWires(self.faults, clock, changed=self._change)
+        self._wires = FaultyTap(self.faults, clock, changed=self._change)
         handler = LocalHandler(units, unit_policy=policy, functions=functions)
         self._server = Server(
             [f"tcp://[{host}]:0" if ":" in host else f"tcp://{host}:0"],
@@ -162,7 +162,7 @@ class FaultyServer:
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait in the server's own event loop until a condition about it holds. Raises `TimeoutError` after a while."""
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(ADAPTIVE_TIMEOUT):
             while not condition():
                 self._changed_here.clear()
                 await self._changed_here.wait()
@@ -170,7 +170,7 @@ class FaultyServer:
     def wait_until(self, condition: Callable[[], bool]) -> None:
         """Wait, in a thread that is not the server's, until a condition about it holds. Raises `TimeoutError`."""
         with self._changed:
-            if not self._changed.wait_for(condition, PATIENCE):
+            if not self._changed.wait_for(condition, ADAPTIVE_TIMEOUT):
                 raise TimeoutError("what the test waits for did not happen")
 
     async def __aenter__(self) -> Self:
@@ -252,7 +252,7 @@ class _ServerThread:
 
 def _faults_of(personalities: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
     """The faults of names; each option goes to the personalities that have it."""
-    named = [one if isinstance(one, Fault) else PERSONALITIES.named(one) for one in personalities]
+    named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in personalities]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:
         if option not in known:

@@ -161,7 +161,7 @@ class SimulatedDevice:
         """A fault that is on while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
 
         Args:
-            personality: its name (`busway.testing.PERSONALITIES`).
+            personality: its name (`busway.testing.FAULT_PROFILES`).
             units: the unit that it strikes, 0…255, or several; None for all, here and below.
             functions: a function code, 1…127, or several.
             addresses: items: an address, several, or a ``range`` of offsets in any table.

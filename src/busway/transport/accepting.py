@@ -1,4 +1,4 @@
-"""Who takes connections from a listening socket: one who waits in a `Crowd`, or the event loop's own server.
+"""Who takes connections from a listening socket: one who waits in a `EpollSet`, or the event loop's own server.
 
 Knows sockets that listen, and how their connections begin; knows no Modbus.
 
@@ -15,8 +15,8 @@ import socket
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from .epoll.stream import CrowdStream
-from .epoll.watcher import READABLE, Crowd
+from .epoll.stream import EpollStream
+from .epoll.watcher import READABLE, EpollSet
 
 NEWCOMERS_OF_A_TURN: Final = 64
 PAUSE_SECONDS: Final = 1.0
@@ -40,7 +40,7 @@ async def accept_from(
     protocols: Protocols,
     *,
     loop: asyncio.AbstractEventLoop,
-    crowd: Crowd | None,
+    epoll_set: EpollSet | None,
     backlog: int,
     failed: Callable[[OSError], None],
 ) -> Acceptor:
@@ -50,31 +50,31 @@ async def accept_from(
         listening: bound and non-blocking; the acceptor's own when this has returned.
         protocols: makes the protocol of a newcomer; buffered, or replaced by a buffered one in `connection_made`.
         loop: the event loop.
-        crowd: where acceptor and connections wait; None leaves both to the loop.
+        epoll_set: where acceptor and connections wait; None leaves both to the loop.
         backlog: connections that the system may hold until they are accepted.
         failed: is told why somebody who waits can not be accepted; without a crowd the loop says it in its own way.
 
     Raises:
         OSError: it can not listen, or not be watched.
     """
-    if crowd is not None:
-        return CrowdAcceptor(crowd, listening, protocols, backlog=backlog, failed=failed)
+    if epoll_set is not None:
+        return EpollAcceptor(epoll_set, listening, protocols, backlog=backlog, failed=failed)
     return LoopAcceptor(loop, await loop.create_server(protocols, sock=listening, backlog=backlog))
 
 
-class CrowdAcceptor:
+class EpollAcceptor:
     """Accepts in a crowd; arguments as of `accept_from`. Raises `OSError`."""
 
     def __init__(
         self,
-        crowd: Crowd,
+        epoll_set: EpollSet,
         listening: socket.socket,
         protocols: Protocols,
         *,
         backlog: int,
         failed: Callable[[OSError], None],
     ) -> None:
-        self._crowd = crowd
+        self._epoll_set = epoll_set
         self._listening = listening
         self._protocols = protocols
         self._failed = failed
@@ -107,10 +107,10 @@ class CrowdAcceptor:
         except Exception as error:
             connection.close()
             context = {"message": "no protocol for a connection that was accepted", "exception": error}
-            self._crowd.loop.call_exception_handler(context)
+            self._epoll_set.loop.call_exception_handler(context)
             return True
         try:
-            CrowdStream(self._crowd, connection, protocol, peer).begin()
+            EpollStream(self._epoll_set, connection, protocol, peer).begin()
         except OSError as error:
             self._pause(error)
             return False
@@ -130,7 +130,7 @@ class CrowdAcceptor:
 
     def _pause(self, error: OSError) -> None:
         self._unwatch()
-        self._timer = self._crowd.loop.call_later(PAUSE_SECONDS, self._go_on)
+        self._timer = self._epoll_set.loop.call_later(PAUSE_SECONDS, self._go_on)
         self._failed(error)
 
     def _go_on(self) -> None:
@@ -141,13 +141,13 @@ class CrowdAcceptor:
             self._pause(error)
 
     def _watch(self) -> None:
-        self._crowd.watch(self._descriptor, READABLE, self)
+        self._epoll_set.watch(self._descriptor, READABLE, self)
         self._is_watched = True
 
     def _unwatch(self) -> None:
         if self._is_watched:
             self._is_watched = False
-            self._crowd.forget(self._descriptor)
+            self._epoll_set.forget(self._descriptor)
 
 
 class LoopAcceptor:

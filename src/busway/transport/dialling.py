@@ -3,8 +3,8 @@
 Knows sockets; knows no Modbus.
 
 1. The addresses that a name has are tried one after the other; what the last one said is why there is no connection.
-2. Connections of one event loop wait together, in a `Crowd`, where the loop can have one: a poll of eight reads costs
-   28 µs of CPU so, and 33 with transports of asyncio.
+2. Connections of one event loop wait together, in an `EpollSet`, where the loop can have one: a poll of eight reads
+   costs 28 µs of CPU so, and 33 with transports of asyncio.
 3. An address in digits is used as it is: to ask the system for one costs a thread.
 """
 
@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 from weakref import WeakValueDictionary
 
-from .epoll.stream import CrowdStream
-from .epoll.watcher import Crowd, can_watch
+from .epoll.stream import EpollStream
+from .epoll.watcher import EpollSet, can_watch
 
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
-_crowds: Final["WeakValueDictionary[asyncio.AbstractEventLoop, Crowd]"] = WeakValueDictionary()
+_epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
 """By loop. A crowd lives as long as its connections, and keeps its loop no longer than that."""
 
 
@@ -64,16 +64,16 @@ async def open_stream(
     except OSError:
         connection.close()
         raise
-    stream = CrowdStream(_crowd_of(loop), connection, protocol(), peer)
+    stream = EpollStream(_epoll_set_of(loop), connection, protocol(), peer)
     stream.begin()
     return stream
 
 
-def _crowd_of(loop: asyncio.AbstractEventLoop) -> Crowd:
-    crowd = _crowds.get(loop)
-    if crowd is None:
-        crowd = _crowds[loop] = Crowd(loop)
-    return crowd
+def _epoll_set_of(loop: asyncio.AbstractEventLoop) -> EpollSet:
+    epoll_set = _epoll_sets.get(loop)
+    if epoll_set is None:
+        epoll_set = _epoll_sets[loop] = EpollSet(loop)
+    return epoll_set
 
 
 async def _connected(host: str, port: int, local_address: str | None, interface: str | None) -> socket.socket:

@@ -12,7 +12,7 @@ from waiting import until
 import busway
 from busway.access.rules import Access, Policy, Rule
 from busway.access.rules import Action as Judged
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
 from busway.apps.gateway.routes import Action, AddressRange, Route, RoutingTable
 from busway.codes import Table
 from busway.framing.mbap import encode_mbap
@@ -20,7 +20,7 @@ from busway.pdu.functions import AnyRequest
 from busway.server.listener import Listener
 
 ANY_PORT = "tcp://127.0.0.1:0"
-FRONT = Front("front", Listener(ANY_PORT))
+FRONT = GatewayListener("front", Listener(ANY_PORT))
 OTHERS = frozenset(range(1, 248))
 
 pytestmark = pytest.mark.clause("T32")
@@ -50,7 +50,7 @@ async def bus() -> AsyncIterator[Bus]:
 
 @contextlib.asynccontextmanager
 async def gateway(
-    *routes: Route, lines: dict[str, str], front: Front = FRONT, own_unit: int | None = 255, **options: object
+    *routes: Route, lines: dict[str, str], front: GatewayListener = FRONT, own_unit: int | None = 255, **options: object
 ) -> AsyncIterator[tuple[Gateway, busway.AsyncLink]]:
     settings = tuple(
         LineSettings.of(name, url, **({"turnaround_delay": 0.01} if url.startswith("rtu") else {}), **options)
@@ -72,12 +72,12 @@ async def refusal(asked: object) -> int:
 
 async def test_every_write_that_may_be_broadcast_is_echoed_as_a_device_would_answer_it() -> None:
     async with bus() as line, gateway(Route(line="line", units=OTHERS), lines={"line": line.url}) as (_, link):
-        everybody = link.unit(0)
-        await everybody.write_single_register(0, 7)
-        await everybody.write_multiple_registers(1, [8, 9])
-        await everybody.write_single_coil(3, True)
-        await everybody.write_multiple_coils(4, [True, False, True])
-        await everybody.mask_write_register(0, and_mask=0x00FF, or_mask=0x100)
+        allow_all = link.unit(0)
+        await allow_all.write_single_register(0, 7)
+        await allow_all.write_multiple_registers(1, [8, 9])
+        await allow_all.write_single_coil(3, True)
+        await allow_all.write_multiple_coils(4, [True, False, True])
+        await allow_all.mask_write_register(0, and_mask=0x00FF, or_mask=0x100)
         assert line.registers(0, 3) == [[0x107, 8, 9]] * 2
         for device in line.devices.values():
             assert list(device.coils[3:7]) == [True, True, False, True]
@@ -97,7 +97,7 @@ async def test_the_echo_comes_after_the_broadcast_was_sent_and_the_turnaround_is
 
 
 async def test_silence_is_an_option_and_the_write_is_made_all_the_same() -> None:
-    front = Front("front", Listener(ANY_PORT), silent_broadcasts=True)
+    front = GatewayListener("front", Listener(ANY_PORT), silent_broadcasts=True)
     async with (
         bus() as line,
         gateway(Route(line="line", units=OTHERS), lines={"line": line.url}, front=front) as (made, link),
@@ -110,7 +110,7 @@ async def test_silence_is_an_option_and_the_write_is_made_all_the_same() -> None
 
 
 async def test_a_silent_front_still_says_that_a_broadcast_was_not_sent() -> None:
-    front = Front("front", Listener(ANY_PORT), silent_broadcasts=True)
+    front = GatewayListener("front", Listener(ANY_PORT), silent_broadcasts=True)
     async with gateway(Route(line="down", units=OTHERS), lines={"down": "rtu+tcp://127.0.0.1:1"}, front=front) as (
         _,
         link,
@@ -120,7 +120,7 @@ async def test_a_silent_front_still_says_that_a_broadcast_was_not_sent() -> None
 
 async def test_several_lines_hear_it_each_once_and_lines_of_other_fronts_do_not() -> None:
     async with bus() as one, bus() as two, bus() as foreign:
-        fronts = (FRONT, Front("other", Listener(ANY_PORT)))
+        fronts = (FRONT, GatewayListener("other", Listener(ANY_PORT)))
         plan = GatewayPlan(
             fronts=fronts,
             lines=tuple(
@@ -277,7 +277,7 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
     policy = Policy(rules, default=Judged.ALLOW)
     async with bus() as line:
         plan = GatewayPlan(
-            fronts=(Front("front", Listener(f"{scheme}://127.0.0.1:0")),),
+            fronts=(GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0")),),
             lines=(LineSettings.of("line", line.url, turnaround_delay=0.01),),
             table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
         )
@@ -304,7 +304,7 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
     policy = Policy(rules, default=Judged.ALLOW)
     async with bus() as line:
         plan = GatewayPlan(
-            fronts=(Front("front", Listener(f"{scheme}://127.0.0.1:0")),),
+            fronts=(GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0")),),
             lines=(LineSettings.of("line", line.url, turnaround_delay=0.01),),
             table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
         )
@@ -312,13 +312,13 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
             for guard in made._running.values():
                 assert guard.guard is not None
                 guard.guard._clock = lambda: 0.0  # no time passes: two are allowed, and no third one
-            everybody = link.unit(0)
-            await everybody.write_single_register(5, 55)
-            await everybody.write_single_register(6, 66)
+            allow_all = link.unit(0)
+            await allow_all.write_single_register(5, 55)
+            await allow_all.write_single_register(6, 66)
             if scheme == "tcp":
-                assert await refusal(everybody.write_single_register(7, 77)) == 6
+                assert await refusal(allow_all.write_single_register(7, 77)) == 6
             else:
-                await everybody.write_single_register(7, 77)
+                await allow_all.write_single_register(7, 77)
                 await until(lambda: made.status().lines[0].counters.broadcasts == 2)
                 with pytest.raises(busway.ExceptionReply, match="exception 06"):
                     await link.unit(2).write_single_register(8, 88)
@@ -336,7 +336,7 @@ async def test_a_serial_front_reaches_serial_lines_once_and_servers_on_tcp_unit_
         heard.append(frame.pdu)  # type: ignore[attr-defined]
         return encode_mbap(frame.transaction, frame.unit, frame.pdu)  # type: ignore[attr-defined]
 
-    front = Front("front", Listener("rtu+tcp://127.0.0.1:0"))
+    front = GatewayListener("front", Listener("rtu+tcp://127.0.0.1:0"))
     async with bus() as line, busway.serve(ANY_PORT, units=on_tcp) as server, ScriptedPeer(answer) as told:
         async with gateway(
             Route(line="line", units=frozenset({1, 2})),
@@ -363,7 +363,7 @@ async def test_a_serial_front_whose_route_names_no_units_reaches_a_server_on_tcp
         assert isinstance(request, busway.WriteSingleRegister)
         return request
 
-    front = Front("front", Listener("rtu+tcp://127.0.0.1:0"))
+    front = GatewayListener("front", Listener("rtu+tcp://127.0.0.1:0"))
     async with bus() as line, busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
         async with gateway(
             Route(line="line", units=frozenset({1, 2})),
@@ -392,7 +392,7 @@ async def test_units_that_lead_elsewhere_do_not_keep_a_line_from_hearing_it() ->
 
 
 async def test_a_serial_front_must_not_write_to_all_what_it_may_not_write_to_one() -> None:
-    front = Front("front", Listener("rtu+tcp://127.0.0.1:0"))
+    front = GatewayListener("front", Listener("rtu+tcp://127.0.0.1:0"))
     async with (
         bus() as line,
         gateway(

@@ -10,12 +10,12 @@ import pytest
 from bus import Bus, MasterEnd
 
 import busway
-from busway.apps.gateway.handler import FrontHandler
+from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
-from busway.apps.gateway.routes import FrontRoutes, Route
+from busway.apps.gateway.routes import ListenerRoutes, Route
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import LATER, Deferral, RequestContext
 from busway.session.parameters import ClientParameters
@@ -40,13 +40,13 @@ class VirtualLink:
         """The clock of the bus."""
         return self._master.bus.now
 
-    def begin(self, demand: Demand, now: float) -> None:
+    def begin(self, call: Call, now: float) -> None:
         """As `Link.begin`."""
-        self._master.begin(demand)
+        self._master.begin(call)
 
-    def give_up(self, demand: Demand) -> None:
+    def give_up(self, call: Call) -> None:
         """As `Link.give_up`."""
-        self.session.cancel(demand)
+        self.session.cancel(call)
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Pollers:
     """
 
     bus: Bus
-    handler: FrontHandler
+    handler: ListenerHandler
     port: Any = None
     due: list[tuple[float, int, int]] = field(default_factory=list)
     answers: dict[int, int] = field(default_factory=dict)
@@ -126,8 +126,8 @@ def polled(dead: frozenset[int], *, asked: range = UNITS, timeout: float = 0.5) 
     bus.servers({unit: busway.Device(holding_registers=1000) for unit in UNITS if unit not in dead})
     line = Line("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
     line._links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
-    handler = FrontHandler("front", busway.STANDARD)
-    handler.follow(FrontRoutes([Route(line="line", units=frozenset(UNITS))]), {"line": line})
+    handler = ListenerHandler("front", busway.STANDARD)
+    handler.follow(ListenerRoutes([Route(line="line", units=frozenset(UNITS))]), {"line": line})
     pollers = Pollers(bus, handler, port=_Nothing())
     bus.ends.append(pollers)
     for client in range(CLIENTS):

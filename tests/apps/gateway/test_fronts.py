@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from faulty_line import faulty_line, value
-from handlers import Gate, ScriptedHandler
+from handlers import ScriptedHandler, TlsHandshakeAcceptor
 from handles import open_handles
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.clients import SLOW_LORIS
 from busway.framing.rtu import encode_rtu
@@ -28,8 +28,8 @@ LINES = ("tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp")
 pytestmark = pytest.mark.clause("T32")
 
 
-def front(scheme: str) -> Front:
-    return Front("front", Listener(f"{scheme}://127.0.0.1:0"))
+def front(scheme: str) -> GatewayListener:
+    return GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0"))
 
 
 async def code_of(asked: Any) -> int:
@@ -216,7 +216,9 @@ async def test_a_slow_loris_frees_its_place_and_disturbs_nobody() -> None:
     async with faulty_line("tcp") as line:
         plan = line.gateway.plan
         limits = ListenerParameters(max_connections=3, frame_timeout=0.1)
-        own = GatewayPlan((Front("front", Listener(ANY_PORT, limits=limits)),), plan.lines, plan.table, own_unit=None)
+        own = GatewayPlan(
+            (GatewayListener("front", Listener(ANY_PORT, limits=limits)),), plan.lines, plan.table, own_unit=None
+        )
         async with Gateway(own) as made:
             host, port = made.endpoints[0].removeprefix("tcp://").split(":")
             waiting = []
@@ -294,7 +296,7 @@ async def test_foreign_traffic_reaches_no_line_and_disturbs_nobody(junk: bytes) 
 
 async def test_two_requests_on_a_serial_front_the_first_is_given_up_by_its_master() -> None:
     """A master that speaks again has given up; the late answer to its first request is not sent any more."""
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     async with contextlib.AsyncExitStack() as stack:
         server = await stack.enter_async_context(busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)))
         lines = {"line": server.endpoints[0]}

@@ -6,12 +6,12 @@ from collections.abc import AsyncIterator
 from dataclasses import replace
 
 import pytest
-from handlers import Gate, ScriptedHandler
+from handlers import ScriptedHandler, TlsHandshakeAcceptor
 from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings, simple_plan
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings, simple_plan
 from busway.apps.gateway.routes import ALL_UNITS, Action, AddressRange, Route, RoutingTable
 from busway.codes import Table
 from busway.framing.mbap import MbapFrame
@@ -23,7 +23,7 @@ from busway.session.parameters import ServerParameters
 from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
-FRONT = Front("front", Listener(ANY_PORT))
+FRONT = GatewayListener("front", Listener(ANY_PORT))
 BAUD = 115_200
 
 
@@ -31,7 +31,7 @@ def device(first: int = 0) -> busway.Device:
     return busway.Device(holding_registers=[first + n for n in range(300)], coils=[n % 3 == 0 for n in range(300)])
 
 
-def plan(*routes: Route, lines: dict[str, str], front: Front = FRONT, **options: object) -> GatewayPlan:
+def plan(*routes: Route, lines: dict[str, str], front: GatewayListener = FRONT, **options: object) -> GatewayPlan:
     settings = tuple(LineSettings.of(name, url, **options) for name, url in lines.items())
     return GatewayPlan(fronts=(front,), lines=settings, table=RoutingTable(routes))
 
@@ -199,7 +199,7 @@ async def test_a_serial_front_is_silent_for_units_that_it_does_not_route() -> No
             made = plan(
                 Route(line="line", units=frozenset({3})),
                 lines={"line": server.endpoints[0]},
-                front=Front("serial", Listener(urls[0])),
+                front=GatewayListener("serial", Listener(urls[0])),
             )
             async with Gateway(made), busway.open(urls[1], timeout=5, retries=0) as link:
                 assert await link.unit(3).read_holding_registers(1, count=2) == [301, 302]
@@ -217,7 +217,7 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
             made = plan(
                 Route(line="line", units=frozenset({3, 4})),
                 lines={"line": server.endpoints[0]},
-                front=Front("serial", Listener(urls[0])),
+                front=GatewayListener("serial", Listener(urls[0])),
             )
             async with Gateway(made), busway.open(urls[1]) as link:
                 await link.unit(0).write_single_register(9, 4711)
@@ -225,7 +225,7 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
 
 
 async def test_identical_reads_in_flight_are_asked_once() -> None:
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5)
         async with Gateway(made) as gateway, contextlib.AsyncExitStack() as stack:
@@ -256,7 +256,7 @@ async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_wri
 
 
 async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> None:
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, handler=handler) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False)
@@ -275,7 +275,7 @@ async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> No
 
 
 async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         gateway = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5))
         await gateway.start()
@@ -295,7 +295,7 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
 
 @pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "rtu+tcp"])
 async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) -> None:
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, handler=handler) as server:
         gateway = Gateway(simple_plan([f"{scheme}://127.0.0.1:0"], server.endpoints[0], timeout=5, share_reads=False))
@@ -320,7 +320,7 @@ async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) ->
 
 @pytest.mark.real_time
 async def test_draining_takes_nothing_new_from_a_serial_front() -> None:
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     handler = ScriptedHandler(gate.decide)
     with PacedLine(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
@@ -383,7 +383,7 @@ async def test_a_change_that_can_not_be_leaves_everything_as_it_was() -> None:
         async with through(plan(Route(line="line"), lines=lines)) as (gateway, link):
             assert await link.unit(1).read_holding_registers(0, count=1) == [0]
             worse = GatewayPlan(
-                fronts=(FRONT, Front("taken", Listener(server.endpoints[0]))),
+                fronts=(FRONT, GatewayListener("taken", Listener(server.endpoints[0]))),
                 lines=gateway.plan.lines,
                 table=gateway.plan.table,
             )

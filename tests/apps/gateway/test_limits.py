@@ -12,15 +12,15 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings, simple_plan
-from busway.apps.gateway.handler import FrontHandler
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings, simple_plan
+from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
-from busway.apps.gateway.routes import ALL_UNITS, FrontRoutes, Route, RoutingTable
+from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, RoutingTable
 from busway.client.settings import link_settings
 from busway.framing.mbap import MbapFrame
 from busway.server.listener import Listener
 from busway.server.parameters import ListenerParameters
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import RequestContext
 
@@ -35,7 +35,7 @@ async def test_three_hundred_clients_are_served_over_one_connection_and_leave_no
     device = busway.Device(holding_registers=list(range(2000)))
     async with busway.serve(ANY_PORT, units={1: device}) as server:
         plan = GatewayPlan(
-            (Front("front", Listener(ANY_PORT, limits=limits)),),
+            (GatewayListener("front", Listener(ANY_PORT, limits=limits)),),
             (LineSettings.of("line", server.endpoints[0], queue=300, timeout=10, max_transactions=16),),
             RoutingTable((Route(line="line"),)),
         )
@@ -83,25 +83,25 @@ class Taking:
     """A link that takes everything and answers when it is told to."""
 
     def __init__(self) -> None:
-        self.taken: list[Demand] = []
+        self.taken: list[Call] = []
 
     def now(self) -> float:
         return 0.0
 
-    def begin(self, demand: Demand, now: float) -> None:
-        self.taken.append(demand)
+    def begin(self, call: Call, now: float) -> None:
+        self.taken.append(call)
 
-    def give_up(self, demand: Demand) -> None:
-        self.taken.remove(demand)
+    def give_up(self, call: Call) -> None:
+        self.taken.remove(call)
 
     def answer_all(self) -> None:
-        for demand in self.taken:
-            demand.requests[0].prepare()
-            demand.outcomes[0] = demand.requests[0].accept(bytes((3, 20)) + bytes(20))
-            demand.open, demand.ended = 0, True
+        for call in self.taken:
+            call.requests[0].prepare()
+            call.outcomes[0] = call.requests[0].accept(bytes((3, 20)) + bytes(20))
+            call.open, call.ended = 0, True
         taken, self.taken = self.taken, []
-        for demand in taken:
-            demand.owner.set_result(None)
+        for call in taken:
+            call.owner.set_result(None)
 
 
 def lines_of(connections: int) -> tuple[Line, list[Taking]]:
@@ -114,8 +114,8 @@ def lines_of(connections: int) -> tuple[Line, list[Taking]]:
 @pytest.mark.parametrize("goes", [False, True])
 def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) -> None:
     line, links = lines_of(4)
-    handler = FrontHandler("front", busway.STANDARD)
-    handler.follow(FrontRoutes([Route(line="line", units=ALL_UNITS, cache=60.0)]), {"line": line})
+    handler = ListenerHandler("front", busway.STANDARD)
+    handler.follow(ListenerRoutes([Route(line="line", units=ALL_UNITS, cache=60.0)]), {"line": line})
     diagnostics = CommunicationState()
 
     def some_clients(first: int) -> None:
@@ -158,8 +158,8 @@ def _ignored(context: RequestContext, reply: object) -> None:
 
 def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_come() -> None:
     line, links = lines_of(4)
-    handler = FrontHandler("front", busway.STANDARD)
-    handler.follow(FrontRoutes([Route(line="line")]), {"line": line})
+    handler = ListenerHandler("front", busway.STANDARD)
+    handler.follow(ListenerRoutes([Route(line="line")]), {"line": line})
 
     def ask(peer: str, address: int) -> Taking:
         context = RequestContext(unit=1, function=3, diagnostics=CommunicationState(), peer=peer, finish=_ignored)

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 import busway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
@@ -42,7 +42,7 @@ def device(unit: int) -> busway.Device:
     )
 
 
-class Ends:
+class SocketAddresses:
     """Where a server listens and where its client connects, for one kind of endpoint."""
 
     def __init__(self, kind: str, files: Files, stack: contextlib.ExitStack) -> None:
@@ -66,10 +66,10 @@ class Ends:
 @contextlib.asynccontextmanager
 async def gateway_between(front: str, line: str, files: Files) -> AsyncIterator[busway.AsyncLink]:
     with contextlib.ExitStack() as lines:
-        outer, inner = Ends(front, files, lines), Ends(line, files, lines)
+        outer, inner = SocketAddresses(front, files, lines), SocketAddresses(line, files, lines)
         async with busway.serve(inner.listen, units={unit: device(unit) for unit in UNITS}) as server:
             plan = GatewayPlan(
-                fronts=(Front("front", Listener(outer.listen)),),
+                fronts=(GatewayListener("front", Listener(outer.listen)),),
                 lines=(LineSettings.of("line", inner.client(server.endpoints[0]), timeout=2.0),),
                 table=RoutingTable((Route(line="line", units=frozenset({*UNITS, 30})),)),
                 own_unit=None,

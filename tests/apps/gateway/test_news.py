@@ -65,6 +65,7 @@ def test_requests_that_got_0a_are_told_once_then_counted(caplog: pytest.LogCaptu
     ]
 
 
+@pytest.mark.real_time
 def test_another_reason_for_0a_is_told_at_once(caplog: pytest.LogCaptureFixture) -> None:
     line = news()
     for reason in ("it is not there", "it is not there", "64 calls wait"):
@@ -75,6 +76,7 @@ def test_another_reason_for_0a_is_told_at_once(caplog: pytest.LogCaptureFixture)
     ]
 
 
+@pytest.mark.real_time
 async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_asked(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -100,6 +102,7 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
         assert len(told(caplog)) == 2  # that the gateway ends is no news of its line
 
 
+@pytest.mark.real_time
 async def test_a_port_that_is_busy_is_told_with_its_holder_and_0a_says_the_same(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -8,7 +8,7 @@ import pytest
 from handlers import ScriptedHandler
 
 import busway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable
@@ -33,7 +33,7 @@ class Serving(ScriptedHandler):
 
 @contextlib.asynccontextmanager
 async def between(
-    front: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, patience: float = 2.0
+    front: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, adaptive_timeout: float = 2.0
 ) -> AsyncIterator[busway.AsyncUnit]:
     """Unit 3 of ``handler`` on a line, seen through a gateway."""
     with contextlib.ExitStack() as wires:
@@ -47,8 +47,8 @@ async def between(
         outer, inner = ends(front), ends(line)
         async with busway.serve(inner[0], handler=handler) as server:
             plan = GatewayPlan(
-                (Front("front", Listener(outer[0])),),
-                (LineSettings.of("line", inner[1] or server.endpoints[0], timeout=patience),),
+                (GatewayListener("front", Listener(outer[0])),),
+                (LineSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),
                 RoutingTable((Route(line="line", units=frozenset({3})),)),
                 functions=functions,
                 own_unit=None,
@@ -90,7 +90,7 @@ async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(front: 
         asked.append(request.encode())
         return busway.SILENCE
 
-    async with between(front, line, Serving(silent), patience=0.2) as unit:
+    async with between(front, line, Serving(silent), adaptive_timeout=0.2) as unit:
         with pytest.raises((busway.WriteOutcomeUnknown, busway.NoReply)):
             await unit.execute(OpaqueRequest(0x41, b"\1"))
         assert len(asked) == 1

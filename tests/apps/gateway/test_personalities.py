@@ -18,7 +18,7 @@ from waiting import until
 import busway
 from busway.apps.gateway.routes import Route
 from busway.faults.fault import Carrier
-from busway.faults.profiles import PERSONALITIES
+from busway.faults.profiles import FAULT_PROFILES
 
 TIMEOUT = 0.12
 """Seconds that the line waits for a reply that does not come."""
@@ -115,7 +115,7 @@ ROWS = (
 CASES = [
     (line, row)
     for line, row in itertools.product(LINES, ROWS)
-    if line in row.only and PERSONALITIES[row.name].carriers & _CARRIERS[line]
+    if line in row.only and FAULT_PROFILES[row.name].carriers & _CARRIERS[line]
 ]
 
 
@@ -179,7 +179,7 @@ async def healthy(line: FaultyLine, link: busway.AsyncLink) -> None:
 
 
 def test_every_personality_of_a_server_is_in_the_table() -> None:
-    assert set(PERSONALITIES) - {row.name for row in ROWS} == {"broadcast-reply", "fc16-only"}  # below
+    assert set(FAULT_PROFILES) - {row.name for row in ROWS} == {"broadcast-reply", "fc16-only"}  # below
 
 
 async def test_a_write_that_is_ignored_is_0b_and_the_one_that_is_taken_goes_through() -> None:

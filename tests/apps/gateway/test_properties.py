@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import busway
-from busway.apps.gateway.handler import FrontHandler
+from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
 from busway.apps.gateway.routes import Action, AddressRange, Route, RoutingTable
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.faults.clock import FakeClock
 from busway.pdu.message import Message
-from busway.session.demand import Demand
+from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import LATER, SILENCE, Deferral, RequestContext
 
@@ -69,21 +69,21 @@ class InstantLink:
     def now(self) -> float:
         return 0.0
 
-    def begin(self, demand: Demand, now: float) -> None:
-        for position, request in enumerate(demand.requests):
+    def begin(self, call: Call, now: float) -> None:
+        for position, request in enumerate(call.requests):
             pdu = request.prepare()
-            self.asked.append((demand.unit, pdu))
-            reply = self.devices.setdefault(demand.unit, PlainDevice()).answer(pdu)
+            self.asked.append((call.unit, pdu))
+            reply = self.devices.setdefault(call.unit, PlainDevice()).answer(pdu)
             if reply[0] & 0x80:
-                demand.outcomes[position] = busway.ExceptionReply(reply[1])
+                call.outcomes[position] = busway.ExceptionReply(reply[1])
             else:
-                demand.outcomes[position] = request.accept(reply)
-        demand.open = 0
-        demand.ended = True
-        demand.owner.set_result(None)
+                call.outcomes[position] = request.accept(reply)
+        call.open = 0
+        call.ended = True
+        call.owner.set_result(None)
 
 
-def asked_by(handler: FrontHandler, unit: int, pdu: bytes, *, peer: str = "client") -> bytes | None:
+def asked_by(handler: ListenerHandler, unit: int, pdu: bytes, *, peer: str = "client") -> bytes | None:
     """The answer to a request; None for silence."""
     seen: list[Message | Deferral] = []
     context = RequestContext(
@@ -225,7 +225,7 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
     behind: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     model: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     lines = {name: _line(name, devices) for name, devices in behind.items()}
-    handler = FrontHandler("front", busway.STANDARD)
+    handler = ListenerHandler("front", busway.STANDARD)
     handler.follow(table.of_front("front"), {name: line for name, (line, _) in lines.items()})
     for unit, pdu in requests:
         for _, link in lines.values():
@@ -322,7 +322,7 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     link = InstantLink(dict.fromkeys((1, 255), device))  # type: ignore[arg-type]  # 255 is the device itself
     line = Line("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
-    handler = FrontHandler("front", busway.STANDARD)
+    handler = ListenerHandler("front", busway.STANDARD)
     route = Route(line="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
     handler.follow(RoutingTable((route,)).of_front("front"), {"line": line})
     written: dict[int, tuple[float, int]] = {}  # when somebody last saw a write end
@@ -351,7 +351,7 @@ def test_a_remembered_value_is_used_at_all() -> None:
     link = InstantLink({1: PlainDevice()})
     line = Line("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
-    handler = FrontHandler("front", busway.STANDARD)
+    handler = ListenerHandler("front", busway.STANDARD)
     handler.follow(RoutingTable((Route(line="line", cache=1.0),)).of_front("front"), {"line": line})
     for seconds, requests in ((0.0, 1), (0.5, 1), (0.49, 1), (0.02, 2)):
         clock.advance(seconds)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import busway
-from busway.apps.gateway.routes import Action, AddressRange, FrontRoutes, Route, RoutingTable, Straddles, units_text
+from busway.apps.gateway.routes import Action, AddressRange, ListenerRoutes, Route, RoutingTable, Straddles, units_text
 from busway.codes import Table
 from busway.errors import ConfigError
 from busway.pdu.general import OpaqueRequest
@@ -14,7 +14,7 @@ HOLDING = Table.HOLDING_REGISTERS
 
 
 def _find(routes: list[Route], unit: int, request: busway.Request) -> Route | Straddles | None:
-    return FrontRoutes(routes).find(unit, request)
+    return ListenerRoutes(routes).find(unit, request)
 
 
 def test_the_first_route_that_fits_decides() -> None:
@@ -154,7 +154,7 @@ def _walked(routes: list[Route], request: busway.Request) -> Route | Straddles |
 def test_a_route_that_is_found_by_address_is_the_first_that_fits(
     routes: list[Route], requests: list[busway.Request]
 ) -> None:
-    found = FrontRoutes(routes)
+    found = ListenerRoutes(routes)
     for request in requests:
         assert found.find(1, request) == _walked(routes, request)
 
@@ -163,9 +163,9 @@ def test_many_ranges_of_one_unit_are_not_looked_through(monkeypatch: pytest.Monk
     def never(*_: object) -> None:
         raise AssertionError("looked through")
 
-    monkeypatch.setattr(FrontRoutes, "_looked_through", never)
+    monkeypatch.setattr(ListenerRoutes, "_looked_through", never)
     routes = [Route(line="a", addresses=AddressRange(HOLDING, 10 * n, 10 * n + 10), shift=n) for n in range(500)]
-    found = FrontRoutes(routes)
+    found = ListenerRoutes(routes)
     assert found.find(1, busway.ReadHoldingRegisters(4321, 9)) is routes[432]
     assert found.find(1, busway.ReadHoldingRegisters(4321, 10)) == Straddles(routes[432])
     assert found.find(1, busway.ReadHoldingRegisters(5000, 1)) is None

@@ -6,14 +6,14 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from handlers import Gate, ScriptedHandler
+from handlers import ScriptedHandler, TlsHandshakeAcceptor
 from handles import open_handles
 from scripted_peer import ScriptedPeer
 from waiting import until
 
 import busway
 from busway.apps.gateway.assembly import parse_gateway
-from busway.apps.gateway.gateway import Front, Gateway, GatewayPlan, LineSettings, simple_plan
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings, simple_plan
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.server.listener import Listener
@@ -32,7 +32,7 @@ def device(unit: int = 1) -> busway.Device:
 @contextlib.asynccontextmanager
 async def gateway(line: str, *, route: Route | None = None, **options: Any) -> AsyncIterator[Gateway]:
     plan = GatewayPlan(
-        (Front("front", Listener(ANY_PORT)),),
+        (GatewayListener("front", Listener(ANY_PORT)),),
         (LineSettings.of("line", line, **options),),
         RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
     )
@@ -178,7 +178,7 @@ async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None
 @pytest.mark.parametrize("cache", [None, 60.0])
 async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | None) -> None:
     before = open_handles()
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         route = Route(line="line", cache=cache, max_registers=3)
         async with gateway(server.endpoints[0], route=route, timeout=5, queue=1000) as made:
@@ -303,7 +303,7 @@ async def test_a_write_whose_connection_is_lost_is_0b_and_one_that_waited_is_0a(
 
 async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> None:
     before = open_handles()
-    gate = Gate()
+    gate = TlsHandshakeAcceptor()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         made = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False))
         await made.start()

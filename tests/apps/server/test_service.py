@@ -15,7 +15,7 @@ from busway.access.addresses import AddressList
 from busway.access.rules import Action
 from busway.apps.server.configuration import Configuration, load_configuration, parse_configuration
 from busway.apps.server.service import Service, Wishes
-from busway.config.live_access import Entrance, reaches_network, read_only_for
+from busway.config.live_access import ReloadableAllowList, reaches_network, read_only_for
 from busway.framing.mbap import encode_mbap
 from busway.testing import CertificateStore
 
@@ -51,10 +51,10 @@ def test_a_policy_for_want_of_another_is_about_the_listeners_that_it_names() -> 
 
 
 def test_an_entrance_asks_all_of_its_lists_and_takes_others() -> None:
-    entrance = Entrance([AddressList(allow=["10.0.0.0/8"]), AddressList(deny=["10.0.0.9"])])
-    assert [entrance(host) for host in ("10.0.0.1", "10.0.0.9", "192.0.2.1")] == [True, False, False]
-    entrance.lists = ()
-    assert entrance("192.0.2.1")
+    allow_list = ReloadableAllowList([AddressList(allow=["10.0.0.0/8"]), AddressList(deny=["10.0.0.9"])])
+    assert [allow_list(host) for host in ("10.0.0.1", "10.0.0.9", "192.0.2.1")] == [True, False, False]
+    allow_list.lists = ()
+    assert allow_list("192.0.2.1")
 
 
 async def test_what_was_opened_before_is_closed_where_the_rest_can_not_be_had(tmp_path: Path) -> None:

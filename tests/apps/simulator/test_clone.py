@@ -58,7 +58,7 @@ def example() -> busway.Device:
 
 
 @contextmanager
-def asked(device: busway.Device) -> Iterator[tuple[busway.Unit, list[int]]]:
+def asked(device: busway.Device) -> Iterator[tuple[busway.BlockingUnit, list[int]]]:
     """The device as a client sees it, and the function codes that it was asked with."""
     seen: list[int] = []
     with (

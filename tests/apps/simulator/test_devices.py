@@ -31,7 +31,7 @@ def simulation_of(name: str, **parameters: object) -> Simulation:
 
 
 @contextmanager
-def asked(simulation: Simulation, unit: int = 1) -> Iterator[busway.Unit]:
+def asked(simulation: Simulation, unit: int = 1) -> Iterator[busway.BlockingUnit]:
     """A unit as a client sees it."""
     devices = {number: each.device for number, each in simulation.units.items()}
     with (
@@ -135,7 +135,7 @@ def test_the_meter_s_partial_counter_begins_again_when_it_is_written() -> None:
         assert 5 < unit.read("4x21", "uint32") < 50
 
 
-def models_of(unit: busway.Unit) -> dict[int, tuple[int, int]]:
+def models_of(unit: busway.BlockingUnit) -> dict[int, tuple[int, int]]:
     """A SunSpec map as a client walks it: model → first register after its head, and length."""
     assert unit.read("holding:40000", "string:4") == "SunS"
     at = 40002

@@ -205,10 +205,10 @@ def test_a_fault_that_can_not_be_is_refused_with_its_key(still, wanted, word):
 
 
 def test_all_personalities_are_offered_with_what_they_take(still):
-    from busway.testing import PERSONALITIES
+    from busway.testing import FAULT_PROFILES
 
     offered = {one["name"]: one for one in still.ask("GET", "/api/faults")[1]["personalities"]}
-    assert list(offered) == list(PERSONALITIES)
+    assert list(offered) == list(FAULT_PROFILES)
     assert offered["late"]["parameters"][0]["name"] == "delay"
     assert offered["late"]["parameters"][0]["kind"] == "float"
 

@@ -9,10 +9,10 @@ from busway.errors import ConfigError
 from busway.framing.mbap import encode_mbap
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.observe.capture import Capture
-from busway.observe.ends import Ends
+from busway.observe.ends import SocketAddresses
 from busway.observe.trace import TRACE
 
-ENDS = Ends(("127.0.0.1", 5020), ("10.0.0.7", 40_000))
+ENDS = SocketAddresses(("127.0.0.1", 5020), ("10.0.0.7", 40_000))
 READ = bytes.fromhex("03 00 00 00 02")
 REPLY = bytes.fromhex("03 04 00 01 00 02")
 REFUSED = bytes.fromhex("83 02")
@@ -96,8 +96,8 @@ def test_a_frame_is_described_once(traffic):
 
 
 def test_connections_that_the_program_made_itself_are_left_out(traffic):
-    traffic.connection(Ends(("127.0.0.1", 51_111), ("10.0.0.9", 502))).sent(encode_mbap(1, 1, READ))
-    traffic.connection(Ends()).received(encode_mbap(1, 1, READ))
+    traffic.connection(SocketAddresses(("127.0.0.1", 51_111), ("10.0.0.9", 502))).sent(encode_mbap(1, 1, READ))
+    traffic.connection(SocketAddresses()).received(encode_mbap(1, 1, READ))
     assert traffic.last == 0
 
 
@@ -128,7 +128,7 @@ def test_a_capture_file_that_is_open_gets_everything_too():
         traffic = Traffic(lambda: {5020})
         traffic.start()
         traffic.connection(ENDS).received(encode_mbap(1, 1, READ))
-        traffic.connection(Ends(("127.0.0.1", 1), ("10.0.0.9", 502))).sent(encode_mbap(1, 1, READ))
+        traffic.connection(SocketAddresses(("127.0.0.1", 1), ("10.0.0.9", 502))).sent(encode_mbap(1, 1, READ))
         traffic.stop()
         assert TRACE.capture is capture
         assert capture.packets == 2

@@ -16,7 +16,7 @@ import busway.server.opening
 async def main(endpoint: str, access: str, priority: str, transports: str) -> None:
     """Serve until the input ends."""
     if transports == "loop":
-        busway.server.opening.crowd_for = lambda loop: None  # type: ignore[assignment]
+        busway.server.opening.epoll_set_for = lambda loop: None  # type: ignore[assignment]
     async with AsyncExitStack() as stack:
         server: busway.Server | busway.Gateway
         if "://" in access:

@@ -14,8 +14,8 @@ from event_loops import LOOPS, run_on
 from waiting import until
 
 from busway.transport.accepting import accept_from
-from busway.transport.epoll.stream import CrowdStream
-from busway.transport.epoll.watcher import Crowd, crowd_for
+from busway.transport.epoll.stream import EpollStream
+from busway.transport.epoll.watcher import EpollSet, epoll_set_for
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
@@ -85,7 +85,7 @@ class Meeting:
     """A client socket and the protocol of its connection, on the road under test."""
 
     loop: asyncio.AbstractEventLoop
-    crowd: Crowd | None
+    epoll_set: EpollSet | None
     reported: list[dict[str, Any]] = field(default_factory=list)
     protocols: list[Recorder] = field(default_factory=list)
     port: int = 0
@@ -110,14 +110,14 @@ class Meeting:
 @contextlib.asynccontextmanager
 async def meeting(road: str) -> AsyncIterator[Meeting]:
     loop = asyncio.get_running_loop()
-    here = Meeting(loop, None if road == ROADS[0] else crowd_for(loop))
+    here = Meeting(loop, None if road == ROADS[0] else epoll_set_for(loop))
     loop.set_exception_handler(lambda loop, context: here.reported.append(context))
     with socket.socket() as listening:
         listening.setblocking(False)
         listening.bind(("127.0.0.1", 0))
         here.port = listening.getsockname()[1]
         acceptor = await accept_from(
-            listening, here.newcomer, loop=loop, crowd=here.crowd, backlog=100, failed=pytest.fail
+            listening, here.newcomer, loop=loop, epoll_set=here.epoll_set, backlog=100, failed=pytest.fail
         )
         yield here
         acceptor.close()
@@ -125,8 +125,8 @@ async def meeting(road: str) -> AsyncIterator[Meeting]:
             if one.transport is not None and not one.lost.is_set():
                 one.transport.abort()
         await until(lambda: all(one.lost.is_set() for one in here.protocols))
-    if here.crowd is not None:
-        assert len(here.crowd) == 0
+    if here.epoll_set is not None:
+        assert len(here.epoll_set) == 0
 
 
 def tried(road: str, test: Callable[[Meeting, socket.socket, Recorder], Any]) -> None:
@@ -247,7 +247,7 @@ def test_closing_sends_what_waits_and_reads_no_more(road: str) -> None:
         assert not protocol.transport.is_reading()
         assert len(await all_from(here.loop, client, MUCH)) == MUCH
         await protocol.lost.wait()
-        if here.crowd is not None:  # asyncio's own raises here, after an end that came with the last bytes
+        if here.epoll_set is not None:  # asyncio's own raises here, after an end that came with the last bytes
             protocol.transport.write(b"goes nowhere")
             protocol.transport.abort()
         for _ in range(3):
@@ -379,12 +379,12 @@ def test_own_end_behind_that_of_the_connection_is_no_error(road: str) -> None:
 @pytest.mark.parametrize("road", CROWDS)
 def test_connection_that_nothing_is_wanted_of_is_not_watched(road: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
-        assert here.crowd is not None
-        assert len(here.crowd) == 2
+        assert here.epoll_set is not None
+        assert len(here.epoll_set) == 2
         protocol.transport.pause_reading()
-        assert len(here.crowd) == 1  # the listener: or a peer that goes would keep the loop busy
+        assert len(here.epoll_set) == 1  # the listener: or a peer that goes would keep the loop busy
         protocol.transport.resume_reading()
-        assert len(here.crowd) == 2
+        assert len(here.epoll_set) == 2
 
     tried(road, test)
 
@@ -516,7 +516,7 @@ def test_what_is_no_bytes_is_refused(road: str) -> None:
 async def test_transport_that_nobody_closed_is_named_when_it_is_collected() -> None:
     ours, theirs = socket.socketpair()
     with theirs:
-        stream = CrowdStream(Crowd(asyncio.get_running_loop()), ours, Recorder(), "a peer")
+        stream = EpollStream(EpollSet(asyncio.get_running_loop()), ours, Recorder(), "a peer")
         assert "open" in repr(stream)
         with pytest.warns(ResourceWarning, match="unclosed transport <CrowdStream open"):
             del stream  # nothing else holds it

@@ -12,7 +12,7 @@ from event_loops import LOOPS, run_on
 from handles import settled_handles
 from waiting import until
 
-from busway.transport.epoll.watcher import MEMBERS_OF_A_LOOK, READABLE, WRITABLE, Crowd, crowd_for
+from busway.transport.epoll.watcher import MEMBERS_OF_A_LOOK, READABLE, WRITABLE, EpollSet, epoll_set_for
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
@@ -46,14 +46,14 @@ def readable(count: int = 1) -> Iterator[list[int]]:
 @pytest.mark.parametrize("loop", LOOPS)
 def test_member_is_called_as_long_as_it_is_ready_and_until_it_is_forgotten(loop: str) -> None:
     async def main() -> None:
-        crowd = Crowd(asyncio.get_running_loop())
+        epoll_set = EpollSet(asyncio.get_running_loop())
         with readable() as (descriptor,):
             member = Member()
-            crowd.watch(descriptor, READABLE, member)
+            epoll_set.watch(descriptor, READABLE, member)
             await until(lambda: len(member.calls) == 3)
-            crowd.watch_for(descriptor, READABLE | WRITABLE)
+            epoll_set.watch_for(descriptor, READABLE | WRITABLE)
             await until(lambda: member.calls[-1] == READABLE | WRITABLE)
-            crowd.forget(descriptor)
+            epoll_set.forget(descriptor)
             called = len(member.calls)
             for _ in range(5):
                 await asyncio.sleep(0)
@@ -65,34 +65,34 @@ def test_member_is_called_as_long_as_it_is_ready_and_until_it_is_forgotten(loop:
 @pytest.mark.parametrize("loop", LOOPS)
 def test_epoll_object_exists_only_while_somebody_is_watched(loop: str) -> None:
     async def main() -> None:
-        crowd = Crowd(asyncio.get_running_loop())
+        epoll_set = EpollSet(asyncio.get_running_loop())
         with readable(2) as (first, second):
             before = settled_handles()
             for _ in range(3):
-                crowd.watch(first, READABLE, Member())
-                crowd.watch(second, READABLE, Member())
-                assert (len(crowd), settled_handles()) == (2, before + 1)
+                epoll_set.watch(first, READABLE, Member())
+                epoll_set.watch(second, READABLE, Member())
+                assert (len(epoll_set), settled_handles()) == (2, before + 1)
                 await asyncio.sleep(0)
-                crowd.forget(first)
-                crowd.forget(second)
-                assert (len(crowd), settled_handles()) == (0, before)
+                epoll_set.forget(first)
+                epoll_set.forget(second)
+                assert (len(epoll_set), settled_handles()) == (0, before)
 
     run_on(loop, main)
 
 
 async def test_member_that_another_one_removes_in_the_same_look_is_not_called() -> None:
-    crowd = Crowd(asyncio.get_running_loop())
+    epoll_set = EpollSet(asyncio.get_running_loop())
     with readable(2) as (first, second):
         members: dict[int, Member] = {}
 
         def remove_all() -> None:
-            crowd.forget(first)
-            crowd.forget(second)
+            epoll_set.forget(first)
+            epoll_set.forget(second)
 
         for descriptor in (first, second):
             members[descriptor] = Member(remove_all)
-            crowd.watch(descriptor, READABLE, members[descriptor])
-        await until(lambda: not len(crowd))
+            epoll_set.watch(descriptor, READABLE, members[descriptor])
+        await until(lambda: not len(epoll_set))
         for _ in range(3):
             await asyncio.sleep(0)
         assert sum(len(one.calls) for one in members.values()) == 1
@@ -105,11 +105,11 @@ def test_with_everybody_ready_all_the_time_each_has_a_turn_and_so_have_the_timer
 
     async def main() -> None:
         nonlocal turns
-        crowd = Crowd(asyncio.get_running_loop())
+        epoll_set = EpollSet(asyncio.get_running_loop())
         with readable(size) as descriptors:
             members = [Member() for _ in descriptors]
             for descriptor, member in zip(descriptors, members, strict=True):
-                crowd.watch(descriptor, READABLE, member)
+                epoll_set.watch(descriptor, READABLE, member)
             timed = asyncio.Event()
             asyncio.get_running_loop().call_later(0, timed.set)
             while not (timed.is_set() and all(len(one.calls) >= 2 for one in members)):
@@ -120,37 +120,37 @@ def test_with_everybody_ready_all_the_time_each_has_a_turn_and_so_have_the_timer
             calls = [len(one.calls) for one in members]
             assert max(calls) - min(calls) <= 2
             for descriptor in descriptors:
-                crowd.forget(descriptor)
+                epoll_set.forget(descriptor)
 
     run_on(loop, main)
     assert turns >= 4
 
 
 async def test_descriptor_that_can_not_be_watched_is_refused_and_nothing_stays() -> None:
-    crowd = Crowd(asyncio.get_running_loop())
+    epoll_set = EpollSet(asyncio.get_running_loop())
     before = settled_handles()
     never_ready = os.open(os.devnull, os.O_RDONLY)
     with pytest.raises(PermissionError):
-        crowd.watch(never_ready, READABLE, Member())
+        epoll_set.watch(never_ready, READABLE, Member())
     os.close(never_ready)
-    assert (len(crowd), settled_handles()) == (0, before)
+    assert (len(epoll_set), settled_handles()) == (0, before)
 
 
 async def test_descriptor_that_was_closed_under_its_member_can_still_be_forgotten() -> None:
-    crowd = Crowd(asyncio.get_running_loop())
+    epoll_set = EpollSet(asyncio.get_running_loop())
     here, there = socket.socketpair()
     with here, there:
-        crowd.watch(here.fileno(), READABLE, Member())
+        epoll_set.watch(here.fileno(), READABLE, Member())
         descriptor = here.fileno()
         here.close()
-        crowd.forget(descriptor)
-        assert len(crowd) == 0
+        epoll_set.forget(descriptor)
+        assert len(epoll_set) == 0
 
 
 @pytest.mark.parametrize("loop", LOOPS)
 def test_loops_of_asyncio_and_uvloop_have_a_crowd(loop: str) -> None:
     async def main() -> None:
-        assert crowd_for(asyncio.get_running_loop()) is not None
+        assert epoll_set_for(asyncio.get_running_loop()) is not None
 
     run_on(loop, main)
 
@@ -164,10 +164,10 @@ def test_loop_that_makes_servers_its_own_way_has_none() -> None:
         pass
 
     with contextlib.closing(Own()) as own, contextlib.closing(Usual()) as usual:
-        assert crowd_for(own) is None
-        assert crowd_for(usual) is not None
+        assert epoll_set_for(own) is None
+        assert epoll_set_for(usual) is not None
 
 
 async def test_system_without_epoll_objects_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(select, "epoll")
-    assert crowd_for(asyncio.get_running_loop()) is None
+    assert epoll_set_for(asyncio.get_running_loop()) is None

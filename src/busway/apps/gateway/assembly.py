@@ -35,9 +35,9 @@ from ...session.parameters import CLIENT_DEADLINE, ServerParameters
 from ...transport.tcp import SocketParameters
 from ...transport.tls.parameters import TlsParameters
 from ..server.configuration import Configuration, put_together
-from .gateway import OF_LINES, Front, Gateway, GatewayPlan, LineSettings
+from .gateway import OF_LINES, Gateway, GatewayListener, GatewayPlan, LineSettings
 from .routes import RoutingTable
-from .routing_table import PlacedFront, PlacedRoute, judge_routes, placed_routes, unit_gaps
+from .routing_table import PlacedListener, PlacedRoute, judge_routes, placed_routes, unit_gaps
 
 COMMAND = "busway gateway"
 """The name of what stands in no file."""
@@ -236,7 +236,7 @@ def _put_together(
     warnings = judge.end()
     plan = GatewayPlan(
         fronts=tuple(
-            Front(front.name, listener, front.deadline, _is_silent(file, front.place))
+            GatewayListener(front.name, listener, front.deadline, _is_silent(file, front.place))
             for front, listener in zip(fronts, listeners, strict=True)
         ),
         lines=tuple(replace(line, unit_gaps=unit_gaps(routes, name)) for name, line in lines.items()),
@@ -252,17 +252,17 @@ def _section_of(file: GatewayFile, place: Place) -> FrontSection | None:
     return file.listener[int(place[1])] if place[0] == "listener" else None
 
 
-def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedFront:
+def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedListener:
     section = _section_of(file, place)
     if section is None:
-        return PlacedFront(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
+        return PlacedListener(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
     is_chosen = "client_deadline" in section.model_fields_set
-    return PlacedFront(section.title, endpoint, place, section.client_deadline, is_chosen)
+    return PlacedListener(section.title, endpoint, place, section.client_deadline, is_chosen)
 
 
-def _named_apart(fronts: Sequence[PlacedFront]) -> list[PlacedFront]:
+def _named_apart(fronts: Sequence[PlacedListener]) -> list[PlacedListener]:
     """The fronts, each with a name of its own: a free port may be wanted twice by the same URL."""
-    named: dict[str, PlacedFront] = {}
+    named: dict[str, PlacedListener] = {}
     for front in fronts:
         name, number = front.name, 1
         while name in named:

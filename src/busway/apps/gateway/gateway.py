@@ -27,7 +27,7 @@ from ...codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint, parse_endpoint
 from ...pdu.functions import STANDARD, FunctionTable
-from ...server.authorisation import Authorise, everybody
+from ...server.authorisation import Authorise, allow_all
 from ...server.counters import ServerCounters
 from ...server.listener import Listener
 from ...server.local import LocalHandler
@@ -40,7 +40,7 @@ from ...session.handler import Handler
 from ...session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ...session.reconnect import ConnectionState
 from .functions import RememberingTable
-from .handler import FrontCounters, FrontHandler
+from .handler import GatewayListenerCounters, ListenerHandler
 from .lines import MAX_CONNECTIONS, Line, LineStatus
 from .own_unit import STATES, own_device
 from .routes import RoutingTable
@@ -61,7 +61,7 @@ _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value}
 
 
 @dataclass(frozen=True, slots=True)
-class Front:
+class GatewayListener:
     """Where clients reach the gateway.
 
     Attributes:
@@ -141,12 +141,12 @@ class LineSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class FrontStatus:
+class GatewayListenerStatus:
     """A front as a status shows it."""
 
     name: str
     server: ServerStatus
-    counters: FrontCounters
+    counters: GatewayListenerCounters
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ class GatewayStatus:
     running: bool
     uptime: float
     endpoints: tuple[str, ...]
-    fronts: tuple[FrontStatus, ...]
+    fronts: tuple[GatewayListenerStatus, ...]
     lines: tuple[LineStatus, ...]
     open_requests: int
 
@@ -209,13 +209,13 @@ class GatewayStatus:
 
 
 @dataclass(slots=True)
-class _RunningFront:
-    front: Front
-    handler: FrontHandler
+class _RunningListener:
+    front: GatewayListener
+    handler: ListenerHandler
     guard: PolicyHandler | None
     server: Server
 
-    def follow(self, front: Front) -> None:
+    def follow(self, front: GatewayListener) -> None:
         """Take on what differs beside the listener; connections stay."""
         self.front = front
         self.handler.deadline = front.deadline
@@ -235,7 +235,7 @@ class GatewayPlan:
         server: options of `Server` that hold for all fronts (parameters, limits, sockets, policy, audit …).
     """
 
-    fronts: tuple[Front, ...]
+    fronts: tuple[GatewayListener, ...]
     lines: tuple[LineSettings, ...]
     table: RoutingTable
     own_unit: int | None = TCP_DEVICE_UNIT
@@ -283,7 +283,7 @@ class Gateway:
         self,
         plan: GatewayPlan,
         *,
-        authorise: Authorise = everybody,
+        authorise: Authorise = allow_all,
         policy: Policy | None = None,
         audit: "AuditLog | None" = None,
         wrap: Callable[[Handler], Handler] | None = None,
@@ -294,7 +294,7 @@ class Gateway:
         self._audit = audit
         self._rates: dict[str, Rates] = {}
         self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
-        self._fronts: dict[str, _RunningFront] = {}
+        self._fronts: dict[str, _RunningListener] = {}
         self._lines: dict[str, Line] = {}
         self._started = 0.0
         self._functions: FunctionTable = RememberingTable(plan.functions)
@@ -467,9 +467,9 @@ class Gateway:
         """As `Server.end_unauthorised`, for every front."""
         return sum(each.server.end_unauthorised() for each in self._running.values())
 
-    def is_marked(self, listener: str, host: str) -> bool:
+    def is_priority(self, listener: str, host: str) -> bool:
         """Whether a host has priority connections at the listener of a URL, as it is bound."""
-        return any(each.server.is_marked(listener, host) for each in self._running.values())
+        return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
         """Set the counters of fronts and lines to zero; connections and listeners stay as they are."""
@@ -498,7 +498,8 @@ class Gateway:
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self.endpoints),
             fronts=tuple(
-                FrontStatus(name, each.server.status(), each.handler.counters) for name, each in self._running.items()
+                GatewayListenerStatus(name, each.server.status(), each.handler.counters)
+                for name, each in self._running.items()
             ),
             lines=tuple(line.status() for line in self._lines.values()),
             open_requests=self.open_requests,
@@ -523,8 +524,10 @@ class Gateway:
     def _is_guarded(self) -> bool:
         return self._policy is not None or self._audit is not None
 
-    def _made(self, front: Front, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None) -> _RunningFront:
-        handler = FrontHandler(
+    def _made(
+        self, front: GatewayListener, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None
+    ) -> _RunningListener:
+        handler = ListenerHandler(
             front.name,
             self._functions,
             own=self._own,
@@ -546,9 +549,9 @@ class Gateway:
         server = Server((listener,), outer, authorise=self._authorise, **options)
         for wrap in self._wraps:
             server.wrap_handler(wrap)
-        return _RunningFront(front, handler, guard, server)
+        return _RunningListener(front, handler, guard, server)
 
-    def _follow(self, fronts: Iterable[_RunningFront]) -> None:
+    def _follow(self, fronts: Iterable[_RunningListener]) -> None:
         for each in fronts:
             each.handler.follow(self.plan.table.of_front(each.front.name), self._lines)
 
@@ -558,7 +561,7 @@ def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
-def _standard_port(front: Front, plan: GatewayPlan) -> bool | None:
+def _standard_port(front: GatewayListener, plan: GatewayPlan) -> bool | None:
     """Whether a front listens on 502 too: for a server with several listeners it is one of them that does."""
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.listener.endpoint) for one in plan.fronts}
@@ -593,7 +596,9 @@ def _open(line: Line, settings: LineSettings) -> None:
     line.leave_alone(settings.unit_gaps)
 
 
-def _changes(what: str, old: Mapping[str, Front | LineSettings], new: Iterable[Front | LineSettings]) -> Iterator[str]:
+def _changes(
+    what: str, old: Mapping[str, GatewayListener | LineSettings], new: Iterable[GatewayListener | LineSettings]
+) -> Iterator[str]:
     """What there is to say of fronts, or of lines."""
     names = set()
     for one in new:
@@ -633,7 +638,7 @@ def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoin
     units = ALL_UNITS if endpoint.framing == "mbap" else frozenset(range(1, 248))
     listeners = [one if isinstance(one, Listener) else Listener(one) for one in fronts]
     return GatewayPlan(
-        fronts=tuple(Front(parse_endpoint(one.endpoint).url, one) for one in listeners),
+        fronts=tuple(GatewayListener(parse_endpoint(one.endpoint).url, one) for one in listeners),
         lines=(LineSettings.of("line", line, **options),),
         table=RoutingTable((Route(line="line", units=units),)),
     )

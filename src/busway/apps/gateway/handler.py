@@ -6,7 +6,7 @@ Knows routes, lines and the gateway's own unit; knows no bytes (Messaging on TCP
    takes it only where a route lets the front write so to each of its units, and the policy the client: all of them
    will hear it.
 2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
-   front is silent there, because it never hears of those units (`FrontHandler.serial_units`).
+   front is silent there, because it never hears of those units (`ListenerHandler.serial_units`).
 3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
    not frame it. A function that is not known is forwarded unread.
 """
@@ -24,16 +24,16 @@ from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...session.forwarding import ForwardPlan, ForwardPlans
 from ...session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
-from .bunches import ReadWay, bunch_plan
 from .lines import Line
-from .routes import Action, FrontRoutes, Route, Straddles
+from .read_batches import ReadTarget, batch_plan
+from .routes import Action, ListenerRoutes, Route, Straddles
 from .translation import behind, echo
 
 _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 
 @dataclass(slots=True)
-class FrontCounters:
+class GatewayListenerCounters:
     """What became of the requests of a front that no line has counted.
 
     Attributes:
@@ -62,7 +62,7 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
     return 0
 
 
-class FrontHandler:
+class ListenerHandler:
     """The handler of one front.
 
     Attributes:
@@ -90,19 +90,19 @@ class FrontHandler:
         self.name = name
         self.functions = functions
         self.generation = 0
-        self.counters = FrontCounters()
+        self.counters = GatewayListenerCounters()
         self.deadline = deadline
         self.silent_broadcasts = silent_broadcasts
         self._own = own
         self._own_unit = own_unit
         self.refusal_of: RefusalOf = _no_refusal
-        self._routes = FrontRoutes(())
+        self._routes = ListenerRoutes(())
         self._lines: Mapping[str, Line] = {}
         self._serial_units: set[int] = set()
         self._plans = ForwardPlans()
-        self._ways: dict[tuple[str, int, float | None], ReadWay] = {}
+        self._ways: dict[tuple[str, int, float | None], ReadTarget] = {}
 
-    def follow(self, routes: FrontRoutes, lines: Mapping[str, Line]) -> None:
+    def follow(self, routes: ListenerRoutes, lines: Mapping[str, Line]) -> None:
         """Route by these from now on; what is on its way stays there."""
         self._routes = routes
         self._lines = lines
@@ -151,8 +151,8 @@ class FrontHandler:
         key = line.name, unit, found.timeout
         way = self._ways.get(key)
         if way is None:
-            way = self._ways[key] = ReadWay(self, line, unit, found.timeout)
-        return bunch_plan(way, context.unit, asked)
+            way = self._ways[key] = ReadTarget(self, line, unit, found.timeout)
+        return batch_plan(way, context.unit, asked)
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Forward, answer for the gateway itself, or say why not."""

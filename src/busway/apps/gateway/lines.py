@@ -22,7 +22,7 @@ from functools import partial
 
 from ...client.connector import connector_for
 from ...client.conversation import conversation_for
-from ...client.link import Link
+from ...client.link import AsyncLinkDriver
 from ...client.settings import LinkSettings
 from ...codes import ExceptionCode
 from ...errors import ConfigError, InvalidRequest, LinkDown, ModbusError, NoReply
@@ -30,18 +30,18 @@ from ...pdu.general import ExceptionResponse
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...pdu.wide import MAX_DATA, NARROW, wide
-from ...server.diagnosis import Lamp, Lamps
+from ...server.diagnosis import StatusIndicator, StatusIndicators
 from ...session.breaker import BreakerState
+from ...session.call import Call
+from ...session.call_tracker import ClientCounters
 from ...session.client import TcpClientSession
-from ...session.demand import Demand
 from ...session.handler import LATER, Deferral, RequestContext
-from ...session.ledger import ClientCounters
 from ...session.reconnect import ConnectionEvent
 from ...session.serial_client import SerialClientSession
 from .answers import code_for
-from .bunches import FOR_EVER, Bunch, Bunches
 from .memory import Key, Memory, Place
 from .news import LineNews
+from .read_batches import FOR_EVER, ReadBatch, ReadBatches
 from .routes import Route
 from .translation import behind, in_front
 from .waiters import WaiterDeadlines
@@ -131,20 +131,22 @@ class LineStatus:
     endpoint: str
     links: tuple[LinkStatus, ...]
     counters: LineCounters
-    lamps: Lamps
+    lamps: StatusIndicators
 
 
 class _Exchange:
-    """One demand on a line, and everybody who waits for it. It has the face of a future for `Link.begin`."""
+    """One demand on a line, and everybody who waits for it. It has the face of a future for `AsyncLinkDriver.begin`."""
 
     # Most are one client's, and neither shared nor remembered: those have no slot to fill (1 of 15 µs).
     key: Key | None = None
     deadlines: WaiterDeadlines[RequestContext] | None = None  # where several wait
     since: int = 0
     began: float = 0.0
-    demand: Demand
+    call: Call
 
-    def __init__(self, line: "Line", link: Link, unit: int, waiter: tuple[RequestContext, Request, Route]) -> None:
+    def __init__(
+        self, line: "Line", link: AsyncLinkDriver, unit: int, waiter: tuple[RequestContext, Request, Route]
+    ) -> None:
         self.line = line
         self.link = link
         self.unit = unit
@@ -200,16 +202,16 @@ class Line:
         self.counters = LineCounters()
         self._connections = connections
         self._clock = clock
-        self._links: list[Link] = []
+        self._links: list[AsyncLinkDriver] = []
         self._keeper: asyncio.Task[None] | None = None  # of a serial port
         self._port_gone = asyncio.Event()
         is_port = settings.endpoint.carrier == "serial"
         self.news = LineNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
-        self._link_of: OrderedDict[str, Link] = OrderedDict()  # by client; who asked last comes last
-        self._users: dict[Link, int] = {}  # how many of them each has
+        self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; who asked last comes last
+        self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
-        self.memory: Memory[_Exchange | Bunch] = Memory(self._width, same_device)
-        self.bunches = Bunches(self)
+        self.memory: Memory[_Exchange | ReadBatch] = Memory(self._width, same_device)
+        self.bunches = ReadBatches(self)
         self._open = 0
         self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open
 
@@ -223,7 +225,7 @@ class Line:
             session = conversation_for(self.settings)
             session.serve_units_in_turn()
             connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
-            link = Link(connector, session, self.settings)
+            link = AsyncLinkDriver(connector, session, self.settings)
             if isinstance(session, TcpClientSession):
                 link.watch = partial(self.bunches.look, session)
             link.told = self._told
@@ -231,7 +233,7 @@ class Line:
             if self.settings.endpoint.carrier == "serial":
                 self._keeper = asyncio.get_running_loop().create_task(self._keep_open(link))
 
-    async def _keep_open(self, link: Link) -> None:
+    async def _keep_open(self, link: AsyncLinkDriver) -> None:
         """Have the port open, now and whenever it has gone."""
         while True:
             self._port_gone.clear()
@@ -375,25 +377,25 @@ class Line:
         self.counters.shared += 1
         exchange.waiters.append(waiter)
         waiter[0].gone = partial(self.gone, exchange, waiter[0])
-        demand, now = exchange.demand, exchange.link.now()
+        call, now = exchange.call, exchange.link.now()
         if exchange.deadlines is None:
             exchange.deadlines = WaiterDeadlines(
                 exchange.link.now, exchange.link.call_at, partial(self._time_is_over, exchange)
             )
-            if demand.deadline is not None:
+            if call.deadline is not None:
                 for context, _, _ in exchange.waiters[:-1]:
-                    exchange.deadlines.add(context, demand.deadline)
+                    exchange.deadlines.add(context, call.deadline)
         if deadline is not None:
             exchange.deadlines.add(waiter[0], now + deadline)
-        if demand.deadline is not None:  # whoever came first may have less time than who comes now
-            demand.deadline = max(demand.deadline, now + (FOR_EVER if deadline is None else deadline))
+        if call.deadline is not None:  # whoever came first may have less time than who comes now
+            call.deadline = max(call.deadline, now + (FOR_EVER if deadline is None else deadline))
 
     def _time_is_over(self, exchange: _Exchange, context: RequestContext) -> None:
         """One of those who share a read waits no longer; the others do."""
         if not any(one[0] is context for one in exchange.waiters):
             return  # he has gone
         self._withdraw(exchange, context)
-        if exchange.demand.next or exchange.demand.attempts:
+        if exchange.call.next or exchange.call.attempts:
             error = NoReply("no answer before the deadline of the call", attempt=1)
         else:
             error = NoReply("the deadline passed in the queue; nothing was sent")
@@ -412,7 +414,7 @@ class Line:
         link = exchange.link
         now = link.now()
         is_write = exchange.is_write
-        demand = exchange.demand = Demand(
+        call = exchange.call = Call(
             exchange.unit,
             sent,
             is_write=is_write,
@@ -421,7 +423,7 @@ class Line:
             deadline=None if deadline is None else now + deadline,
             caller=context.peer,
         )
-        demand.owner = exchange
+        call.owner = exchange
         # All before it begins: it may end at once, while a connection is made anew.
         self.add_open(1)
         if is_write:
@@ -431,14 +433,14 @@ class Line:
             if route.cache is not None:
                 exchange.began = self._clock()
         try:
-            link.begin(demand, now)
+            link.begin(call, now)
         except ModbusError as error:
             self._leave(exchange)
             return error
         self.counters.forwarded += 1
         return None
 
-    def link_for(self, client: str) -> Link | None:
+    def link_for(self, client: str) -> AsyncLinkDriver | None:
         """The connection that the requests of a client (``host:port``) use; None while the line is closed."""
         links = self._links
         if len(links) < 2:
@@ -460,9 +462,9 @@ class Line:
     def ended(self, exchange: _Exchange) -> None:
         """A demand has all its outcomes: answer everybody who waits for it."""
         self._leave(exchange)
-        demand = exchange.demand
+        call = exchange.call
         replies: list[Message] = []
-        for outcome in demand.outcomes:
+        for outcome in call.outcomes:
             if isinstance(outcome, Message):
                 replies.append(outcome)
             elif outcome is not None:
@@ -472,7 +474,7 @@ class Line:
                 return
         self.counters.answered += 1
         for context, request, route in exchange.waiters:
-            reply = in_front(request, route, demand.requests, replies)
+            reply = in_front(request, route, call.requests, replies)
             if route.cache is not None and exchange.began:
                 self._remember(exchange, request, route, reply)
             context.reply(reply)
@@ -505,12 +507,12 @@ class Line:
     def _withdraw(self, exchange: _Exchange, context: RequestContext) -> None:
         """One of those who wait does not any more."""
         exchange.waiters = [one for one in exchange.waiters if one[0] is not context]
-        demand = exchange.demand
-        if not exchange.waiters and not demand.ended:
-            if demand.is_write and (demand.next or demand.attempts):
+        call = exchange.call
+        if not exchange.waiters and not call.ended:
+            if call.is_write and (call.next or call.attempts):
                 return  # it is on the wire: nobody may share or recall a read until it has ended
             self._leave(exchange)
-            exchange.link.give_up(demand)
+            exchange.link.give_up(call)
 
     def _leave(self, exchange: _Exchange) -> None:
         self.add_open(-1)
@@ -522,17 +524,17 @@ class Line:
             self.memory.read_ended(exchange.unit, exchange.key, exchange)
 
 
-def _lamps(links: Sequence[LinkStatus]) -> Lamps:
+def _lamps(links: Sequence[LinkStatus]) -> StatusIndicators:
     """What the lamps of a line show."""
     is_faulty = not links or any(link.reason for link in links)
-    return Lamps(
-        Lamp.ON if any(link.in_flight for link in links) else Lamp.OFF,
-        Lamp.FLASHING if is_faulty else Lamp.OFF,
-        Lamp.OFF if is_faulty else Lamp.ON,
+    return StatusIndicators(
+        StatusIndicator.ON if any(link.in_flight for link in links) else StatusIndicator.OFF,
+        StatusIndicator.FLASHING if is_faulty else StatusIndicator.OFF,
+        StatusIndicator.OFF if is_faulty else StatusIndicator.ON,
     )
 
 
-def _suspended(link: Link) -> tuple[SuspendedUnit, ...]:
+def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:
     """The units that are not asked now."""
     session = link.session
     if session.breakers is None:

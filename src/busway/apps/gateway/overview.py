@@ -9,7 +9,7 @@ from ...client.conversation import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ..server.overview import Row, overview
 from .assembly import GatewayConfiguration
-from .gateway import Front, GatewayPlan, LineSettings
+from .gateway import GatewayListener, GatewayPlan, LineSettings
 from .routes import ALL_UNITS, Action, Route, units_text
 from .routing_table import PlacedRoute, worst_case
 
@@ -48,7 +48,7 @@ def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
         )
 
 
-def _front(front: Front, row: Row) -> Iterator[str]:
+def _front(front: GatewayListener, row: Row) -> Iterator[str]:
     if front.name != row[1]:
         yield row[1]
     yield row[2]

@@ -153,7 +153,7 @@ class Straddles:
     route: Route
 
 
-class FrontRoutes:
+class ListenerRoutes:
     """The routes of one front, by unit."""
 
     __slots__ = ("_by_unit", "_segments")
@@ -260,7 +260,7 @@ class RoutingTable:
     """
 
     routes: tuple[Route, ...]
-    _of_front: dict[str, FrontRoutes] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _of_front: dict[str, ListenerRoutes] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for position, sentence in self.faults():
@@ -277,11 +277,11 @@ class RoutingTable:
                     f"never reached: {named} before it {'takes' if len(takers) == 1 else 'take'} all its requests",
                 )
 
-    def of_front(self, front: str) -> FrontRoutes:
+    def of_front(self, front: str) -> ListenerRoutes:
         """The routes of one front."""
         found = self._of_front.get(front)
         if found is None:
-            found = FrontRoutes([one for one in self.routes if not one.fronts or front in one.fronts])
+            found = ListenerRoutes([one for one in self.routes if not one.fronts or front in one.fronts])
             self._of_front[front] = found
         return found
 

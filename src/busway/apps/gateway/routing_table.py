@@ -38,7 +38,7 @@ _MOST_BITS = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedFront:
+class PlacedListener:
     """A front, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
 
     name: str
@@ -138,7 +138,7 @@ def _units_behind(line: LineSettings) -> frozenset[int]:
 def judge_routes(
     file: GatewayFile,
     routes: Sequence[PlacedRoute],
-    fronts: Sequence[PlacedFront],
+    fronts: Sequence[PlacedListener],
     lines: Mapping[str, LineSettings],
     policy: Policy | None,
     judge: Judge,
@@ -250,7 +250,7 @@ def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
 
 
 def _impossible_units(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]
 ) -> Faults:
     for placed in routes:
         route, section = placed.route, placed.section
@@ -315,7 +315,7 @@ def _touches(code: int, addresses: AddressRange) -> bool:
 
 
 def _impatient_clients(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]
 ) -> Faults:
     for front in fronts:
         if front.deadline is None or not front.is_chosen:
@@ -336,7 +336,7 @@ def _impatient_clients(
 
 
 def _lines_slower_than_the_default(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]
 ) -> Faults:
     """Lines whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
     deadline = next((one.deadline for one in fronts if one.deadline is not None and not one.is_chosen), None)
@@ -387,7 +387,7 @@ def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> Worst
     return WorstCase((1 + retries) * (timeout + beside) * pieces, text)
 
 
-def _fronts_without_units(file: GatewayFile, routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront]) -> Faults:
+def _fronts_without_units(file: GatewayFile, routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener]) -> Faults:
     own = file.gateway.own_unit
     for front in fronts:
         units = {unit for one in _of_front(routes, front) for unit in one.route.units}
@@ -399,17 +399,17 @@ def _fronts_without_units(file: GatewayFile, routes: Sequence[PlacedRoute], fron
             )
 
 
-def _idle_fronts(routes: Sequence[PlacedRoute], fronts: Sequence[PlacedFront]) -> Faults:
+def _idle_fronts(routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener]) -> Faults:
     for front in fronts:
         if not front.is_serial and not any(one.route.line for one in _of_front(routes, front)):
             yield front.place, "no route leads from here to a line"
 
 
-def _of_front(routes: Sequence[PlacedRoute], front: PlacedFront) -> list[PlacedRoute]:
+def _of_front(routes: Sequence[PlacedRoute], front: PlacedListener) -> list[PlacedRoute]:
     return [one for one in routes if not one.route.fronts or front.name in one.route.fronts]
 
 
-def _loops(file: GatewayFile, fronts: Sequence[PlacedFront], lines: Mapping[str, LineSettings]) -> Faults:
+def _loops(file: GatewayFile, fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]) -> Faults:
     """Lines that lead to the gateway itself, and ports that are wanted twice."""
     owners: dict[str, str] = {}
     for front in fronts:
@@ -481,4 +481,4 @@ def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults
             return
 
 
-__all__ = ["PlacedFront", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "unit_gaps", "worst_case"]
+__all__ = ["PlacedListener", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "unit_gaps", "worst_case"]

@@ -33,7 +33,7 @@ from ...transport.tls.parameters import OF_CLIENTS, TlsParameters
 
 if TYPE_CHECKING:
     from ...client.aio import AsyncLink
-    from ...client.blocking import Link
+    from ...client.blocking import BlockingLink
     from ...server.server import Server
 
 ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
@@ -108,7 +108,7 @@ class Configuration:
         link = self._link_to_open(name)
         return open_link(link.url, shared=shared, **link.options)
 
-    def connect(self, name: str, *, shared: bool = True) -> "Link":
+    def connect(self, name: str, *, shared: bool = True) -> "BlockingLink":
         """A named link for blocking programs, as `busway.connect` gives it. Raises `ConfigError` if there is none."""
         from ...client.blocking import connect
 

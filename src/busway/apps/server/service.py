@@ -22,7 +22,7 @@ from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy, Rule
 from ...config.certificates import tls_of, try_certificates
 from ...config.files.system import SystemFile
-from ...config.live_access import NETWORK_SCHEMES, Entrance, reaches_network, read_only_for
+from ...config.live_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
 from ...config.unhurried import collecting_paused, keep_uncollected, let_go
 from ...errors import ConfigError
 from ...server.listener import Listener
@@ -192,8 +192,8 @@ class Service:
         self.read_only: tuple[str, ...] = ()
         self.metrics = ""
         self._rules = self._wishes.rules(self.configuration)
-        self._entrance = Entrance()
-        self._entrances: dict[str, Entrance] = {}
+        self._allow_list = ReloadableAllowList()
+        self._allow_lists: dict[str, ReloadableAllowList] = {}
         self._audit: AuditLog | None = None
         self._is_guarded = False
         self._reloading = asyncio.Lock()
@@ -216,8 +216,8 @@ class Service:
 
         configuration, wishes = self.configuration, self._wishes
         listeners = self._listeners(configuration)
-        self._entrance.lists = self._lists(self._rules)
-        options: dict[str, Any] = {"authorise": self._entrance}  # as `busway.serve` takes them
+        self._allow_list.lists = self._lists(self._rules)
+        options: dict[str, Any] = {"authorise": self._allow_list}  # as `busway.serve` takes them
         self._is_guarded = (
             self._rules is not None or wishes.can_reload or any(reaches_network(str(one.endpoint)) for one in listeners)
         )
@@ -300,7 +300,7 @@ class Service:
         if self._is_guarded and (followed or reading.are_other_rules):
             self._rules = rules
             self._replace_policy()
-        self._entrance.lists = self._lists(rules)
+        self._allow_list.lists = self._lists(rules)
         if self._replace_lists(new):
             done.append("the address lists of listeners were replaced")
         ended = self.server.end_unauthorised()
@@ -359,17 +359,17 @@ class Service:
         for one in configuration.listeners:
             if isinstance(one.access, AddressList):
                 # The same one for ever: what was started with it is not another for having other lists.
-                entrance = self._entrances.setdefault(str(one.endpoint), Entrance((one.access,)))
-                one = replace(one, access=entrance)
+                allow_list = self._allow_lists.setdefault(str(one.endpoint), ReloadableAllowList((one.access,)))
+                one = replace(one, access=allow_list)
             found.append(one)
         return found
 
     def _replace_lists(self, new: Declared) -> bool:
         changed = False
         for one in new.listeners:
-            entrance = self._entrances.get(str(one.endpoint))
-            if entrance is not None and isinstance(one.access, AddressList) and entrance.lists != (one.access,):
-                entrance.lists = (one.access,)
+            allow_list = self._allow_lists.get(str(one.endpoint))
+            if allow_list is not None and isinstance(one.access, AddressList) and allow_list.lists != (one.access,):
+                allow_list.lists = (one.access,)
                 changed = True
         return changed
 

@@ -23,7 +23,7 @@ from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
-from ...client.blocking import Unit
+from ...client.blocking import BlockingUnit
 from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, Table
 from ...config.files.behaviours import FASTEST, SLOWEST
 from ...config.files.device import OBJECT_NUMBERS
@@ -65,7 +65,7 @@ class Clone:
 
 
 def clone_points(
-    unit: Unit, points: Sequence[SimulatedPointSection], *, progress: Progress = lambda line: None
+    unit: BlockingUnit, points: Sequence[SimulatedPointSection], *, progress: Progress = lambda line: None
 ) -> Clone:
     """The unit with the points of a register map, each read once.
 
@@ -102,7 +102,7 @@ def clone_points(
 
 
 def clone_tables(
-    unit: Unit,
+    unit: BlockingUnit,
     *,
     ranges: Sequence[range] = RANGES,
     thorough: bool = False,
@@ -154,7 +154,7 @@ def clone_tables(
 
 
 def watch_points(
-    unit: Unit, clone: Clone, moments: Iterable[float], *, progress: Progress = lambda line: None
+    unit: BlockingUnit, clone: Clone, moments: Iterable[float], *, progress: Progress = lambda line: None
 ) -> Clone:
     """The clone with behaviours, learnt by reading its points again and again.
 
@@ -179,7 +179,7 @@ def watch_points(
     return Clone(clone.section.model_copy(update={**keys, "point": points}), clone.remarks)
 
 
-def _read_again(unit: Unit, point: SimulatedPointSection) -> float:
+def _read_again(unit: BlockingUnit, point: SimulatedPointSection) -> float:
     try:
         return float(point.physical(unit.read(point.place, point.form)))
     except ModbusError as error:
@@ -244,7 +244,7 @@ def _short(number: float) -> float:
 class _Recorder:
     """Reads points, and remembers registers that several of them share by bits."""
 
-    def __init__(self, unit: Unit) -> None:
+    def __init__(self, unit: BlockingUnit) -> None:
         self._unit = unit
         self._shared: dict[tuple[Table, int], int] = {}
         self._named: set[tuple[Table, int, int]] = set()
@@ -333,7 +333,7 @@ class _Scanner:
         refusal: the last answer that was one.
     """
 
-    def __init__(self, unit: Unit, table: Table, *, thorough: bool) -> None:
+    def __init__(self, unit: BlockingUnit, table: Table, *, thorough: bool) -> None:
         self._unit = unit
         self._table = table
         self._thorough = thorough
@@ -408,7 +408,7 @@ def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
     return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
 
 
-def _identity(unit: Unit, progress: Progress) -> dict[str, Any]:
+def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
     """The keys of a unit by which it is known: its number, and what it says of itself."""
     keys: dict[str, Any] = {"unit": 1 if unit.number in _UNNAMED_UNITS else unit.number}
     objects = _objects(unit)
@@ -424,7 +424,7 @@ def _identity(unit: Unit, progress: Progress) -> dict[str, Any]:
     return keys
 
 
-def _objects(unit: Unit) -> dict[int, bytes]:
+def _objects(unit: BlockingUnit) -> dict[int, bytes]:
     """The identification objects of the highest level that the device has."""
     for level in _LEVELS:
         objects = _offered(partial(unit.read_device_identification, level))

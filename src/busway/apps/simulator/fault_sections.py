@@ -13,12 +13,12 @@ from ...config.files.schema import Source
 from ...errors import ConfigError
 from ...faults.board import FaultBoard
 from ...faults.fault import Schedule
-from ...faults.profile import Personality, PersonalityTable
-from ...faults.profiles import PERSONALITIES
+from ...faults.profile import FaultProfile, FaultyTable
+from ...faults.profiles import FAULT_PROFILES
 
 
 def fault_problems(
-    sections: Iterable[FaultSection], source: Source, personalities: PersonalityTable = PERSONALITIES
+    sections: Iterable[FaultSection], source: Source, personalities: FaultyTable = FAULT_PROFILES
 ) -> list[ConfigError]:
     """What the schema can not know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
 
@@ -39,7 +39,7 @@ def fault_problems(
     return found
 
 
-def _section_problems(section: FaultSection, personalities: PersonalityTable) -> Iterator[tuple[Path, str]]:
+def _section_problems(section: FaultSection, personalities: FaultyTable) -> Iterator[tuple[Path, str]]:
     personality = personalities.get(section.personality)
     if personality is None:
         try:
@@ -110,7 +110,7 @@ def put_on_by_words(board: FaultBoard, text: str) -> str:
     return _put_on(board, section, section.name)
 
 
-def personality_lines(personalities: PersonalityTable = PERSONALITIES) -> list[str]:
+def personality_lines(personalities: FaultyTable = FAULT_PROFILES) -> list[str]:
     """What ``--list-faults`` shows: each personality with what happens, and its parameters below."""
     width = max(len(name) for name in personalities)
     lines = []
@@ -120,7 +120,7 @@ def personality_lines(personalities: PersonalityTable = PERSONALITIES) -> list[s
     return lines
 
 
-def _parameter_lines(personality: Personality) -> Iterator[str]:
+def _parameter_lines(personality: FaultProfile) -> Iterator[str]:
     for one in personality.parameters.values():
         given = "" if one.default is None else f"={_shown(one.default)}"
         within = f" ({one.range_text})" if one.range_text else ""

@@ -16,7 +16,7 @@ from ...errors import ModbusError
 from ...values.refusal import shown
 from ...version import __version__
 from ..control.plain import plain
-from .faults import all_faults, all_personalities, fault_named, put_on
+from .faults import all_fault_profiles, all_faults, fault_named, put_on
 from .messages import (
     Answer,
     Connections,
@@ -316,7 +316,7 @@ class Api:
 
     async def list_faults(self, call: Call) -> Answer:
         """Faults and personalities."""
-        return Faults(faults=self.faults(), personalities=all_personalities(self.board))
+        return Faults(faults=self.faults(), personalities=all_fault_profiles(self.board))
 
     async def add_fault(self, call: Call) -> Answer:
         """Put one on."""

@@ -8,8 +8,8 @@ from typing import Any
 
 from ...errors import ConfigError
 from ...faults.fault import Schedule, Selection
-from ...faults.profile import Personality
-from .messages import FaultAnswer, NewFault, ParameterAnswer, PersonalityAnswer, plain_value, plain_values
+from ...faults.profile import FaultProfile
+from .messages import FaultAnswer, FaultyAnswer, NewFault, ParameterAnswer, plain_value, plain_values
 from .subject import Board
 
 
@@ -18,7 +18,7 @@ def all_faults(board: Board) -> list[FaultAnswer]:
     return [_fault(one) for one in board.list()]
 
 
-def all_personalities(board: Board) -> list[PersonalityAnswer]:
+def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
     """All that can be put on."""
     return [_personality(one) for one in board.personalities.values()]
 
@@ -90,8 +90,8 @@ def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of severa
     return shown
 
 
-def _personality(personality: Personality) -> PersonalityAnswer:
-    return PersonalityAnswer(
+def _personality(personality: FaultProfile) -> FaultyAnswer:
+    return FaultyAnswer(
         name=personality.name,
         happens=personality.happens,
         answer=personality.answer,

@@ -140,7 +140,7 @@ class ParameterAnswer(Answer):
     range: str = ""
 
 
-class PersonalityAnswer(Answer):
+class FaultyAnswer(Answer):
     """A way to misbehave."""
 
     name: str
@@ -166,7 +166,7 @@ class Faults(Answer):
     """Faults that were put on, and those that can be."""
 
     faults: list[FaultAnswer]
-    personalities: list[PersonalityAnswer]
+    personalities: list[FaultyAnswer]
 
 
 class NewSchedule(Asked):

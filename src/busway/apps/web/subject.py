@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from ...codes import Table
 from ...faults.fault import Schedule
-from ...faults.profile import PersonalityTable
+from ...faults.profile import FaultyTable
 from ...server.status import ServerStatus
 
 
@@ -97,7 +97,7 @@ class Board(Protocol):
     """Faults by name; `busway.faults.board.FaultBoard` says what each of these does."""
 
     @property
-    def personalities(self) -> PersonalityTable: ...
+    def personalities(self) -> FaultyTable: ...
 
     def add(
         self,

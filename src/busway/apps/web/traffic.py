@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ...errors import ConfigError
 from ...framing.mbap import FrameKind, MbapReceiver
 from ...framing.received import Damaged, Direction, Received
-from ...observe.ends import Ends
+from ...observe.ends import SocketAddresses
 from ...observe.trace import TRACE
 from ...observe.wording import described, in_words
 from ...pdu.functions import STANDARD, FunctionTable
@@ -167,7 +167,7 @@ class Traffic:
 
     # What the trace asks of whatever records.
 
-    def connection(self, ends: Ends) -> "ConnectionRecorder":
+    def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
         """A connection between these ends."""
         onward = None if self._before is None else self._before.connection(ends)
         local = ends.local

@@ -5,7 +5,7 @@ Knows the list; each personality stands in the file of its kind.
 
 from typing import Final
 
-from ..profile import PersonalityTable
+from ..profile import FaultyTable
 from .connections import CLOSE_IF_SILENT, EXECUTE_THEN_DROP, IDLE_CLOSE, SINGLE_CLIENT
 from .contents import DRIBBLE, GLUE, LONG, SHORT, WIDE_REGISTER, WRONG_ECHO
 from .identifiers import (
@@ -21,7 +21,7 @@ from .lines import BROADCAST_REPLY, ECHO, LEADING_ZERO, NOISE
 from .refusals import BUSY, FC6_ONLY, FC16_ONLY, HOLE, MAX_BLOCK, ODD_EXCEPTION
 from .timing import LATE, MIN_GAP, MUTE_AFTER_CONNECT, QUEUE_LAG, UNIT_SWITCH, WEDGED
 
-PERSONALITIES: Final = PersonalityTable(
+FAULT_PROFILES: Final = FaultyTable(
     LATE,
     QUEUE_LAG,
     FOREIGN_TRANSACTION,

@@ -4,7 +4,7 @@ from typing import Annotated
 from weakref import WeakSet
 
 from ..fault import SILENCE, Contact, Emission, Exchange, Fault
-from ..profile import Carrier, Personality, Says, in_seconds
+from ..profile import Carrier, FaultProfile, Says, in_seconds
 
 _CONNECTIONS = frozenset({Carrier.CONNECTION})
 
@@ -50,7 +50,7 @@ def _execute_then_drop() -> Fault:
     return Fault(answered=answered)
 
 
-CLOSE_IF_SILENT = Personality(
+CLOSE_IF_SILENT = FaultProfile(
     "close-if-silent",
     "closes a connection on which nothing is sent soon",
     ("huawei_solar#1436",),
@@ -58,7 +58,7 @@ CLOSE_IF_SILENT = Personality(
     _close_if_silent,
     _CONNECTIONS,
 )
-SINGLE_CLIENT = Personality(
+SINGLE_CLIENT = FaultProfile(
     "single-client",
     "refuses or starves the second connection",
     ("home-assistant/core#149494",),
@@ -66,7 +66,7 @@ SINGLE_CLIENT = Personality(
     _single_client,
     _CONNECTIONS,
 )
-IDLE_CLOSE = Personality(
+IDLE_CLOSE = FaultProfile(
     "idle-close",
     "closes a connection that was idle for a while",
     ("core#101982",),
@@ -74,7 +74,7 @@ IDLE_CLOSE = Personality(
     _idle_close,
     _CONNECTIONS,
 )
-EXECUTE_THEN_DROP = Personality(
+EXECUTE_THEN_DROP = FaultProfile(
     "execute-then-drop",
     "performs a write and closes the connection before the reply",
     ("grid-x/modbus#133",),

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from ...codes import FunctionCode
 from ..fault import Emission, Exchange, Fault
-from ..profile import Personality, Says, in_seconds
+from ..profile import FaultProfile, Says, in_seconds
 
 _READS_REGISTERS = frozenset({FunctionCode.READ_HOLDING_REGISTERS, FunctionCode.READ_INPUT_REGISTERS})
 _ECHOES = frozenset(
@@ -103,42 +103,42 @@ def _glue(
     return Fault(answered=answered)
 
 
-WIDE_REGISTER = Personality(
+WIDE_REGISTER = FaultProfile(
     "wide-register",
     "4 to 12 bytes for one register",
     ("libmodbus#695",),
     "ends with `BadReply`, unless the link is told their width with `register_width`",
     _wide_register,
 )
-SHORT = Personality(
+SHORT = FaultProfile(
     "short",
     "a reply with bytes missing",
     ("phpmodbus#14",),
     "ends with `BadReply` and the bytes; where the header promises more, with `NoReply` of the kind partial",
     _short,
 )
-LONG = Personality(
+LONG = FaultProfile(
     "long",
     "a reply with bytes too many",
     ("esphome#2893",),
     "ends with `BadReply` and the bytes; bytes between frames end the connection",
     _long,
 )
-WRONG_ECHO = Personality(
+WRONG_ECHO = FaultProfile(
     "wrong-echo",
     "the reply to a write differs from the request",
     ("libmodbus#868",),
     "ends with `WriteOutcomeUnknown`, caused by a `BadReply` with the bytes",
     _wrong_echo,
 )
-DRIBBLE = Personality(
+DRIBBLE = FaultProfile(
     "dribble",
     "one byte at a time",
     ("pymodbus#688",),
     "puts the frame together",
     _dribble,
 )
-GLUE = Personality(
+GLUE = FaultProfile(
     "glue",
     "several frames in one segment",
     ("pymodbus#688",),

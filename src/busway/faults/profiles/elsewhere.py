@@ -6,7 +6,7 @@ Knows names and words; they stand here so that the documentation's table has eve
 from dataclasses import dataclass
 from typing import Final
 
-from ..clients import CLIENT_PERSONALITIES
+from ..clients import CLIENT_FAULT_PROFILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +14,7 @@ class PlayedElsewhere:
     """A personality that is not switched on at a server.
 
     Attributes:
-        name, happens, seen_in, answer: as of `Personality`.
+        name, happens, seen_in, answer: as of `FaultProfile`.
         played_by: what plays it, and why a server's fault can not.
     """
 
@@ -49,7 +49,7 @@ ELSEWHERE: Final = {
             PlayedElsewhere(
                 one.name, one.happens, one.seen_in, one.answer, "it is one of clients: `misbehaving_client`"
             )
-            for one in CLIENT_PERSONALITIES.values()
+            for one in CLIENT_FAULT_PROFILES.values()
         ),
     )
 }

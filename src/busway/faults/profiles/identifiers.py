@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Annotated
 
 from ..fault import Emission, Exchange, Fault
-from ..profile import Carrier, Personality, Says
+from ..profile import Carrier, FaultProfile, Says
 
 _TCP = frozenset({Carrier.TCP})
 
@@ -49,7 +49,7 @@ _UNIT_POLICY = (
     "only with one request in flight"
 )
 
-FOREIGN_TRANSACTION = Personality(
+FOREIGN_TRANSACTION = FaultProfile(
     "foreign-transaction",
     "replies that are meant for another client",
     ("tmodbus#88",),
@@ -57,7 +57,7 @@ FOREIGN_TRANSACTION = Personality(
     _foreign_transaction,
     _TCP,
 )
-TRANSACTION_PLUS_ONE = Personality(
+TRANSACTION_PLUS_ONE = FaultProfile(
     "transaction+1",
     "the identifier of the reply is one more than that of the request",
     ("sunsynk#680",),
@@ -65,7 +65,7 @@ TRANSACTION_PLUS_ONE = Personality(
     _transaction(lambda exchange: exchange.transaction + 1),
     _TCP,
 )
-TRANSACTION_ZERO = Personality(
+TRANSACTION_ZERO = FaultProfile(
     "transaction=0",
     "the identifier of the reply is 0",
     ("Modbus#18",),
@@ -73,7 +73,7 @@ TRANSACTION_ZERO = Personality(
     _transaction(lambda exchange: 0),
     _TCP,
 )
-TRANSACTION_RANDOM = Personality(
+TRANSACTION_RANDOM = FaultProfile(
     "transaction=random",
     "the identifier of the reply is any number",
     ("sunsynk#532",),
@@ -81,6 +81,6 @@ TRANSACTION_RANDOM = Personality(
     _transaction(lambda exchange: exchange.random.getrandbits(16)),
     _TCP,
 )
-UNIT_255 = Personality("unit=255", "answers as unit 255", ("sunsynk#532",), _UNIT_POLICY, _unit(255))
-UNIT_0 = Personality("unit=0", "answers as unit 0", ("pymodbus#2571",), _UNIT_POLICY, _unit(0))
-UNIT_1 = Personality("unit=1", "answers as unit 1", ("sunsynk#532",), _UNIT_POLICY, _unit(1))
+UNIT_255 = FaultProfile("unit=255", "answers as unit 255", ("sunsynk#532",), _UNIT_POLICY, _unit(255))
+UNIT_0 = FaultProfile("unit=0", "answers as unit 0", ("pymodbus#2571",), _UNIT_POLICY, _unit(0))
+UNIT_1 = FaultProfile("unit=1", "answers as unit 1", ("sunsynk#532",), _UNIT_POLICY, _unit(1))

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Annotated
 
 from ..fault import Emission, Exchange, Fault
-from ..profile import Carrier, Personality, Says
+from ..profile import Carrier, FaultProfile, Says
 
 _LINES = frozenset({Carrier.SERIAL})
 _LONGEST_JUNK = 250
@@ -63,7 +63,7 @@ def _broadcast_reply() -> Fault:
     return Fault(answered=answered)
 
 
-LEADING_ZERO = Personality(
+LEADING_ZERO = FaultProfile(
     "leading-zero",
     "zeros come before a reply, as when a driver is switched on",
     ("minimalmodbus#61",),
@@ -71,7 +71,7 @@ LEADING_ZERO = Personality(
     _leading_zero,
     _LINES,
 )
-NOISE = Personality(
+NOISE = FaultProfile(
     "noise",
     "junk before and behind replies",
     ("pymodbus#485",),
@@ -79,7 +79,7 @@ NOISE = Personality(
     _noise,
     _LINES,
 )
-ECHO = Personality(
+ECHO = FaultProfile(
     "echo",
     "the bytes of the request come back before the reply",
     ("pymodbus#2592", "libmodbus#34"),
@@ -87,7 +87,7 @@ ECHO = Personality(
     _echo,
     _LINES,
 )
-BROADCAST_REPLY = Personality(
+BROADCAST_REPLY = FaultProfile(
     "broadcast-reply",
     "answers what was sent to all",
     ("pymodbus#2378",),

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from ...codes import ExceptionCode, FunctionCode
 from ..fault import SILENCE, Exchange, Fault
-from ..profile import Personality, Says, in_seconds
+from ..profile import FaultProfile, Says, in_seconds
 
 _ANY_CODE = Says("exception code", 0, 255)
 _SINGLE = frozenset({FunctionCode.WRITE_SINGLE_COIL, FunctionCode.WRITE_SINGLE_REGISTER})
@@ -75,42 +75,42 @@ def _without(functions: frozenset[FunctionCode]) -> Callable[..., Fault]:
     return make
 
 
-MAX_BLOCK = Personality(
+MAX_BLOCK = FaultProfile(
     "max-block",
     "refuses more than some items in one request, or more than one",
     ("telegraf#16873", "telegraf#12071"),
     "passes the exception on; requests are split only where that is asked for",
     _max_block,
 )
-HOLE = Personality(
+HOLE = FaultProfile(
     "hole",
     "one missing item fails the whole block",
     ("hass-victron#465",),
     "passes exception 02 for the block on",
     _hole,
 )
-BUSY = Personality(
+BUSY = FaultProfile(
     "busy",
     "answers exception 06 for a minute",
     ("core#51103",),
     "passes the exception on, and serves other units meanwhile",
     _busy,
 )
-ODD_EXCEPTION = Personality(
+ODD_EXCEPTION = FaultProfile(
     "odd-exception",
     "an exception with an unknown code or a wrong length",
     ("digitalpetri/modbus#123",),
     "ends with `ExceptionReply` or `BadReply`, and never with a crash",
     _odd_exception,
 )
-FC6_ONLY = Personality(
+FC6_ONLY = FaultProfile(
     "fc6-only",
     "takes the functions that write one item (05, 06) and ignores those for several (15, 16)",
     ("ioBroker.modbus#811",),
     'writes with `function="single"`',
     _without(_MULTIPLE),
 )
-FC16_ONLY = Personality(
+FC16_ONLY = FaultProfile(
     "fc16-only",
     "takes the functions that write several items (15, 16) and ignores those for one (05, 06)",
     ("ioBroker.modbus#811",),

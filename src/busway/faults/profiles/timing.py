@@ -6,7 +6,7 @@ from typing import Annotated
 from weakref import WeakKeyDictionary
 
 from ..fault import SILENCE, Contact, Emission, Exchange, Fault
-from ..profile import Personality, Says, in_seconds
+from ..profile import FaultProfile, Says, in_seconds
 
 
 def _late(delay: Annotated[float, in_seconds("from request to reply")] = 1.5) -> Fault:
@@ -70,42 +70,42 @@ def _unit_switch() -> Fault:
     return Fault(asked=asked)
 
 
-LATE = Personality(
+LATE = FaultProfile(
     "late",
     "replies arrive after the timeout, in order, for ever",
     ("tmodbus#88", "goburrow/modbus#64"),
     "ends with an error that names the slow device and the observed delay; no wrong data; back in step alone",
     _late,
 )
-QUEUE_LAG = Personality(
+QUEUE_LAG = FaultProfile(
     "queue-lag",
     "replies run some requests behind",
     ("Growatt_ModbusTCP#317",),
     "never delivers them, and makes the connection anew; on a line, the same question twice can not be told apart",
     _queue_lag,
 )
-MUTE_AFTER_CONNECT = Personality(
+MUTE_AFTER_CONNECT = FaultProfile(
     "mute-after-connect",
     "ignores everything for some seconds after a connection was made",
     ("telegraf#11919",),
     "waits for `connect_delay` before its first request",
     _mute_after_connect,
 )
-WEDGED = Personality(
+WEDGED = FaultProfile(
     "wedged",
     "the socket is up and Modbus is dead",
     ("saj-r5-modbus#267",),
     "makes the connection anew after `recycle_after_timeouts` timeouts in a row",
     _wedged,
 )
-MIN_GAP = Personality(
+MIN_GAP = FaultProfile(
     "min-gap",
     "ignores requests that come too soon after its last reply",
     ("modbus_exporter#83", "core#50245"),
     "keeps `request_gap`, measured from the end of the reply",
     _min_gap,
 )
-UNIT_SWITCH = Personality(
+UNIT_SWITCH = FaultProfile(
     "unit-switch",
     "misses the first request after another unit was asked",
     ("mqmgateway#40",),

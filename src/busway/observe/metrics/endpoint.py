@@ -50,7 +50,7 @@ class CountsRefusals(Protocol):
 class MarksDevices(Protocol):
     """A source that has priority connections for some devices."""
 
-    def is_marked(self, listener: str, host: str) -> bool:
+    def is_priority(self, listener: str, host: str) -> bool:
         """Whether a host is marked at the listener of this URL."""
 
 
@@ -199,7 +199,7 @@ def refusals_of(handlers: Sequence[MeteredHandler]) -> Callable[[], Mapping[str,
 
 
 def _classify(source: MetricsSource) -> Classify:
-    return ClassifyByMark(source.is_marked) if isinstance(source, MarksDevices) else classify_by_listener
+    return ClassifyByMark(source.is_priority) if isinstance(source, MarksDevices) else classify_by_listener
 
 
 def _wrap(source: MetricsSource, classify: Classify) -> list[MeteredHandler]:

@@ -32,11 +32,11 @@ class ClassifyByMark:
     """`PeerClass.PRIORITY` for devices that are marked; otherwise as `classify_by_listener`.
 
     Args:
-        is_marked: whether the host at a peer's address is marked at a listener; asked once for each peer.
+        is_priority: whether the host at a peer's address is marked at a listener; asked once for each peer.
     """
 
-    def __init__(self, is_marked: Callable[[str, str], bool]) -> None:
-        self._is_marked = is_marked
+    def __init__(self, is_priority: Callable[[str, str], bool]) -> None:
+        self._is_priority = is_priority
         self._memo: dict[tuple[str, str], PeerClass] = {}
 
     def __call__(self, context: RequestContext) -> PeerClass:
@@ -46,7 +46,7 @@ class ClassifyByMark:
         if found is None:
             if len(self._memo) >= _MEMO_LIMIT:
                 self._memo.clear()
-            found = PeerClass.PRIORITY if self._is_marked(*key) else classify_by_listener(context)
+            found = PeerClass.PRIORITY if self._is_priority(*key) else classify_by_listener(context)
             self._memo[key] = found
         return found
 

@@ -1,4 +1,4 @@
-"""A connected stream socket in a `Crowd`, with the face and the manners of a transport of asyncio.
+"""A connected stream socket in a `EpollSet`, with the face and the manners of a transport of asyncio.
 
 Knows sockets and `asyncio.BufferedProtocol`; knows no Modbus.
 
@@ -18,17 +18,17 @@ import warnings
 from asyncio.trsock import TransportSocket
 from typing import Any, Final
 
-from .watcher import READABLE, WRITABLE, Crowd
+from .watcher import READABLE, WRITABLE, EpollSet
 
 _USUAL_HIGH: Final = 64 * 1024
 """Bytes that may wait to be sent until the protocol is asked to pause, where nothing else is said: as in asyncio."""
 
 
-class CrowdStream(asyncio.Transport):
+class EpollStream(asyncio.Transport):
     """The transport of one connection. Made with its socket; `begin` tells the protocol.
 
     Args:
-        crowd: where it waits.
+        epoll_set: where it waits.
         connection: connected and non-blocking; from now on the transport's own.
         protocol: whom it serves. One that receives is an `asyncio.BufferedProtocol`.
         peer: the address of the other end.
@@ -36,9 +36,9 @@ class CrowdStream(asyncio.Transport):
 
     __slots__ = (
         "_closing",
-        "_crowd",
         "_descriptor",
         "_ended",
+        "_epoll_set",
         "_events",
         "_finished",
         "_high",
@@ -53,9 +53,11 @@ class CrowdStream(asyncio.Transport):
         "_unsent",
     )
 
-    def __init__(self, crowd: Crowd, connection: socket.socket, protocol: asyncio.BaseProtocol, peer: object) -> None:
+    def __init__(
+        self, epoll_set: EpollSet, connection: socket.socket, protocol: asyncio.BaseProtocol, peer: object
+    ) -> None:
         # Without the dictionary that the base class would make: `get_extra_info` asks the socket.
-        self._crowd = crowd
+        self._epoll_set = epoll_set
         # A socket, and None behind the end. To say so would cost an assertion at every receive and every write.
         self._socket: Any = connection
         self._descriptor = connection.fileno()
@@ -317,12 +319,12 @@ class CrowdStream(asyncio.Transport):
             return
         if not wanted:
             self._events = 0
-            self._crowd.forget(self._descriptor)
+            self._epoll_set.forget(self._descriptor)
         elif watched:
             self._events = wanted
-            self._crowd.watch_for(self._descriptor, wanted)
+            self._epoll_set.watch_for(self._descriptor, wanted)
         else:
-            self._crowd.watch(self._descriptor, wanted, self)
+            self._epoll_set.watch(self._descriptor, wanted, self)
             self._events = wanted
 
     # The end.
@@ -352,7 +354,7 @@ class CrowdStream(asyncio.Transport):
 
     def _report(self, error: BaseException, message: str) -> None:
         context = {"message": message, "exception": error, "transport": self, "protocol": self._protocol}
-        self._crowd.loop.call_exception_handler(context)
+        self._epoll_set.loop.call_exception_handler(context)
 
     def _force_close(self, error: BaseException | None) -> None:
         if not self._lost:
@@ -364,10 +366,10 @@ class CrowdStream(asyncio.Transport):
         self._lost = True
         self._is_plain = False
         self._watch()
-        self._crowd.loop.call_soon(self._lose, error)
+        self._epoll_set.loop.call_soon(self._lose, error)
 
     def _lose(self, error: BaseException | None) -> None:
-        """Tell the protocol, and close the socket: in a turn of the loop of its own (rule 3 of `Crowd`)."""
+        """Tell the protocol, and close the socket: in a turn of the loop of its own (rule 3 of `EpollSet`)."""
         connection, protocol = self._socket, self._protocol
         assert connection is not None  # once
         try:

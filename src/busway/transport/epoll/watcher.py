@@ -42,7 +42,7 @@ class Member(Protocol):
         """
 
 
-class Crowd:
+class EpollSet:
     """Those who wait together, on one event loop.
 
     Args:
@@ -112,9 +112,9 @@ class Crowd:
                 member.ready(events)
 
 
-def crowd_for(loop: asyncio.AbstractEventLoop) -> Crowd | None:
+def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
     """A crowd for ``loop``; None where it can have none, and its own transports are to be used."""
-    return Crowd(loop) if can_watch(loop) else None
+    return EpollSet(loop) if can_watch(loop) else None
 
 
 def can_watch(loop: asyncio.AbstractEventLoop) -> bool:

@@ -8,35 +8,35 @@ from busway.errors import LinkDown, ModbusError, NoReply, Overloaded, WriteOutco
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.demand import Demand
-from busway.session.ledger import Ledger
+from busway.session.call import Call
+from busway.session.call_tracker import CallTracker
 from busway.session.parameters import ClientParameters
 
 READ, WRITE = ReadHoldingRegisters(5, 1), WriteSingleRegister(6, 1)
 
 
-def ledger(**options: Any) -> Ledger:
-    return Ledger(ClientParameters(**options), "tcp://192.0.2.5:502")
+def tracker(**options: Any) -> CallTracker:
+    return CallTracker(ClientParameters(**options), "tcp://192.0.2.5:502")
 
 
-def demand(*requests: Request, **options: Any) -> Demand:
+def call(*requests: Request, **options: Any) -> Call:
     values: dict[str, Any] = {"timeout": 1.0, "retries": 1, **options}
-    return Demand(3, requests, is_write=any(one.is_write for one in requests), **values)
+    return Call(3, requests, is_write=any(one.is_write for one in requests), **values)
 
 
-def send(book: Ledger, one: Demand) -> None:
+def send(book: CallTracker, one: Call) -> None:
     one.take(len(one.requests))
     book.queue.remove(one)
 
 
-def outcome(one: Demand, position: int = 0) -> Any:
+def outcome(one: Call, position: int = 0) -> Any:
     found = one.outcomes[position]
     assert isinstance(found, ModbusError)
     return found
 
 
 def test_a_demand_that_has_all_its_outcomes_is_finished_once() -> None:
-    book, one = ledger(), demand(READ, READ, deadline=9.0)
+    book, one = tracker(), call(READ, READ, deadline=9.0)
     book.submit(one, 1.0)
     assert (one.submitted, book.deadlines) == (1.0, 1)
     send(book, one)
@@ -48,10 +48,10 @@ def test_a_demand_that_has_all_its_outcomes_is_finished_once() -> None:
 
 
 def test_a_full_queue_says_whose_request_was_refused_and_counts_it() -> None:
-    book = ledger(queue=1)
-    book.submit(demand(READ, deadline=5.0), 0.0)
+    book = tracker(queue=1)
+    book.submit(call(READ, deadline=5.0), 0.0)
     with pytest.raises(Overloaded) as caught:
-        book.submit(demand(READ, deadline=5.0), 0.0)
+        book.submit(call(READ, deadline=5.0), 0.0)
     assert (caught.value.unit, caught.value.endpoint) == (3, "tcp://192.0.2.5:502")
     assert (book.counters.overloaded, book.deadlines) == (1, 1)
 
@@ -69,7 +69,7 @@ def test_a_full_queue_says_whose_request_was_refused_and_counts_it() -> None:
 def test_what_may_be_repeated_is_repeated_so_often(
     request_: Request, options: dict[str, Any], link_options: dict[str, Any], attempts: int
 ) -> None:
-    book, one = ledger(**link_options), demand(request_, **options)
+    book, one = tracker(**link_options), call(request_, **options)
     book.submit(one, 0.0)
     sent = 0
     while not one.ended:
@@ -82,7 +82,7 @@ def test_what_may_be_repeated_is_repeated_so_often(
 
 
 def test_an_error_says_where_it_was_and_when() -> None:
-    book, one = ledger(), demand(READ, WRITE)
+    book, one = tracker(), call(READ, WRITE)
     book.submit(one, 10.0)
     send(book, one)
     book.failed(one, 0, NoReply("no reply"), 12.5, again=False)
@@ -100,7 +100,7 @@ def test_an_error_says_where_it_was_and_when() -> None:
 
 
 def test_what_is_withdrawn_is_not_repeated_and_not_finished() -> None:
-    book, one = ledger(), demand(READ, deadline=9.0)
+    book, one = tracker(), call(READ, deadline=9.0)
     book.submit(one, 0.0)
     send(book, one)
     book.withdraw(one)
@@ -111,7 +111,7 @@ def test_what_is_withdrawn_is_not_repeated_and_not_finished() -> None:
 
 
 def test_a_deadline_ends_what_waits_and_leaves_what_is_in_flight() -> None:
-    book, one, other = ledger(), demand(READ, READ, deadline=2.0), demand(READ)
+    book, one, other = tracker(), call(READ, READ, deadline=2.0), call(READ)
     book.submit(one, 0.0)
     book.submit(other, 0.0)
     assert book.next_deadline() == 2.0
@@ -127,8 +127,8 @@ def test_a_deadline_ends_what_waits_and_leaves_what_is_in_flight() -> None:
 
 @pytest.mark.parametrize("end", ["deadline", "unreachable", "given up"])
 def test_a_write_that_was_sent_and_waits_to_be_repeated_ends_as_unknown(end: str) -> None:
-    book = ledger(write_retries=1)
-    written, read, fresh = demand(WRITE, deadline=5.0), demand(READ, deadline=5.0), demand(WRITE, deadline=5.0)
+    book = tracker(write_retries=1)
+    written, read, fresh = call(WRITE, deadline=5.0), call(READ, deadline=5.0), call(WRITE, deadline=5.0)
     for one in (written, read, fresh):
         book.submit(one, 0.0)
     for one in (written, read):

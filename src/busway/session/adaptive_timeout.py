@@ -23,7 +23,7 @@ def floor_for(character: float) -> float:
     return ROOM + CHARACTERS * character
 
 
-class Patience:
+class AdaptiveTimeout:
     """What a scan waits.
 
     Attributes:

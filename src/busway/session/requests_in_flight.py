@@ -1,7 +1,7 @@
 """Requests on their way over TCP: one by one, or together in a volley that is answered in its order.
 
 Knows how ADUs lie one behind the other; knows no connection, no queue, and no reply that does not simply fit: whoever
-meets one takes the volley apart (`Volley.apart`) and looks at each request by itself.
+meets one takes the volley apart (`PipelinedBatch.apart`) and looks at each request by itself.
 
 1. What does not depend on transactions is made once and kept with the requests (`Request.memo`): a poller asks the same
    again and again.
@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..pdu.message import Message, Request
-from .demand import Demand
+from .call import Call
 
 _BEHIND = struct.Struct(">HHB")
 """What stands behind the transaction: protocol, length, unit."""
@@ -49,7 +49,7 @@ class Route:
         is_known = take is not None and size > 0 and len(prefix) == 2
         self.head = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
         self.others: dict[int, Route] | None = None
-        self.plan: VolleyPlan | None = None
+        self.plan: BatchPlan | None = None
 
 
 def route_of(request: Request, unit: int) -> Route:
@@ -77,28 +77,28 @@ def _other_route(request: Request, unit: int, known: Route) -> Route:
     return found
 
 
-class Flight:
+class RequestInFlight:
     """One place among the requests in flight; the same few objects serve a connection for ever."""
 
-    __slots__ = ("demand", "expires", "position", "route", "sent")
+    __slots__ = ("call", "expires", "position", "route", "sent")
 
-    demand: Demand | None  # None: cancelled
+    call: Call | None  # None: cancelled
     position: int
     route: Route
     sent: float
     expires: float
 
 
-Places = list[Flight]
+Places = list[RequestInFlight]
 """Places for requests in flight that are free."""
 
 
 def places(count: int) -> Places:
     """So many places, all free: of one session, or shared by the sessions of a client."""
-    return [Flight() for _ in range(count)]
+    return [RequestInFlight() for _ in range(count)]
 
 
-class VolleyPlan:
+class BatchPlan:
     """What requests to a unit look like together but for their transactions.
 
     Attributes:
@@ -161,21 +161,21 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
     return struct.Struct(">" + out), struct.Struct(">" + back)
 
 
-def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> VolleyPlan:
+def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
     """The plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
     route = route_of(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
     plan = route.plan
     if plan is None or plan.following != following:  # as a rule the very same objects, so this is no work
-        plan = route.plan = VolleyPlan(route, following)
+        plan = route.plan = BatchPlan(route, following)
     return plan
 
 
-class Volley:
+class PipelinedBatch:
     """Requests of one demand that are in flight, and whose replies are expected in their order.
 
     Attributes:
-        demand: whose.
+        call: whose.
         first: position of the first request in the demand.
         plan: how they look.
         transactions: their identifiers.
@@ -184,25 +184,25 @@ class Volley:
         sent, expires: as of each request.
     """
 
-    __slots__ = ("answered", "demand", "expires", "first", "places", "plan", "sent", "transactions")
+    __slots__ = ("answered", "call", "expires", "first", "places", "plan", "sent", "transactions")
 
     def __init__(
         self,
-        demand: Demand,
+        call: Call,
         first: int,
-        plan: VolleyPlan,
+        plan: BatchPlan,
         transactions: tuple[int, ...],
         places: Places,
         sent: float,
     ) -> None:
-        self.demand = demand
+        self.call = call
         self.first = first
         self.plan = plan
         self.transactions = transactions
         self.places = places
         self.answered = 0
         self.sent = sent
-        self.expires = sent + demand.timeout
+        self.expires = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
         """Whether the frame that begins at ``at`` is the reply that is next."""
@@ -212,14 +212,14 @@ class Volley:
             and buffer[at] << 8 | buffer[at + 1] == self.transactions[following]
         )
 
-    def apart(self) -> Iterator[tuple[int, Flight]]:
+    def apart(self) -> Iterator[tuple[int, RequestInFlight]]:
         """Each request that still wants its reply as one by itself, with its transaction."""
-        demand = self.demand
+        call = self.call
         for index in range(self.answered, len(self.transactions)):
-            flight = self.places.pop()
-            flight.demand = demand
-            flight.position = self.first + index
-            flight.route = route_of(demand.requests[flight.position], demand.unit)
-            flight.sent = self.sent
-            flight.expires = self.expires
-            yield self.transactions[index], flight
+            awaited = self.places.pop()
+            awaited.call = call
+            awaited.position = self.first + index
+            awaited.route = route_of(call.requests[awaited.position], call.unit)
+            awaited.sent = self.sent
+            awaited.expires = self.expires
+            yield self.transactions[index], awaited

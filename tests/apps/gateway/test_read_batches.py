@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 import busway
 from busway.access.authorizer import PolicyHandler
-from busway.apps.gateway.handler import FrontHandler
+from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
-from busway.apps.gateway.routes import Action, AddressRange, FrontRoutes, Route
+from busway.apps.gateway.routes import Action, AddressRange, ListenerRoutes, Route
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.framing.mbap import MbapReceiver, encode_mbap
@@ -21,8 +21,8 @@ from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest, FunctionTable
 from busway.pdu.message import Touch
 from busway.pdu.read_items import ReadRegisters
+from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.demand import Demand
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ReadForwarder
 from busway.session.handler import Outcome, RequestContext
@@ -90,10 +90,10 @@ class WireLink:
     def now(self) -> float:
         return self.time
 
-    def begin(self, demand: Demand, now: float) -> None:
-        adu = self.session.send_now(demand, now)
+    def begin(self, call: Call, now: float) -> None:
+        adu = self.session.send_now(call, now)
         if adu is None:
-            self.session.submit(demand, now)
+            self.session.submit(call, now)
             self.pump()
         else:
             self._left(adu)
@@ -103,8 +103,8 @@ class WireLink:
         self.timers.append(timer)
         return timer
 
-    def give_up(self, demand: Demand) -> None:
-        self.session.cancel(demand)
+    def give_up(self, call: Call) -> None:
+        self.session.cancel(call)
 
     def pump(self) -> None:
         for segment in self.session.transmit(self.time):
@@ -146,15 +146,15 @@ class WireLink:
     def _wake(self) -> None:
         finished = self.session.finished[:]
         self.session.finished.clear()
-        for demand in finished:
-            demand.owner.set_result(None)
+        for call in finished:
+            call.owner.set_result(None)
         self._line.bunches.look(self.session)
 
 
 class LongRoad:
     """A handler that shows nothing but its long road."""
 
-    def __init__(self, inner: FrontHandler) -> None:
+    def __init__(self, inner: ListenerHandler) -> None:
         self.inner = inner
         self.functions: FunctionTable = inner.functions
         self.generation = 0
@@ -216,8 +216,8 @@ class Plant:
         options = {"max_transactions": 16, "retries": 0, "queue": 200, **options}
         self.line = Line("line", link_settings("tcp://127.0.0.1:1", options), share_reads=share_reads)
         self.link = WireLink(self.line)
-        self.front = FrontHandler("front", busway.STANDARD)
-        self.front.follow(FrontRoutes(routes or (Route(line="line"),)), {"line": self.line})
+        self.front = ListenerHandler("front", busway.STANDARD)
+        self.front.follow(ListenerRoutes(routes or (Route(line="line"),)), {"line": self.line})
         self.handler: Any = self.front if bunches else LongRoad(self.front)
         if policy is not None:
             self.handler = PolicyHandler(self.handler, policy)
@@ -302,12 +302,12 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     share_reads: bool,
     room: int,
     retries: int,
-    patience: float | None,
+    adaptive_timeout: float | None,
     queue: int,
 ) -> None:
     options = {"max_transactions": room, "retries": retries, "queue": queue, "recycle_after_timeouts": 1000}
     plant = Plant(share_reads=share_reads, **options)
-    plant.front.deadline = patience
+    plant.front.deadline = adaptive_timeout
     clients = [plant.client(f"10.0.0.{number}:500") for number in range(3)]
     asked: list[dict[int, bytes]] = [{}, {}, {}]
 
@@ -588,12 +588,12 @@ def test_new_routes_hold_from_the_next_request_on_and_what_is_on_its_way_is_answ
     plant = Plant()
     client = plant.client("client")
     client.ask(read(0), read(1))
-    plant.front.follow(FrontRoutes((Route(line="line", unit=9, shift=100),)), {"line": plant.line})
+    plant.front.follow(ListenerRoutes((Route(line="line", unit=9, shift=100),)), {"line": plant.line})
     client.ask(read(0))
     assert [(unit, pdu) for _, unit, pdu in plant.link.asked] == [(1, read(0)), (1, read(1)), (9, read(100))]
     plant.link.answer()
     assert client.got() == {1: answer_of(read(0)), 2: answer_of(read(1)), 3: answer_of(read(100))}
-    plant.front.follow(FrontRoutes(()), {})
+    plant.front.follow(ListenerRoutes(()), {})
     client.ask(read(0))
     assert client.got() == {4: bytes((0x83, 0x0A))}
 

@@ -16,7 +16,7 @@ Outcome = Message | ModbusError
 _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 
 
-class Demand:
+class Call:
     """Requests of one unit, asked for in one call; they complete together.
 
     Attributes:

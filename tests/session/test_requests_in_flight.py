@@ -13,8 +13,8 @@ from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.demand import Demand
-from busway.session.flights import plan_of, route_of
+from busway.session.call import Call
+from busway.session.requests_in_flight import plan_of, route_of
 
 REQUESTS = st.lists(
     st.one_of(
@@ -69,7 +69,7 @@ def test_a_batch_ends_the_same_whether_its_requests_fly_together_or_each_by_itse
         ClientWire(max_transactions=places, first_transaction=first, single_adu_segments=split, retries=1)
         for split in (False, True)
     )
-    demands = [wire.ask(*requests) for wire in (together, single)]
+    calls = [wire.ask(*requests) for wire in (together, single)]
     frames: list[MbapFrame] = []
     for _ in range(data.draw(st.integers(1, 6))):
         new = together.transmit()
@@ -90,7 +90,7 @@ def test_a_batch_ends_the_same_whether_its_requests_fly_together_or_each_by_itse
             if step == "a part":
                 stream = stream[: data.draw(st.integers(0, len(stream)))]
         pieces = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=3)))
-        for wire, demand in zip((together, single), demands, strict=True):
+        for wire, call in zip((together, single), calls, strict=True):
             for begin, end in zip([0, *pieces], [*pieces, len(stream)], strict=True):
                 if begin < end:
                     wire.feed(stream[begin:end])
@@ -99,7 +99,7 @@ def test_a_batch_ends_the_same_whether_its_requests_fly_together_or_each_by_itse
             elif step == "lost":
                 wire.reconnect()
             elif step == "cancel":
-                wire.session.cancel(demand)
+                wire.session.cancel(call)
             if wire.session.recycle:
                 wire.reconnect(wire.session.recycle)
         if step == "lost":
@@ -108,37 +108,37 @@ def test_a_batch_ends_the_same_whether_its_requests_fly_together_or_each_by_itse
         assert together.session.in_flight == single.session.in_flight
         assert together.places == single.places == places
         assert asdict(together.session.counters) == asdict(single.session.counters)
-        assert [seen(one) for one in demands[0].outcomes] == [seen(one) for one in demands[1].outcomes]
-        assert demands[0].open == demands[1].open
+        assert [seen(one) for one in calls[0].outcomes] == [seen(one) for one in calls[1].outcomes]
+        assert calls[0].open == calls[1].open
 
 
-def registers(demand: Demand) -> list[list[int]]:
-    return [one.registers for one in demand.outcomes if isinstance(one, ReadHoldingRegisters.Reply)]
+def registers(call: Call) -> list[list[int]]:
+    return [one.registers for one in call.outcomes if isinstance(one, ReadHoldingRegisters.Reply)]
 
 
 def test_a_batch_that_nothing_holds_up_leaves_whole_without_the_queue() -> None:
     wire = ClientWire(max_transactions=4)
-    demand = wire.demand([read(1), read(2), read(3)])
-    adus = wire.session.send_now(demand, wire.now)
+    call = wire.call([read(1), read(2), read(3)])
+    adus = wire.session.send_now(call, wire.now)
     assert adus is not None
     assert len(adus) == 3 * 12
-    assert (wire.session.in_flight, wire.session.queued, demand.has_more) == (3, 0, False)
-    assert wire.session.send_now(wire.demand([read(4), read(5)]), wire.now) is None  # one place is free
+    assert (wire.session.in_flight, wire.session.queued, call.has_more) == (3, 0, False)
+    assert wire.session.send_now(wire.call([read(4), read(5)]), wire.now) is None  # one place is free
     for number, at in enumerate(range(0, 36, 12)):
         wire.feed(encode_mbap(int.from_bytes(adus[at : at + 2], "big"), 1, bytes((3, 2, 0, 1 + number))))
-    assert registers(demand) == [[1], [2], [3]]
-    assert wire.finished() == [demand]
+    assert registers(call) == [[1], [2], [3]]
+    assert wire.finished() == [call]
 
 
 @pytest.mark.parametrize("options", [{"single_adu_segments": True}, {"request_gap": 0.1}])
 def test_a_batch_whose_requests_are_to_leave_apart_is_not_sent_at_once(options: dict[str, Any]) -> None:
     wire = ClientWire(max_transactions=4, **options)
-    assert wire.session.send_now(wire.demand([read(1), read(2)]), wire.now) is None
+    assert wire.session.send_now(wire.call([read(1), read(2)]), wire.now) is None
 
 
 def test_a_batch_with_a_write_takes_its_turn_in_the_queue() -> None:
     wire = ClientWire(max_transactions=4)
-    assert wire.session.send_now(wire.demand([read(1), WriteSingleRegister(1, 1)]), wire.now) is None
+    assert wire.session.send_now(wire.call([read(1), WriteSingleRegister(1, 1)]), wire.now) is None
 
 
 def test_identifiers_that_are_waited_for_no_longer_are_passed_over_by_a_batch() -> None:
@@ -150,21 +150,21 @@ def test_identifiers_that_are_waited_for_no_longer_are_passed_over_by_a_batch() 
     assert lost.ended
     assert wire.session.counters.timeouts == 16
     for _ in range(65_536 // 16 + 1):  # once around
-        demand = wire.ask(*[read(one) for one in range(16)])
+        call = wire.ask(*[read(one) for one in range(16)])
         for frame in wire.transmit():
             assert frame.transaction not in used
             wire.reply(frame)
-        assert demand.ended
-        assert demand.error is None
+        assert call.ended
+        assert call.error is None
 
 
 def test_an_exception_ends_its_own_request_of_a_batch_only() -> None:
     wire = ClientWire(max_transactions=4)
-    demand = wire.ask(*[read(one) for one in range(4)])
+    call = wire.ask(*[read(one) for one in range(4)])
     frames = wire.transmit()
     wire.feed(b"".join(faulty("exception" if one is frames[2] else "", one) for one in frames))
-    assert [type(one) for one in demand.outcomes].count(ReadHoldingRegisters.Reply) == 3
-    assert isinstance(demand.outcomes[2], ExceptionReply)
+    assert [type(one) for one in call.outcomes].count(ReadHoldingRegisters.Reply) == 3
+    assert isinstance(call.outcomes[2], ExceptionReply)
     assert wire.session.in_flight == 0
 
 

@@ -14,26 +14,26 @@ Knows lines, demands and who asked; knows no route.
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
-from ...client.link import Link
+from ...client.link import AsyncLinkDriver
 from ...errors import ModbusError, NoReply, Overloaded
 from ...pdu.message import Message
 from ...pdu.read_items import ReadBits, ReadRegisters
+from ...session.call import Call, Outcome
 from ...session.client import TcpClientSession
-from ...session.demand import Demand, Outcome
 from ...session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan
 from .answers import NO_PATH
 from .memory import Key
 from .waiters import WaiterDeadlines
 
 if TYPE_CHECKING:
-    from .handler import FrontHandler
+    from .handler import ListenerHandler
     from .lines import Line
 
 FOR_EVER = 86_400.0
 """Seconds that a client waits who has no deadline, where the one before it has one."""
 
 
-class ReadWay:
+class ReadTarget:
     """A unit behind a line, as a front reaches it.
 
     Args:
@@ -45,7 +45,7 @@ class ReadWay:
 
     __slots__ = ("front", "line", "timeout", "unit")
 
-    def __init__(self, front: "FrontHandler", line: "Line", unit: int, timeout: float | None) -> None:
+    def __init__(self, front: "ListenerHandler", line: "Line", unit: int, timeout: float | None) -> None:
         self.front = front
         self.line = line
         self.unit = unit
@@ -56,7 +56,7 @@ class ReadWay:
         self.line.bunches.ask(self, asker, reads)
 
 
-def bunch_plan(way: ReadWay, unit: int, asked: ReadRegisters | ReadBits) -> ForwardPlan:
+def batch_plan(way: ReadTarget, unit: int, asked: ReadRegisters | ReadBits) -> ForwardPlan:
     """What becomes of a read that is asked in bunches.
 
     Args:
@@ -69,8 +69,8 @@ def bunch_plan(way: ReadWay, unit: int, asked: ReadRegisters | ReadBits) -> Forw
     return ForwardPlan(way, unit, request)
 
 
-class Bunch(Demand):
-    """Reads of one client, and whoever shares some of them. It has the face of a future for `Link.begin`.
+class ReadBatch(Call):
+    """Reads of one client, and whoever shares some of them. It has the face of a future for `AsyncLinkDriver.begin`.
 
     Attributes:
         asker: whose they are; None when the client has gone.
@@ -81,9 +81,9 @@ class Bunch(Demand):
 
     def __init__(
         self,
-        bunches: "Bunches",
-        link: Link,
-        way: ReadWay,
+        bunches: "ReadBatches",
+        link: AsyncLinkDriver,
+        way: ReadTarget,
         asker: ForwardedReads,
         reads: list[ForwardedRead],
         deadline: float | None,
@@ -128,7 +128,7 @@ class Bunch(Demand):
         return own + self.joined.get(position, [])
 
 
-class Bunches:
+class ReadBatches:
     """The bunches of one line."""
 
     __slots__ = ("_answered", "line")
@@ -137,13 +137,13 @@ class Bunches:
         self.line = line
         self._answered: dict[ForwardedReads, None] = {}  # who has answers that have not left yet
 
-    def ask(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+    def ask(self, way: ReadTarget, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         """Ask reads of one client."""
         self._ask_or_share(way, asker, reads)
         if self._answered:
             self._send()
 
-    def _ask_or_share(self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+    def _ask_or_share(self, way: ReadTarget, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         line = self.line
         link = line.link_for(asker.peer)
         if link is None:
@@ -158,7 +158,7 @@ class Bunches:
         if again:
             self._ask_or_share(way, asker, again)  # now the first of those that are alike is in flight
 
-    def _ask(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
+    def _ask(self, way: ReadTarget, link: AsyncLinkDriver, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         error = self._begin(way, link, asker, reads)
         if isinstance(error, Overloaded) and len(reads) > 1:  # some of them may have room
             for read in reads:
@@ -167,24 +167,26 @@ class Bunches:
             for read in reads:
                 self._refuse(asker, [read], self.line.refused(error))
 
-    def _begin(self, way: ReadWay, link: Link, asker: ForwardedReads, reads: list[ForwardedRead]) -> ModbusError | None:
+    def _begin(
+        self, way: ReadTarget, link: AsyncLinkDriver, asker: ForwardedReads, reads: list[ForwardedRead]
+    ) -> ModbusError | None:
         """Hand reads to the link; the error if they were not taken."""
         line = self.line
         now = link.now()
-        patience = way.front.deadline
-        bunch = Bunch(self, link, way, asker, reads, None if patience is None else now + patience)
+        adaptive_timeout = way.front.deadline
+        batch = ReadBatch(self, link, way, asker, reads, None if adaptive_timeout is None else now + adaptive_timeout)
         # All before it begins: it may end at once, while a connection is made anew.
         line.add_open(len(reads))
-        asker.works[bunch] = None
+        asker.works[batch] = None
         shared = line.memory.shared(way.unit) if line.share_reads else None
         if shared is not None:
-            bunch.shared = shared
-            bunch.keys = [plan.request.wire for _, plan in reads]
-            shared.update(dict.fromkeys(bunch.keys, bunch))
+            batch.shared = shared
+            batch.keys = [plan.request.wire for _, plan in reads]
+            shared.update(dict.fromkeys(batch.keys, batch))
         try:
-            link.begin(bunch, now)
+            link.begin(batch, now)
         except ModbusError as error:
-            self._leave(bunch)
+            self._leave(batch)
             return error
         line.counters.forwarded += len(reads)
         return None
@@ -197,7 +199,7 @@ class Bunches:
     # Sharing.
 
     def _share(
-        self, way: ReadWay, asker: ForwardedReads, reads: list[ForwardedRead]
+        self, way: ReadTarget, asker: ForwardedReads, reads: list[ForwardedRead]
     ) -> tuple[list[ForwardedRead], list[ForwardedRead]]:
         """Let reads wait for others that are in flight; what has to be asked, and what is the same as one of those."""
         shared = self.line.memory.shared(way.unit)
@@ -209,10 +211,10 @@ class Bunches:
         asked: set[Key] = set()
         for read in reads:
             key = read[1].request.wire
-            bunch = shared.get(key)
-            if bunch is not None:
-                assert isinstance(bunch, Bunch)  # by its key
-                self._join(bunch, way, asker, read, key)
+            batch = shared.get(key)
+            if batch is not None:
+                assert isinstance(batch, ReadBatch)  # by its key
+                self._join(batch, way, asker, read, key)
             elif key in asked:
                 again.append(read)
             else:
@@ -220,35 +222,35 @@ class Bunches:
                 left.append(read)
         return left, again
 
-    def _join(self, bunch: Bunch, way: ReadWay, asker: ForwardedReads, read: ForwardedRead, key: Key) -> None:
+    def _join(self, batch: ReadBatch, way: ReadTarget, asker: ForwardedReads, read: ForwardedRead, key: Key) -> None:
         self.line.counters.shared += 1
-        bunch.joined.setdefault(bunch.keys.index(key), []).append((asker, read))
-        asker.works[bunch] = None
-        now, patience = bunch.link.now(), way.front.deadline
-        if bunch.deadlines is None:
-            bunch.deadlines = WaiterDeadlines(bunch.link.now, bunch.link.call_at, partial(self._time_is_over, bunch))
-            if bunch.deadline is not None and bunch.asker is not None:
-                bunch.deadlines.add((bunch.asker, None), bunch.deadline)
-        if patience is not None:
-            bunch.deadlines.add((asker, read), now + patience)
-        if bunch.deadline is not None:  # whoever came first may have less time than who comes now
-            bunch.deadline = max(bunch.deadline, now + (FOR_EVER if patience is None else patience))
+        batch.joined.setdefault(batch.keys.index(key), []).append((asker, read))
+        asker.works[batch] = None
+        now, adaptive_timeout = batch.link.now(), way.front.deadline
+        if batch.deadlines is None:
+            batch.deadlines = WaiterDeadlines(batch.link.now, batch.link.call_at, partial(self._time_is_over, batch))
+            if batch.deadline is not None and batch.asker is not None:
+                batch.deadlines.add((batch.asker, None), batch.deadline)
+        if adaptive_timeout is not None:
+            batch.deadlines.add((asker, read), now + adaptive_timeout)
+        if batch.deadline is not None:  # whoever came first may have less time than who comes now
+            batch.deadline = max(batch.deadline, now + (FOR_EVER if adaptive_timeout is None else adaptive_timeout))
 
-    def _time_is_over(self, bunch: Bunch, waiter: tuple[ForwardedReads, ForwardedRead | None]) -> None:
+    def _time_is_over(self, batch: ReadBatch, waiter: tuple[ForwardedReads, ForwardedRead | None]) -> None:
         """One of those who share reads waits no longer: for one that he joined, or for those that are his own."""
         asker, read = waiter
         late: list[tuple[int, ForwardedRead]] = []
         if read is None:
-            if bunch.asker is asker:
-                late = [(at, one) for at, one in enumerate(bunch.reads) if at not in bunch.told]
-                bunch.asker = None
+            if batch.asker is asker:
+                late = [(at, one) for at, one in enumerate(batch.reads) if at not in batch.told]
+                batch.asker = None
         else:
-            for position, others in bunch.joined.items():
-                if position not in bunch.told and waiter in others:
+            for position, others in batch.joined.items():
+                if position not in batch.told and waiter in others:
                     others.remove(waiter)
                     late = [(position, read)]
         for position, one in late:
-            is_sent = position < bunch.next or position in bunch.attempts
+            is_sent = position < batch.next or position in batch.attempts
             error = (
                 NoReply("no answer before the deadline of the call", attempt=1)
                 if is_sent
@@ -256,11 +258,11 @@ class Bunches:
             )
             asker.refuse(one, self.line.refused(error))
             self._answered[asker] = None
-        if asker is not bunch.asker and all(
-            asker is not other for others in bunch.joined.values() for other, _ in others
+        if asker is not batch.asker and all(
+            asker is not other for others in batch.joined.values() for other, _ in others
         ):
-            asker.works.pop(bunch, None)
-        self._forget_if_alone(bunch)
+            asker.works.pop(batch, None)
+        self._forget_if_alone(batch)
         self._send()
 
     # What comes back.
@@ -273,37 +275,37 @@ class Bunches:
 
     def look(self, session: TcpClientSession) -> None:
         """Something has come: answer what is there of bunches that are not complete."""
-        for demand in session.in_work():
+        for call in session.in_work():
             if (
-                isinstance(demand, Bunch)
-                and demand.owner is not None
-                and len(demand.outcomes) - demand.open != len(demand.told)
+                isinstance(call, ReadBatch)
+                and call.owner is not None
+                and len(call.outcomes) - call.open != len(call.told)
             ):
-                self.tell(demand)
+                self.tell(call)
         if self._answered:
             self._send()
 
-    def tell(self, bunch: Bunch) -> None:
+    def tell(self, batch: ReadBatch) -> None:
         """Answer what has an outcome."""
-        asker = bunch.asker
-        if asker is not None and not (bunch.open or bunch.told or bunch.joined):
-            data: list[Any] = bunch.outcomes  # Any: bytes, see `_as_bytes`
+        asker = batch.asker
+        if asker is not None and not (batch.open or batch.told or batch.joined):
+            data: list[Any] = batch.outcomes  # Any: bytes, see `_as_bytes`
             if set(map(type, data)) == _GOOD:
                 self.line.counters.answered += len(data)
-                self._leave(bunch)
-                asker.answer(bunch.reads, data)
+                self._leave(batch)
+                asker.answer(batch.reads, data)
                 self._answered[asker] = None
                 return
-        for position, outcome in enumerate(bunch.outcomes):
-            if outcome is not None and position not in bunch.told:
-                self._tell_one(bunch, position, outcome)
-        if not bunch.open:
-            self._leave(bunch)
+        for position, outcome in enumerate(batch.outcomes):
+            if outcome is not None and position not in batch.told:
+                self._tell_one(batch, position, outcome)
+        if not batch.open:
+            self._leave(batch)
 
-    def _tell_one(self, bunch: Bunch, position: int, outcome: Outcome | bytes) -> None:
-        bunch.told.add(position)
-        self._left(bunch, position)
-        waiters = bunch.waiters(position)
+    def _tell_one(self, batch: ReadBatch, position: int, outcome: Outcome | bytes) -> None:
+        batch.told.add(position)
+        self._left(batch, position)
+        waiters = batch.waiters(position)
         if isinstance(outcome, Message):  # it did not come in its turn
             assert isinstance(outcome, _REPLIES)  # the session has seen that it answers a read
             outcome = outcome.data
@@ -318,46 +320,46 @@ class Bunches:
                 asker.refuse(read, code)
                 self._answered[asker] = None
 
-    def gone(self, bunch: Bunch, asker: ForwardedReads) -> None:
+    def gone(self, batch: ReadBatch, asker: ForwardedReads) -> None:
         """A client has gone: what nobody else waits for is taken back as far as it can be."""
         counters = self.line.counters
-        if bunch.asker is asker:
-            bunch.asker = None
-            counters.abandoned += bunch.left
-        for position, others in list(bunch.joined.items()):
+        if batch.asker is asker:
+            batch.asker = None
+            counters.abandoned += batch.left
+        for position, others in list(batch.joined.items()):
             staying = [one for one in others if one[0] is not asker]
-            counters.abandoned += 0 if position in bunch.told else len(others) - len(staying)
-            bunch.joined[position] = staying
-        self._forget_if_alone(bunch)
+            counters.abandoned += 0 if position in batch.told else len(others) - len(staying)
+            batch.joined[position] = staying
+        self._forget_if_alone(batch)
 
-    def _forget_if_alone(self, bunch: Bunch) -> None:
+    def _forget_if_alone(self, batch: ReadBatch) -> None:
         """Take a bunch back for which nobody waits any more, as far as it can be."""
-        bunch.joined = {position: others for position, others in bunch.joined.items() if others}
-        if bunch.asker is None and not bunch.ended and bunch.joined.keys() <= bunch.told:
-            self._leave(bunch)
-            bunch.link.give_up(bunch)
+        batch.joined = {position: others for position, others in batch.joined.items() if others}
+        if batch.asker is None and not batch.ended and batch.joined.keys() <= batch.told:
+            self._leave(batch)
+            batch.link.give_up(batch)
 
-    def _leave(self, bunch: Bunch) -> None:
+    def _leave(self, batch: ReadBatch) -> None:
         """Nobody waits for a bunch any more."""
-        self.line.add_open(-bunch.left)
-        if bunch.deadlines is not None:
-            bunch.deadlines.close()
-        shared = bunch.shared
-        for key in bunch.keys:
-            if shared.get(key) is bunch:
+        self.line.add_open(-batch.left)
+        if batch.deadlines is not None:
+            batch.deadlines.close()
+        shared = batch.shared
+        for key in batch.keys:
+            if shared.get(key) is batch:
                 del shared[key]
-        if bunch.asker is not None:
-            bunch.asker.works.pop(bunch, None)
-        for others in bunch.joined.values():
+        if batch.asker is not None:
+            batch.asker.works.pop(batch, None)
+        for others in batch.joined.values():
             for asker, _ in others:
-                asker.works.pop(bunch, None)
-        bunch.owner = None  # it is its own owner: else only the collector of garbage would free it
+                asker.works.pop(batch, None)
+        batch.owner = None  # it is its own owner: else only the collector of garbage would free it
 
-    def _left(self, bunch: Bunch, position: int) -> None:
+    def _left(self, batch: ReadBatch, position: int) -> None:
         """A single read has its answer."""
         self.line.add_open(-1)
-        if bunch.keys:
-            self.line.memory.read_ended(bunch.unit, bunch.keys[position], bunch)  # nobody may join it any more
+        if batch.keys:
+            self.line.memory.read_ended(batch.unit, batch.keys[position], batch)  # nobody may join it any more
 
 
 @lru_cache(maxsize=32)

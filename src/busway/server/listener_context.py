@@ -19,7 +19,7 @@ from ..session.handler import Handler, ListedUnits
 from ..session.parameters import Scope, ServerParameters
 from ..session.server import HandlerFailure, TcpServerSession, TransactionSlots
 from ..transport.interfaces import interfaces_with
-from .authorisation import Authorise, everybody
+from .authorisation import Authorise, allow_all
 from .counters import ServerCounters
 from .diagnosis import Diagnosis
 from .failures import report_failures
@@ -28,7 +28,7 @@ from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .pools import Pool
 from .status import ConnectionState, ConnectionStatus, ListenerStatus
-from .wires import Wire, Wires, stay
+from .wires import ConnectionTap, Wire, stay
 
 if TYPE_CHECKING:
     from .secure import SecurityStatus
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.server")
 
 
-class Guest(Protocol):
+class UdpPeer(Protocol):
     """A connection, or a peer over UDP, as its listener knows it.
 
     Attributes:
@@ -81,7 +81,7 @@ class Guest(Protocol):
         """Close it, behind what was sent."""
 
 
-class Reception:
+class ListenerContext:
     """What one listener knows beside its transports.
 
     Attributes:
@@ -106,8 +106,8 @@ class Reception:
         counters: ServerCounters,
         slots: TransactionSlots,
         units: Container[int] = (),
-        authorise: Authorise = everybody,
-        wires: Wires | None = None,
+        authorise: Authorise = allow_all,
+        wires: ConnectionTap | None = None,
     ) -> None:
         self.loop = loop
         self.listener = settings.endpoint.url
@@ -130,7 +130,7 @@ class Reception:
         self._authorise = authorise
         self._repeats = Repeats()
         self._wires = wires
-        self._wire_of: dict[Guest, Wire] = {}
+        self._wire_of: dict[UdpPeer, Wire] = {}
 
     @property
     def framing(self) -> str:
@@ -146,19 +146,19 @@ class Reception:
         self.say(logging.WARNING, host, sentence, peer_name(address))
         return False
 
-    def may_stay(self, guest: Guest) -> bool:
+    def may_stay(self, udp_peer: UdpPeer) -> bool:
         """Whether a guest may keep its place: address lists may have changed. A refusal is counted and logged."""
-        if self._authorise(guest.host):
+        if self._authorise(udp_peer.host):
             return True
         self.counters.no_longer_authorised += 1
-        self.say(logging.WARNING, guest.host, "%s: ended: it is no longer authorised", guest.peer)
+        self.say(logging.WARNING, udp_peer.host, "%s: ended: it is no longer authorised", udp_peer.peer)
         return False
 
-    def is_marked(self, host: str) -> bool:
+    def is_priority(self, host: str) -> bool:
         """Whether connections of a host belong to the priority pool."""
         return host in self.parameters.priority
 
-    def session_for(self, guest: Guest, *, share: int | None = None) -> Session:
+    def session_for(self, udp_peer: UdpPeer, *, share: int | None = None) -> Session:
         """A conversation for a newcomer; ``share``: requests on TCP that one call of it works through."""
         if self.framing != "mbap":
             return FramedSession(
@@ -167,9 +167,9 @@ class Reception:
                 self._units,
                 framing=self.settings.line_framing(self._units, self._handler.functions),
                 diagnostics=self.diagnostics,
-                deliver=guest.deliver,
-                attend=guest.attend,
-                peer=guest.peer,
+                deliver=udp_peer.deliver,
+                attend=udp_peer.attend,
+                peer=udp_peer.peer,
                 listener=self.listener,
             )
         slots = self._server_slots
@@ -179,34 +179,34 @@ class Reception:
             self._handler,
             diagnostics=self.diagnostics,
             slots=slots,
-            deliver=guest.deliver,
-            deliver_together=guest.deliver_together,
-            peer=guest.peer,
+            deliver=udp_peer.deliver,
+            deliver_together=udp_peer.deliver_together,
+            peer=udp_peer.peer,
             listener=self.listener,
-            role=guest.role,
+            role=udp_peer.role,
             share=share,
         )
 
     # What is counted.
 
-    def came(self, guest: Guest) -> None:
+    def came(self, udp_peer: UdpPeer) -> None:
         """A newcomer has a place."""
         self.counters.accepted += 1
-        self.counters.of_class(marked=guest.marked).accepted += 1
+        self.counters.of_class(marked=udp_peer.marked).accepted += 1
         if self._wires is not None:
             carrier = self.settings.endpoint.carrier
-            close = stay if carrier == "udp" else guest.close
-            wire = Wire(self.listener, guest.peer, self.framing, carrier, 0.0, guest.deliver, close)
-            self._wire_of[guest] = wire
+            close = stay if carrier == "udp" else udp_peer.close
+            wire = Wire(self.listener, udp_peer.peer, self.framing, carrier, 0.0, udp_peer.deliver, close)
+            self._wire_of[udp_peer] = wire
             self._wires.came(wire)
 
-    def left(self, guest: Guest, session: Session) -> None:
+    def left(self, udp_peer: UdpPeer, session: Session) -> None:
         """It has ended, and its conversation with it."""
         counters = self.counters
         counters.closed += 1
-        counters.of_class(marked=guest.marked).closed += 1
-        add_living(counters, guest, session)
-        wire = self._wire_of.pop(guest, None)
+        counters.of_class(marked=udp_peer.marked).closed += 1
+        add_living(counters, udp_peer, session)
+        wire = self._wire_of.pop(udp_peer, None)
         if wire is not None and self._wires is not None:
             self._wires.left(wire)
 
@@ -229,20 +229,20 @@ class Reception:
 
     # What is shown.
 
-    def guest_status(self, guest: Guest, now: float) -> ConnectionStatus:
+    def udp_peer_status(self, udp_peer: UdpPeer, now: float) -> ConnectionStatus:
         """One connection or peer."""
-        session = guest.session
+        session = udp_peer.session
         return ConnectionStatus(
-            peer=guest.peer,
+            peer=udp_peer.peer,
             listener=self.listener,
-            state=guest.state,
-            pool=guest.pool,
-            role=guest.role,
-            subject=guest.subject,
-            age=now - guest.opened,
-            idle=now - guest.last_used,
-            received=guest.received,
-            sent=guest.sent,
+            state=udp_peer.state,
+            pool=udp_peer.pool,
+            role=udp_peer.role,
+            subject=udp_peer.subject,
+            age=now - udp_peer.opened,
+            idle=now - udp_peer.last_used,
+            received=udp_peer.received,
+            sent=udp_peer.sent,
             requests=session.requests if session else 0,
             waiting=session.waiting if session else 0,
         )
@@ -267,12 +267,12 @@ class Reception:
         )
 
 
-def add_living(counters: ServerCounters, guest: Guest, session: Session) -> None:
+def add_living(counters: ServerCounters, udp_peer: UdpPeer, session: Session) -> None:
     """Add what one conversation has counted so far."""
     counters.requests += session.requests
     counters.discarded_frames += session.discarded
     counters.refused_busy += session.refused_busy
-    of_class = counters.of_class(marked=guest.marked)
+    of_class = counters.of_class(marked=udp_peer.marked)
     of_class.requests += session.requests
-    of_class.received += guest.received
-    of_class.sent += guest.sent
+    of_class.received += udp_peer.received
+    of_class.sent += udp_peer.sent

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded, UnitSuspended, WriteOutcomeUnknown
 from ..pdu.message import Message, Request
-from .demand import Demand
+from .call import Call
 from .parameters import ClientParameters
 from .queue import RequestQueue
 
@@ -43,7 +43,7 @@ class ClientCounters:
     recycled: int = 0
 
 
-class Ledger:
+class CallTracker:
     """The demands of one link.
 
     Attributes:
@@ -62,35 +62,35 @@ class Ledger:
         self.parameters = parameters
         self.queue = RequestQueue(parameters.queue)
         self.counters = ClientCounters()
-        self.finished: list[Demand] = []
+        self.finished: list[Call] = []
         self.deadlines = 0
 
-    def submit(self, demand: Demand, now: float) -> None:
+    def submit(self, call: Call, now: float) -> None:
         """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
         try:
-            self.queue.add(demand)
+            self.queue.add(call)
         except Overloaded as error:
             self.counters.overloaded += 1
-            error.at(endpoint=self.endpoint or None, unit=demand.unit)
+            error.at(endpoint=self.endpoint or None, unit=call.unit)
             raise
-        self.begin(demand, now)
+        self.begin(call, now)
 
-    def begin(self, demand: Demand, now: float) -> None:
+    def begin(self, call: Call, now: float) -> None:
         """Take a demand that needs no place in the queue."""
-        demand.submitted = now
-        if demand.deadline is not None:
+        call.submitted = now
+        if call.deadline is not None:
             self.deadlines += 1
 
-    def withdraw(self, demand: Demand) -> None:
+    def withdraw(self, call: Call) -> None:
         """The caller has gone: nothing more of the demand is sent."""
-        self.queue.remove(demand)
-        if demand.open and not demand.ended:
+        self.queue.remove(call)
+        if call.open and not call.ended:
             self.counters.cancelled += 1
-            self._leave(demand)
+            self._leave(call)
 
     def give_up(
         self,
-        demand: Demand,
+        call: Call,
         now: float,
         reason: Callable[[], ModbusError],
         in_flight: Collection[tuple[int, int]] = (),
@@ -99,16 +99,16 @@ class Ledger:
 
         ``in_flight`` holds (identity of demand, position) of what is sent, and goes on.
         """
-        self.queue.remove(demand)
-        for position, outcome in enumerate(demand.outcomes):
-            if outcome is None and (id(demand), position) not in in_flight:
-                self._given_up(demand, position, reason(), now)
+        self.queue.remove(call)
+        for position, outcome in enumerate(call.outcomes):
+            if outcome is None and (id(call), position) not in in_flight:
+                self._given_up(call, position, reason(), now)
 
-    def suspended(self, demand: Demand, pause: float, timeouts: int) -> UnitSuspended:
+    def suspended(self, call: Call, pause: float, timeouts: int) -> UnitSuspended:
         """The error of a request whose unit is not asked, counted.
 
         Args:
-            demand: of it.
+            call: of it.
             pause: seconds until the unit may be asked again.
             timeouts: how often in a row it did not answer.
         """
@@ -117,8 +117,8 @@ class Ledger:
             f"not asked: it did not answer {timeouts} times in a row; it may be asked again in {pause:.1f} s",
             next_probe=pause,
             endpoint=self.endpoint or None,
-            unit=demand.unit,
-            function=function_of(demand.requests[0]),
+            unit=call.unit,
+            function=function_of(call.requests[0]),
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
@@ -126,15 +126,15 @@ class Ledger:
 
         With ``keep_repeated`` a demand that is about to be repeated stays.
         """
-        for demand in list(self.queue):
-            if keep_repeated and demand.again:
+        for call in list(self.queue):
+            if keep_repeated and call.again:
                 continue
-            self.queue.remove(demand)
-            for position, outcome in enumerate(demand.outcomes):
+            self.queue.remove(call)
+            for position, outcome in enumerate(call.outcomes):
                 if outcome is None:
-                    copy = LinkDown(error.message, sent=position in demand.attempts)
+                    copy = LinkDown(error.message, sent=position in call.attempts)
                     copy.__cause__ = error.__cause__
-                    self._given_up(demand, position, copy, now)
+                    self._given_up(call, position, copy, now)
 
     def next_deadline(self) -> float | None:
         """The nearest deadline of what waits in the queue."""
@@ -146,7 +146,7 @@ class Ledger:
         self,
         now: float,
         in_flight: set[tuple[int, int]],
-        reason: Callable[[Demand], NoReply | None] = lambda demand: None,
+        reason: Callable[[Call], NoReply | None] = lambda call: None,
     ) -> None:
         """End what waited beyond its deadline.
 
@@ -157,92 +157,92 @@ class Ledger:
         """
         if not self.deadlines:
             return
-        for demand in list(self.queue):
-            if demand.deadline is None or now < demand.deadline:
+        for call in list(self.queue):
+            if call.deadline is None or now < call.deadline:
                 continue
-            self.queue.remove(demand)
-            for position, outcome in enumerate(demand.outcomes):
-                if outcome is None and (id(demand), position) not in in_flight:
-                    tried = demand.attempts.get(position)
-                    error = (None if tried else reason(demand)) or NoReply(
+            self.queue.remove(call)
+            for position, outcome in enumerate(call.outcomes):
+                if outcome is None and (id(call), position) not in in_flight:
+                    tried = call.attempts.get(position)
+                    error = (None if tried else reason(call)) or NoReply(
                         "no answer before the deadline of the call"
                         if tried
                         else "the deadline passed in the queue; nothing was sent"
                     )
-                    self._given_up(demand, position, error, now)
+                    self._given_up(call, position, error, now)
 
-    def _given_up(self, demand: Demand, position: int, error: ModbusError, now: float) -> None:
+    def _given_up(self, call: Call, position: int, error: ModbusError, now: float) -> None:
         """A request ends while it waits: as if never asked, unless it waits to be repeated and is a write."""
-        if position in demand.attempts:
-            error.attempt = demand.attempts[position] - 1  # the one after it was never begun
-        if error.attempt and demand.requests[position].is_write:
-            self._unknown(demand, position, error, now)
+        if position in call.attempts:
+            error.attempt = call.attempts[position] - 1  # the one after it was never begun
+        if error.attempt and call.requests[position].is_write:
+            self._unknown(call, position, error, now)
         else:
-            self.conclude(demand, position, self.placed(error, demand, position, now))
+            self.conclude(call, position, self.placed(error, call, position, now))
 
-    def failed(self, demand: Demand, position: int, error: ModbusError, now: float, *, again: bool) -> None:
+    def failed(self, call: Call, position: int, error: ModbusError, now: float, *, again: bool) -> None:
         """A request that was sent got no valid answer: repeat it, or end it with the error that is true."""
-        request = demand.requests[position]
-        attempt = demand.attempts.get(position, 1)
-        guarded = request.is_write and not demand.idempotent
-        retries = demand.repeated + (self.parameters.write_retries if guarded else demand.retries)
-        if again and attempt <= retries and not demand.ended:
-            self._again(demand, position)
+        request = call.requests[position]
+        attempt = call.attempts.get(position, 1)
+        guarded = request.is_write and not call.idempotent
+        retries = call.repeated + (self.parameters.write_retries if guarded else call.retries)
+        if again and attempt <= retries and not call.ended:
+            self._again(call, position)
             return
         error.attempt = attempt
         if request.is_write:
-            self._unknown(demand, position, error, now)
+            self._unknown(call, position, error, now)
         else:
-            self.conclude(demand, position, self.placed(error, demand, position, now))
+            self.conclude(call, position, self.placed(error, call, position, now))
 
-    def repeat(self, demand: Demand, position: int) -> None:
+    def repeat(self, call: Call, position: int) -> None:
         """Ask a read once more that was answered perhaps; none of its retries is spent."""
-        demand.repeated += 1
-        self._again(demand, position)
+        call.repeated += 1
+        self._again(call, position)
 
-    def _again(self, demand: Demand, position: int) -> None:
-        demand.repeat(position)
+    def _again(self, call: Call, position: int) -> None:
+        call.repeat(position)
         self.counters.retries += 1
-        self.queue.add_again(demand)
+        self.queue.add_again(call)
 
-    def _unknown(self, demand: Demand, position: int, error: ModbusError, now: float) -> None:
+    def _unknown(self, call: Call, position: int, error: ModbusError, now: float) -> None:
         unknown = WriteOutcomeUnknown(
             "the write was sent and may have been executed; no valid answer came",
             attempt=error.attempt,
             raw=error.raw,
         )
-        unknown.__cause__ = self.placed(error, demand, position, now)
-        self.conclude(demand, position, self.placed(unknown, demand, position, now))
+        unknown.__cause__ = self.placed(error, call, position, now)
+        self.conclude(call, position, self.placed(unknown, call, position, now))
 
-    def placed(self, error: ModbusError, demand: Demand, position: int, now: float) -> ModbusError:
+    def placed(self, error: ModbusError, call: Call, position: int, now: float) -> ModbusError:
         """Say where and when of an error."""
-        request = demand.requests[position]
+        request = call.requests[position]
         spans = request.spans()
         return error.at(
             endpoint=self.endpoint or None,
-            unit=demand.unit,
+            unit=call.unit,
             function=function_of(request),
             address=spans[0].address if spans else None,
-            attempt=demand.attempts.get(position),
-            elapsed=now - demand.submitted,
+            attempt=call.attempts.get(position),
+            elapsed=now - call.submitted,
         )
 
-    def conclude(self, demand: Demand, position: int, outcome: Message | ModbusError) -> None:
+    def conclude(self, call: Call, position: int, outcome: Message | ModbusError) -> None:
         """Give one request its outcome."""
-        demand.outcomes[position] = outcome
-        demand.open -= 1
-        if not demand.open:
-            self.finish(demand)
+        call.outcomes[position] = outcome
+        call.open -= 1
+        if not call.open:
+            self.finish(call)
 
-    def finish(self, demand: Demand) -> None:
+    def finish(self, call: Call) -> None:
         """All requests of a demand have their outcome."""
-        self.finished.append(demand)
-        self._leave(demand)
+        self.finished.append(call)
+        self._leave(call)
 
-    def _leave(self, demand: Demand) -> None:
-        if demand.deadline is not None:
+    def _leave(self, call: Call) -> None:
+        if call.deadline is not None:
             self.deadlines -= 1
-        demand.ended = True
+        call.ended = True
 
 
 def function_of(request: Request) -> int:

@@ -1,0 +1,54 @@
+"""How long a scan waits for units that may not be there."""
+
+import pytest
+
+from busway.framing.timing import SerialTiming
+from busway.session.adaptive_timeout import FACTOR, AdaptiveTimeout, floor_for
+
+
+def test_the_longest_time_holds_until_somebody_has_answered() -> None:
+    adaptive_timeout = AdaptiveTimeout(1.0, 0.1)
+    assert adaptive_timeout.timeout == 1.0
+    adaptive_timeout.answered(0.05)
+    assert adaptive_timeout.timeout == pytest.approx(FACTOR * 0.05)
+
+
+def test_the_slowest_answer_counts() -> None:
+    adaptive_timeout = AdaptiveTimeout(1.0, 0.1)
+    for seconds in (0.05, 0.2, 0.03):
+        adaptive_timeout.answered(seconds)
+    assert adaptive_timeout.slowest == 0.2
+    assert adaptive_timeout.timeout == pytest.approx(0.8)
+
+
+def test_it_stays_between_floor_and_longest() -> None:
+    adaptive_timeout = AdaptiveTimeout(1.0, 0.1)
+    adaptive_timeout.answered(0.001)
+    assert adaptive_timeout.timeout == 0.1
+    adaptive_timeout.answered(0.9)
+    assert adaptive_timeout.timeout == 1.0
+
+
+def test_a_floor_above_the_longest_time_gives_way() -> None:
+    adaptive_timeout = AdaptiveTimeout(0.05, 0.1)
+    adaptive_timeout.answered(0.001)
+    assert adaptive_timeout.timeout == 0.05
+
+
+def test_a_late_reply_ends_the_shortening_for_good() -> None:
+    adaptive_timeout = AdaptiveTimeout(1.0, 0.1)
+    adaptive_timeout.answered(0.01)
+    adaptive_timeout.late()
+    adaptive_timeout.answered(0.02)
+    assert adaptive_timeout.timeout == 1.0
+
+
+def test_somebody_may_want_no_shortening() -> None:
+    adaptive_timeout = AdaptiveTimeout(1.0, 0.1, learns=False)
+    adaptive_timeout.answered(0.01)
+    assert adaptive_timeout.timeout == 1.0
+
+
+def test_slow_lines_have_a_higher_floor() -> None:
+    assert floor_for(0.0) == pytest.approx(0.1)
+    assert floor_for(SerialTiming.of_line(1200).character) == pytest.approx(0.1 + 32 * 11 / 1200)
