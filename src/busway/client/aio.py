@@ -61,7 +61,10 @@ from .pool import LinkPool, pool_of_running_loop
 from .settings import LinkSettings, link_settings
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from .option_types import LinkOptions
+    from .read_many import Wanted
 
 Reply = TypeVar("Reply", bound=Message)
 Value = TypeVar("Value")
@@ -263,6 +266,15 @@ class AsyncUnit:
         **call_options: Unpack[CallOptions],
     ) -> Any:
         return await self._perform(read_values(address, type, order, count, split, self._width), call_options)
+
+    @documented_by(BlockingUnit.read_many)
+    async def read_many(
+        self, wanted: "Mapping[str, Wanted]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
+    ) -> dict[str, Any]:
+        from .read_many import read_together
+
+        found: dict[str, Any] = await self._perform(read_together(wanted, order, self._width), call_options)
+        return found
 
     @overload
     async def write(

@@ -60,7 +60,10 @@ from .operations import (
 from .settings import LinkSettings, link_settings
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from .option_types import LinkOptions
+    from .read_many import Wanted
 
 Reply = TypeVar("Reply", bound=Message)
 Value = TypeVar("Value")
@@ -263,6 +266,28 @@ class BlockingUnit:
             call_options: `CallOptions`.
         """
         return self._perform(read_values(address, type, order, count, split, self._width), call_options)
+
+    def read_many(
+        self, wanted: "Mapping[str, Wanted]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
+    ) -> dict[str, Any]:
+        """Values from several addresses by name, with as few requests as their places allow.
+
+        Ranges that touch or overlap are read together; what lies between others is not read. The requests go out as
+        those of `execute_many` do, so values of different requests may be of different moments.
+
+        Args:
+            wanted: by name, an address in any notation, or a tuple of address and type, or of address, type and count:
+                ``{"power": ("4x1", "float32"), "on": "0x1", "names": ("4x9", "string:8", 2)}``.
+            order: order of bytes and registers of all of them; a `ValueType` keeps its own where this is left out.
+            call_options: `CallOptions`.
+
+        Returns:
+            The values by name, in the order of ``wanted``; a list where a count was given.
+        """
+        from .read_many import read_together  # here: programs that do without it do not wait for it
+
+        found: dict[str, Any] = self._perform(read_together(wanted, order, self._width), call_options)
+        return found
 
     @overload
     def write(

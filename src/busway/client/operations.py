@@ -70,7 +70,7 @@ def read_values(
     width: int = NARROW,
 ) -> Operation:
     """Values from an address: one if ``count`` is None, else a list. ``width`` are the bytes of a register."""
-    place = _place(address)
+    place = place_of(address)
     number = 1 if count is None else count
     if number < 1:
         raise InvalidRequest(f"count must be at least 1, not {number}")
@@ -108,7 +108,7 @@ def write_values(
     address: int | str | Address, values: Any, kind: str | ValueType[Any] | None, order: str, function: WriteFunction
 ) -> Operation:
     """One value or a sequence of values to an address."""
-    place = _place(address)
+    place = place_of(address)
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: a {place.table.label if place.table else 'table'} can not be written")
     several = is_several(values)
@@ -163,7 +163,8 @@ def read_identification(level: str, object_id: int | None) -> Operation:
         start = reply.next_object
 
 
-def _place(address: int | str | Address) -> Address:
+def place_of(address: int | str | Address) -> Address:
+    """The place of an address that names its table. Raises `InvalidRequest`."""
     place = parse_address(address)
     if place.table is None:
         raise InvalidRequest(f"address {address} names no table; {_hint_of_number(place)}")
@@ -180,7 +181,7 @@ def _hint_of_number(place: Address) -> str:
     return f"write for example '4x{offset + 1}' or 'holding:{offset}'"
 
 
-_READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
+READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
     Table.COILS: ReadCoils,
     Table.DISCRETE_INPUTS: ReadDiscreteInputs,
     Table.HOLDING_REGISTERS: ReadHoldingRegisters,
@@ -204,7 +205,7 @@ def _pieces(place: Address, items: int, limit: int, split: bool, width: int = NA
         )
     if place.offset + items > 65_536:
         raise InvalidRequest(f"{place}: {items} {place.table.label}s end beyond the last one, 65536")
-    kind = _READ[place.table]
+    kind = READ[place.table]
     if issubclass(kind, ReadRegisters):
         kind = wide(kind, width)
     return [kind(place.offset + done, min(limit, items - done)) for done in range(0, items, limit)]
