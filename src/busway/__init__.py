@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .client.blocking import BlockingLink, BlockingUnit, connect
     from .client.option_types import LinkOptions
     from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
+    from .client.scanning import FoundUnit, scan
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
     from .errors import (
         BadReply,
@@ -114,6 +115,7 @@ _HOME = {
     "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),
     "client.option_types": ("LinkOptions",),
     "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
+    "client.scanning": ("FoundUnit", "scan"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
     "access.addresses": ("AddressList",),
     "access.rules": ("Policy", "Rule"),
@@ -239,6 +241,7 @@ __all__ = [
     "ExceptionCode",
     "ExceptionReply",
     "FileReference",
+    "FoundUnit",
     "FunctionCode",
     "FunctionTable",
     "Gateway",
@@ -305,6 +308,7 @@ __all__ = [
     "repeated",
     "rest",
     "rest_length",
+    "scan",
     "serve",
     "serve_forever",
     "serve_in_thread",

@@ -1,0 +1,241 @@
+"""Finding the units that answer on a line, or behind an address.
+
+1. Each unit is asked for one holding register. Whatever answers is there, also with an exception or a damaged reply; a
+   gateway that says 0A or 0B says that nobody is. Nothing is ever written.
+2. A line is listened to first, and nothing is sent where others talk: two masters disturb each other.
+3. The wait for a unit is learnt from the answers (`busway.session.adaptive_timeout`). If one comes late, those who were given
+   less time are asked again.
+4. What answers is asked who it is (43/14, 17).
+"""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
+from ..errors import BadReply, ConfigError, ExceptionReply, LinkDown, ModbusError, NoReply
+from ..options.endpoints import Endpoint, parse_endpoint
+from ..pdu.compiler import as_integer
+from ..pdu.read_items import ReadHoldingRegisters
+from ..session.adaptive_timeout import AdaptiveTimeout, floor_for
+from .blocking import BlockingLink, connect
+from .conversation import timing_of
+from .settings import link_settings
+
+LISTEN_SECONDS: Final = 2.0
+"""How long a line is listened to before anything is sent."""
+
+
+@dataclass(slots=True)
+class FoundUnit:
+    """A unit that answers.
+
+    Attributes:
+        unit: its number.
+        answer: how it answered, in words.
+        seconds: until it did.
+        identification: device identification (43/14) by number; empty if it has none.
+        server_id: what function 17 gave; empty if nothing.
+    """
+
+    unit: int
+    answer: str
+    seconds: float
+    identification: dict[int, bytes] = field(default_factory=dict)
+    server_id: bytes = b""
+
+
+def scan(
+    url: str | Endpoint,
+    units: Iterable[int] | None = None,
+    *,
+    timeout: float = 1.0,
+    learn: bool = True,
+    identify: bool = True,
+    listen: float | None = LISTEN_SECONDS,
+    **options: Any,  # those of `LinkOptions`, of which the timeout stands above
+) -> list[FoundUnit]:
+    """The units that answer on a line, or behind an address; nothing is ever written.
+
+    It takes up to ``timeout`` for each unit that is not there, less as soon as some have answered.
+
+    Args:
+        url: the endpoint, as in `connect`.
+        units: the units to ask, 1…247 on a line and 0…255 elsewhere; None asks 1…247, and 255 too on TCP, TLS and UDP.
+        timeout: seconds, the longest wait for a unit.
+        learn: shorten the wait by what the answers took.
+        identify: ask each that answers what it is (43/14, 17).
+        listen: seconds that a line is listened to first; None asks even where another master talks.
+        options: as in `connect`, except ``retries``: each unit is asked once.
+
+    Raises:
+        ConfigError: an argument that can not be, or somebody talks on the line. Nothing was sent.
+        LinkDown: no connection.
+    """
+    endpoint = parse_endpoint(url)
+    asked = units_to_ask(endpoint, units)
+    if not 0.001 <= timeout <= 60:
+        raise ConfigError(f"must be 0.001…60 seconds, not {timeout:g}", key="timeout")
+    if listen is not None:
+        refuse_busy_line(endpoint, listen)
+    return list(UnitScan(endpoint, asked, timeout, learn=learn, identify=identify, options=options).found())
+
+
+def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
+    """The units of a scan, each once and ascending. Raises `ConfigError`; unit 0 is nobody's on a line."""
+    is_line = endpoint.framing != "mbap"
+    if units is None:
+        return [*range(1, LAST_SERIAL_UNIT + 1), *([] if is_line else [TCP_DEVICE_UNIT])]
+    low, high = (1, LAST_SERIAL_UNIT) if is_line else (0, 255)
+    found = sorted({as_integer("unit", unit) for unit in units})
+    for unit in found:
+        if not low <= unit <= high:
+            raise ConfigError(f"must be {low}…{high}, not {unit}", key="units")
+    if not found:
+        raise ConfigError("at least one unit is needed", key="units")
+    return found
+
+
+def refuse_busy_line(
+    endpoint: Endpoint,
+    listen: float,
+    *,
+    hint: str = "listen=None asks all the same",
+    begun: Callable[[], None] = lambda: None,
+) -> None:
+    """Listen to a line; raise `ConfigError` where somebody talks. Nothing was sent.
+
+    Args:
+        endpoint: what is about to be scanned; over UDP, and where it is no line, nothing is listened to.
+        listen: seconds.
+        hint: how to ask in spite of it.
+        begun: called when the line is open and listened to.
+    """
+    if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
+        return
+    from ..observe.listening import Listening, line_to_hear
+
+    with Listening(line_to_hear(_for_listening(endpoint))) as listening:
+        begun()
+        until = time.monotonic() + listen
+        while time.monotonic() < until and not listening.bytes_heard:
+            listening.hear(until)
+        if listening.bytes_heard:
+            raise ConfigError(
+                f"the line is busy: somebody talks on it, and would be disturbed; nothing was sent. {hint}",
+                key=endpoint.url,
+            )
+
+
+def _for_listening(endpoint: Endpoint) -> Endpoint:
+    """The endpoint without the options that only a conversation has."""
+    from ..options.text import ALIASES, option_names
+    from ..session.line_framing import FramingParameters
+    from ..transport.serial.settings import SerialSettings
+    from ..transport.tcp import SocketParameters
+
+    port = SerialSettings if endpoint.carrier == "serial" else SocketParameters
+    taken = {*option_names(FramingParameters), *option_names(port)}
+    kept = {name: text for name, text in endpoint.options.items() if ALIASES.get(name, name) in taken}
+    return replace(endpoint, options=kept)
+
+
+class UnitScan:
+    """All units behind one endpoint with one setting. Made before anything is sent; `found` asks.
+
+    Args:
+        endpoint: where.
+        units: whom.
+        longest: seconds that a unit is given at most.
+        learn: whether the wait is shortened by what is learnt.
+        identify: whether those who answer are asked who they are.
+        options: as in `connect`.
+        asking: told each unit before it is asked.
+
+    Attributes:
+        line: what the port is set to; None over a network.
+        adaptive_timeout: what was learnt of the time that answers take.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        units: Sequence[int],
+        longest: float,
+        *,
+        learn: bool,
+        identify: bool,
+        options: Mapping[str, Any] | None = None,
+        asking: Callable[[int], None] = lambda unit: None,
+    ) -> None:
+        chosen: dict[str, Any] = {**(options or {}), "timeout": longest, "retries": 0}  # fields of different types
+        if endpoint.carrier != "serial":
+            chosen["recycle_after_timeouts"] = 1000  # an address without a unit is no sign of a broken connection
+        line = link_settings(endpoint, chosen).line
+        self.line = None if line is None else line.port
+        character = 0.0 if self.line is None else timing_of(self.line).character
+        self.adaptive_timeout = AdaptiveTimeout(longest, floor_for(character), learns=learn)
+        self._units = units
+        self._identifies = identify
+        self._asking = asking
+        self._waited: dict[int, float] = {}
+        """Units that were silent, and how long they were given."""
+        self._link: BlockingLink = connect(endpoint, shared=False, **chosen)
+
+    def found(self) -> Iterator[FoundUnit]:
+        """Those who answer, each as soon as it has. Raises `LinkDown`."""
+        with self._link:
+            self._link.connect()
+            yield from self._ask(self._units)
+            if self.adaptive_timeout.was_late:
+                yield from self._ask(
+                    [unit for unit, waited in self._waited.items() if waited < self.adaptive_timeout.timeout]
+                )
+
+    def _ask(self, units: Iterable[int]) -> Iterator[FoundUnit]:
+        for unit in units:
+            self._asking(unit)
+            found = self._probe(unit)
+            if found is None:
+                continue
+            if self._identifies:
+                self._identify(found)
+            yield found
+
+    def _probe(self, unit: int) -> FoundUnit | None:
+        """Whether a unit answers, and how."""
+        counters, timeout = self._link.counters, self.adaptive_timeout.timeout
+        late_before = counters.late_replies
+        began = time.monotonic()
+        answer = ""
+        try:
+            self._link.unit(unit).execute(ReadHoldingRegisters(0, 1), timeout=timeout, retries=0)
+            answer = "answers"
+        except ExceptionReply as error:
+            # Also a gateway's answer tells how long it takes to get one.
+            answer = "" if error.from_gateway else f"answers with exception {error.code:02X}"
+            self.adaptive_timeout.answered(time.monotonic() - began)
+        except BadReply as error:
+            answer = f"answers, but broken: {error.reason}"
+        except NoReply as error:
+            self._waited[unit] = timeout
+            answer = "answers, but damaged" if error.kind == "partial" else ""
+        except LinkDown:
+            self._link.connect()  # some devices close the connection for a unit that they do not have
+        took = time.monotonic() - began
+        if counters.late_replies > late_before:
+            self.adaptive_timeout.late()
+        if not answer:
+            return None
+        if answer == "answers":
+            self.adaptive_timeout.answered(took)
+        return FoundUnit(unit, answer, took)
+
+    def _identify(self, found: FoundUnit) -> None:
+        unit = self._link.unit(found.unit)
+        with contextlib.suppress(ModbusError):
+            found.identification = dict(sorted(unit.read_device_identification("basic").items()))
+        with contextlib.suppress(ModbusError):
+            found.server_id = unit.report_server_id()

@@ -1,0 +1,55 @@
+"""`busway.scan`: the units that answer, as a list."""
+
+from collections.abc import Iterator
+
+import pytest
+
+import busway
+from busway.client.scanning import FoundUnit
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    """Units 3, which has the register that is asked for, and 7, which has not."""
+    units = {3: busway.Device(holding_registers=1, server_id=b"pump"), 7: busway.Device(coils=1)}
+    with busway.serve_in_thread("rtu+tcp://127.0.0.1:0", units=units) as server:
+        yield server.endpoints[0]
+
+
+def test_who_answers_is_found_with_how_and_who_it_is(url: str) -> None:
+    found = busway.scan(url, [7, 3, 9, 3], timeout=0.3, listen=None)
+    assert [(one.unit, one.answer) for one in found] == [(3, "answers"), (7, "answers with exception 02")]
+    assert b"pump" in found[0].server_id
+    assert all(0 < one.seconds < 0.3 for one in found)
+
+
+def test_it_asks_nobody_who_it_is_where_that_is_not_wanted(url: str) -> None:
+    (found,) = busway.scan(url, range(3, 4), timeout=0.3, listen=None, identify=False)
+    assert found == FoundUnit(3, "answers", found.seconds)
+
+
+def test_a_tcp_address_is_asked_for_every_unit_and_the_device_itself() -> None:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)}) as server:
+        found = busway.scan(server.endpoints[0], identify=False)
+    assert [one.unit for one in found] == [1, 255]
+
+
+@pytest.mark.parametrize(
+    ("url", "arguments", "sentence"),
+    [
+        ("rtu+tcp://127.0.0.1:1", {"units": [0]}, "units: must be 1…247, not 0"),
+        ("tcp://127.0.0.1:1", {"units": [256]}, "units: must be 0…255, not 256"),
+        ("tcp://127.0.0.1:1", {"units": []}, "units: at least one unit is needed"),
+        ("tcp://127.0.0.1:1", {"timeout": 0}, "timeout: must be 0.001…60 seconds, not 0"),
+        ("tcp://127.0.0.1:1", {"timout": 1}, "timout: unknown option of tcp://127.0.0.1:1; is it timeout?"),
+    ],
+)
+def test_what_can_not_be_is_refused(url: str, arguments: dict[str, object], sentence: str) -> None:
+    with pytest.raises(busway.ConfigError) as caught:
+        busway.scan(url, **arguments)  # type: ignore[arg-type]
+    assert str(caught.value) == sentence
+
+
+def test_where_nobody_listens_the_connection_is_down() -> None:
+    with pytest.raises(busway.LinkDown):
+        busway.scan("tcp://127.0.0.1:1", [1], timeout=0.2)
