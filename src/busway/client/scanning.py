@@ -3,7 +3,7 @@
 1. Each unit is asked for one holding register. Whatever answers is there, also with an exception or a damaged reply; a
    gateway that says 0A or 0B says that nobody is. Nothing is ever written.
 2. A line is listened to first, and nothing is sent where others talk: two masters disturb each other.
-3. The wait for a unit is learnt from the answers (`busway.session.adaptive_timeout`). If one comes late, those who were given
+3. The wait for a unit is learnt from the answers (`session.adaptive_timeout`). If one comes late, those who were given
    less time are asked again.
 4. What answers is asked who it is (43/14, 17).
 """
