@@ -1,0 +1,174 @@
+"""The words of the glossary hold in the code: one class per public name, and no retired word in a name."""
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ROOT / "src" / "busway"
+GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+MOST_WORDS = 60
+
+# Public names that two classes still have. Take a name out when its classes have names of their own; add none.
+STILL_SHARED: frozenset[str] = frozenset(
+    {
+        "Access",
+        "AccessRules",
+        "Action",
+        "Asked",
+        "Call",
+        "Clock",
+        "ConnectionState",
+        "Conversation",
+        "Counters",
+        "Declared",
+        "Direction",
+        "Emission",
+        "Entry",
+        "Faults",
+        "Heard",
+        "Layout",
+        "LineCounters",
+        "LineSettings",
+        "Lines",
+        "Member",
+        "Piece",
+        "PointChange",
+        "Points",
+        "Route",
+        "Running",
+        "Schedule",
+        "Section",
+        "Selection",
+        "Served",
+        "Subject",
+        "Timer",
+        "Trace",
+        "Traffic",
+        "Way",
+    }
+)
+# Names that still have a retired word in them. Take a name out when it is renamed; add none.
+STILL_RETIRED: frozenset[str] = frozenset(
+    {
+        "FrontSection",
+        "_front",
+        "_fronts_without_units",
+        "_idle_fronts",
+        "_lamps",
+        "_of_front",
+        "_personality",
+        "_placed_front",
+        "front_families",
+        "gate",
+        "in_front",
+        "lamps",
+        "making",
+        "of_front",
+        "personalities",
+        "personality_lines",
+        "takes_bunches",
+        "wires",
+        "wiring",
+        "with_personalities",
+    }
+)
+
+
+def rows_of(heading: str, text: str = GLOSSARY) -> list[tuple[str, str]]:
+    """The rows of the table that begins with these two headings."""
+    table = text.partition(f"| {heading} |\n| --- | --- |\n")[2].partition("\n\n")[0]
+    return re.findall(r"^\| (.+?) \| (.+) \|$", table, re.MULTILINE)
+
+
+WORDS = rows_of("word | meaning")
+RETIRED = rows_of("retired | use")
+
+
+def words_of(name: str) -> list[str]:
+    """The words of an identifier or a path, in small letters: ``HTTPServer_gate`` is http, server, gate."""
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
+
+
+def is_form_of(word: str, retired: str) -> bool:
+    """Whether it is the word itself or its plural."""
+    return word in (retired, f"{retired}s", f"{retired}es", f"{retired[:-1]}ies")
+
+
+def retired_in(name: str) -> list[str]:
+    """The retired words that a name contains; "in flight" is what a request is, and no flight."""
+    parts = words_of(name)
+    words = [word for word, before in zip(parts, ["", *parts], strict=False) if (before, word) != ("in", "flight")]
+    found = []
+    for retired, _ in RETIRED:
+        wanted = retired.split()
+        runs = (words[at : at + len(wanted)] for at in range(len(words) - len(wanted) + 1))
+        if any(all(map(is_form_of, run, wanted)) for run in runs):
+            found.append(retired)
+    return found
+
+
+def names_defined() -> Iterator[tuple[str, str]]:
+    """Each module and package, class and function, however deep: its name, and the file."""
+    for file in sorted(SOURCES.rglob("*.py")):
+        module = file.relative_to(SOURCES).with_suffix("").as_posix()
+        yield from ((part, module) for part in module.split("/"))
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                yield node.name, module
+
+
+def classes_by_name() -> dict[str, list[str]]:
+    """Where the public classes at the top of modules are defined."""
+    found = defaultdict(list)
+    for file in sorted(SOURCES.rglob("*.py")):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found[node.name].append(file.relative_to(SOURCES).as_posix())
+    return found
+
+
+def test_no_public_class_name_is_defined_twice() -> None:
+    shared = {name: files for name, files in classes_by_name().items() if len(files) > 1}
+    assert {name: files for name, files in shared.items() if name not in STILL_SHARED} == {}
+
+
+def test_no_name_contains_a_retired_word() -> None:
+    found = {name: (module, words) for name, module in names_defined() if (words := retired_in(name))}
+    assert {name: where for name, where in found.items() if name not in STILL_RETIRED} == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "retired"),
+    [
+        ("PipelinedBatch", []),
+        ("send_volleys", ["volley"]),
+        ("RequestInFlight", []),
+        ("Flight", ["flight"]),
+        ("_broadcast", []),
+        ("short_road", ["road"]),
+        ("with_personalities", ["personality"]),
+        ("is_marked_device", ["marked device"]),
+        ("device_marked", []),
+    ],
+)
+def test_retired_words_are_found_as_words_of_a_name(name: str, retired: list[str]) -> None:
+    assert retired_in(name) == retired
+
+
+def test_the_glossary_has_at_most_sixty_words_in_alphabetical_order() -> None:
+    words = [word for word, _ in WORDS]
+    assert 30 < len(words) <= MOST_WORDS
+    assert words == sorted(set(words))
+
+
+def test_no_word_of_the_glossary_is_retired() -> None:
+    retired = [word for word, _ in RETIRED]
+    assert len(retired) > 15
+    assert retired == sorted(set(retired))
+    assert [word for word, _ in WORDS if retired_in(word)] == []
+    assert [word for _, word in RETIRED if retired_in(word)] == []
