@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from marked import ROOT, replaced, update
 
-from busway.apps.gateway.own_unit import FIRST_LINE, LINE_REGISTERS, REGISTERS, Entry
+from busway.apps.gateway.own_unit import FIRST_LINE, LINE_REGISTERS, REGISTERS, StatusRegister
 
 
-def render(entries: Sequence[Entry], start: int, label: str) -> str:
+def render(entries: Sequence[StatusRegister], start: int, label: str) -> str:
     """A table of registers; ``label`` stands before the offset in a line's block."""
     lines = ["| offset | notation | type | value | |", "| --- | --- | --- | --- | --- |"]
     for entry in entries:

@@ -16,7 +16,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import AddressRange, Route, RoutingTable
 from busway.codes import Table
 from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read
@@ -109,7 +109,7 @@ async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes]
 
 
 def plan(routes: Sequence[Route]) -> GatewayPlan:
-    line = LineSettings.of("line", "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
+    line = UpstreamSettings.of("line", "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
     return GatewayPlan(
         (GatewayListener("front", busway.Listener(TCP)),), (line,), RoutingTable(tuple(routes)), own_unit=None
     )

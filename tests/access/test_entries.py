@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from message_strategies import any_request
 
-from busway.access.entries import Clock, Entry, outcome_of, who_text
+from busway.access.entries import Entry, WallClock, outcome_of, who_text
 from busway.pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
@@ -94,7 +94,7 @@ def test_outcomes():
 
 def test_the_clock_keeps_its_text_for_a_second_and_no_longer():
     now = [1_772_366_399.999]
-    clock = Clock(lambda: now[0])
+    clock = WallClock(lambda: now[0])
     first = clock()
     now[0] += 0.001
     assert (first, clock()) == ("2026-03-01T11:59:59.999Z", "2026-03-01T12:00:00.000Z")
@@ -112,9 +112,9 @@ def test_the_clock_keeps_its_text_for_a_second_and_no_longer():
 )
 def test_the_clock_says_of_each_time_what_a_new_one_would_say_forwards_and_backwards(times):
     now = [0.0]
-    clock = Clock(lambda: now[0])
+    clock = WallClock(lambda: now[0])
     for now[0] in times:
-        assert clock() == Clock(lambda: now[0])()
+        assert clock() == WallClock(lambda: now[0])()
 
 
 @given(st.data())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from busway.access.audit import AuditLog
 from busway.access.authorizer import PolicyHandler
-from busway.access.rules import Access, Action, Limits, Policy, Rule
+from busway.access.rules import AccessKind, Action, Limits, Policy, Rule
 from busway.codes import Table
 from busway.errors import ConfigError
 from busway.pdu.file_records import ReadFileRecord, WriteFileRecord
@@ -134,7 +134,7 @@ functions = st.frozensets(
 def rules(draw: st.DrawFn) -> Rule:
     fields: dict[str, Any] = {
         "action": draw(st.sampled_from(list(Action))),
-        "access": draw(st.sampled_from(list(Access))),
+        "access": draw(st.sampled_from(list(AccessKind))),
         "roles": draw(st.sampled_from([None, None, frozenset({"op"}), frozenset({"op", "guest"})])),
         "units": draw(st.sampled_from([None, None, frozenset({1}), frozenset({2, 3})])),
         "functions": draw(st.one_of(st.none(), functions)),
@@ -292,7 +292,7 @@ def fits(rule: Rule, item: Item, who: tuple[str, str | None], unit: int, pdu: by
         and (rule.roles is None or who[1] in rule.roles)
         and (rule.units is None or unit in rule.units)
         and (rule.functions is None or bool({(pdu[0], None), (pdu[0], sub_code)} & rule.functions))
-        and (rule.access is Access.ANY or (rule.access is Access.WRITE) == writes)
+        and (rule.access is AccessKind.ANY or (rule.access is AccessKind.WRITE) == writes)
         and (
             (not rule.items and not rule.files)
             or (isinstance(space, Table) and any(low <= number < high for low, high in rule.items.get(space, ())))
@@ -399,7 +399,8 @@ asked_often = st.lists(
 @pytest.mark.clause("M6")
 @given(policies, asked_often)
 @example(
-    Policy((Rule(access=Access.WRITE, limits=Limits(1, 1)),), Action.ALLOW), [(2, 2, bytes.fromhex("16000000000000"))]
+    Policy((Rule(access=AccessKind.WRITE, limits=Limits(1, 1)),), Action.ALLOW),
+    [(2, 2, bytes.fromhex("16000000000000"))],
 )
 @settings(max_examples=250, deadline=None)
 def test_both_roads_permit_what_the_rules_say_and_nothing_denied_reaches_a_store(policy, asked):

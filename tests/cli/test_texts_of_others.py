@@ -10,7 +10,7 @@ import pytest
 from tls_peers import ask, foreign_client, foreign_context
 
 import busway
-from busway.cli.status_view import Section, shown
+from busway.cli.status_view import StatusSection, shown
 from busway.framing.received import Direction
 from busway.observe.wording import described, in_words
 from busway.testing.certificates import CertificateStore
@@ -86,7 +86,7 @@ def test_identification_in_a_frame_is_escaped(run: Callable[..., Any], form: lis
 
 def test_names_and_roles_of_certificates_are_escaped_in_a_status() -> None:
     assert acts(shown("subject", EVIL)) == []
-    section = Section(EVIL, ("subject",), [[EVIL]])
+    section = StatusSection(EVIL, ("subject",), [[EVIL]])
     assert acts(section.title + section.rows[0][0]) == []
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from busway.framing.crc import crc_bytes
 from busway.framing.lrc import lrc
 from busway.framing.mbap import encode_mbap
-from busway.observe.dissect import Direction, Dissection, Dissector, Framing
+from busway.observe.dissect import Dissection, Dissector, Framing, MessageDirection
 
 REQUEST = bytes.fromhex("03 00 6B 00 03")
 REPLY = bytes.fromhex("03 06 02 2B 00 00 00 64")
@@ -67,16 +67,16 @@ def test_a_reply_is_paired_with_the_request_before_it(wrap: object) -> None:
     assert callable(wrap)
     dissector = Dissector()
     asked, answered = one(wrap(REQUEST), dissector), one(wrap(REPLY), dissector)
-    assert (asked.direction, asked.answers) == (Direction.REQUEST, False)
-    assert (answered.direction, answered.answers) == (Direction.REPLY, True)
+    assert (asked.direction, asked.answers) == (MessageDirection.REQUEST, False)
+    assert (answered.direction, answered.answers) == (MessageDirection.REPLY, True)
 
 
 def test_an_echo_is_a_reply_only_behind_its_request() -> None:
     dissector = Dissector()
     write = bytes.fromhex("06 00 01 00 03")
-    assert one(write, dissector).direction is Direction.EITHER
+    assert one(write, dissector).direction is MessageDirection.EITHER
     assert one(write, dissector).answers
-    assert one(write, dissector).direction is Direction.EITHER
+    assert one(write, dissector).direction is MessageDirection.EITHER
 
 
 def test_an_exception_answers_its_request() -> None:
@@ -127,9 +127,9 @@ def test_what_is_wrong_is_said(data: bytes, framing: Framing, problem: str) -> N
 
 
 def test_a_framing_and_a_direction_can_be_given() -> None:
-    dissector = Dissector(framing=Framing.RTU, direction=Direction.REPLY)
+    dissector = Dissector(framing=Framing.RTU, direction=MessageDirection.REPLY)
     found = one(REPLY, dissector)
-    assert (found.framing, found.direction) == (Framing.RTU, Direction.REPLY)
+    assert (found.framing, found.direction) == (Framing.RTU, MessageDirection.REPLY)
     assert any("CRC" in problem for problem in found.problems)
 
 
@@ -163,7 +163,7 @@ def test_a_frame_behind_one_of_an_unknown_function_is_taken_apart() -> None:
     dissector = Dissector()
     assert one(bytes.fromhex("64 01 02"), dissector).title.startswith("PDU: 100 (0x64), request")
     assert one(bytes.fromhex("03 00 01"), dissector).problems
-    assert one(bytes.fromhex("64 01 02"), dissector).direction is not Direction.REQUEST
+    assert one(bytes.fromhex("64 01 02"), dissector).direction is not MessageDirection.REQUEST
 
 
 def test_an_unknown_function_may_be_answered_by_its_reply_or_an_exception() -> None:

@@ -20,7 +20,7 @@ from busway.server.authorisation import Authorise
 from busway.server.listener import Listener
 from busway.server.parameters import ListenerParameters
 from busway.server.pools import Pool
-from busway.server.status import ConnectionState
+from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
 
 pytestmark = pytest.mark.usefixtures("road")
@@ -281,7 +281,7 @@ async def test_half_a_header_and_half_a_request_are_closed_in_their_time_and_a_m
         assert server.status().listeners[0].damaged == 2
         assert server.status().listeners[0].lamps.error.value == "flashing"
         (status,) = server.status().connections
-        assert (status.state, status.pool) == (ConnectionState.RECEIVING, Pool.PRIORITY)
+        assert (status.state, status.pool) == (ServedConnectionState.RECEIVING, Pool.PRIORITY)
         marked.writer.write(QUESTION[3:])
         assert await marked.reader.readexactly(len(ANSWER)) == ANSWER
         await closed(marked, header, body, idle)
@@ -295,7 +295,7 @@ async def test_idle_connection_is_closed_and_one_with_a_request_in_work_is_not()
         busy.writer.write(QUESTION)
         assert await idle.is_closed()
         await until(lambda: server.counters.closed == 1)
-        assert [one.state for one in server.status().connections] == [ConnectionState.BUSY]
+        assert [one.state for one in server.status().connections] == [ServedConnectionState.BUSY]
         handler.contexts[0].reply(registers(0))
         assert await busy.reader.readexactly(len(ANSWER)) == ANSWER
         assert await busy.is_closed()
@@ -323,7 +323,7 @@ async def test_client_that_takes_no_replies_is_closed_in_time_unless_it_is_marke
                     slow.writer.write(b"\0")
                     assert await slow.is_closed()
                     await slow.close()
-                assert server.status().connections[0].state is ConnectionState.HELD
+                assert server.status().connections[0].state is ServedConnectionState.HELD
                 assert server.counters.write_timeouts == 0
             else:
                 await until(lambda: server.counters.closed == 1)
@@ -344,7 +344,7 @@ async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_othe
             await client.reader.readexactly(35 * len(ANSWER))
         clients[1].writer.write(QUESTION)  # not read before the debt of both is paid: (70 - 50) / 50 s
         await until(lambda: server.counters.rate_limited == 1)
-        assert ConnectionState.HELD in [one.state for one in server.status().connections]
+        assert ServedConnectionState.HELD in [one.state for one in server.status().connections]
         await other.ask()
         for _ in range(60):
             await marked.ask()
@@ -427,7 +427,7 @@ async def test_connections_and_classes_of_devices_are_shown_with_what_they_did()
         first, second = status.connections
         assert (first.pool, first.state, first.requests, first.received, first.sent, first.role) == (
             Pool.PRIORITY,
-            ConnectionState.IDLE,
+            ServedConnectionState.IDLE,
             2,
             2 * len(QUESTION),
             2 * len(ANSWER),

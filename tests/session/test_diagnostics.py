@@ -7,7 +7,7 @@ import pytest
 
 from busway.codes import DiagnosticCode
 from busway.pdu.model import Refusal
-from busway.session.diagnostics import EVENT_LOG_SIZE, CommunicationState, Counters, Heard, LineDiagnostics
+from busway.session.diagnostics import EVENT_LOG_SIZE, CommunicationState, Counters, HeardCounters, LineDiagnostics
 
 COUNTERS = {
     0x0B: "bus_message_count",
@@ -112,7 +112,7 @@ def test_exchanges_that_are_added_in_passing_count_like_single_ones() -> None:
 def test_each_counter_is_read_by_its_sub_function_on_16_bits(sub_code: int, name: str) -> None:
     one = state()
     if name in {"bus_message_count", "bus_communication_error_count", "bus_character_overrun_count"}:
-        one.line.heard = Heard(0x1_2345, 0x1_2345, 0x1_2345)
+        one.line.heard = HeardCounters(0x1_2345, 0x1_2345, 0x1_2345)
     else:
         setattr(one.own, name, 0x1_2345)
     assert one.diagnose(sub_code, b"\x00\x00") == b"\x23\x45"

@@ -26,7 +26,7 @@ from busway.session.handler import Handler, RequestContext
 from busway.session.line_framing import FramingParameters, LineFraming, line_framing
 from busway.session.parameters import ClientParameters
 from busway.session.serial_client import SerialClientParameters, SerialClientSession
-from busway.session.serial_server import Emission, SerialServerSession
+from busway.session.serial_server import FrameToSend, SerialServerSession
 from busway.testing.virtual_line import VirtualLine, VirtualPort
 
 
@@ -263,7 +263,7 @@ class ServerEnd:
         self.diagnostics = LineDiagnostics(changes_allowed=True)
         self.sent: list[tuple[float, bytes]] = []
         self.port_has_gone = False
-        self._pending: Emission | None = None
+        self._pending: FrameToSend | None = None
         self.session = SerialServerSession(
             handler, units, framing=framing, diagnostics=self.diagnostics, deliver=self._late, line="bus"
         )
@@ -274,7 +274,7 @@ class ServerEnd:
         heard = session.requests + session.foreign + session.damaged_frames
         if errors:
             session.receive_damaged(data, now)
-            emissions: list[Emission] = []
+            emissions: list[FrameToSend] = []
         else:
             emissions = session.receive(data, now)
         if (
@@ -301,11 +301,11 @@ class ServerEnd:
             self.session.sent(pending.frame, self.port.write(pending.frame, now))
             self.sent.append((now, pending.frame))
 
-    def _take(self, emissions: Sequence[Emission]) -> None:
+    def _take(self, emissions: Sequence[FrameToSend]) -> None:
         if emissions:
             self._pending = emissions[-1]
 
-    def _late(self, emission: Emission) -> None:
+    def _late(self, emission: FrameToSend) -> None:
         self._pending = emission
 
 

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.connections import FaultyTap
 from busway.faults.fault import AppliedFault, Faults, Selection
@@ -93,7 +93,7 @@ async def faulty_line(
             patient = replace(base, units=frozenset({2}), timeout=ADAPTIVE_TIMEOUT)  # who behaves has time
             plan = GatewayPlan(
                 fronts=(GatewayListener("front", Listener(front)),),
-                lines=(LineSettings.of("line", dial or server.endpoints[0], **options),),
+                lines=(UpstreamSettings.of("line", dial or server.endpoints[0], **options),),
                 table=RoutingTable((patient, base)),
             )
             async with Gateway(plan) as gateway:

@@ -49,7 +49,7 @@ _LATE: Final = 1.0
 """Seconds by which a timer may be late before it is taken for one whose event loop has gone."""
 
 
-class Schedule(Protocol):
+class FlushSchedule(Protocol):
     """Calls a function some seconds later; False where nobody can."""
 
     def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
@@ -109,7 +109,7 @@ class AuditLog:
         interval: float = 0.2,
         on_failure: str = "serve",
         repeat_interval: float = 60.0,
-        schedule: Schedule = by_event_loop,
+        schedule: FlushSchedule = by_event_loop,
         clock: Callable[[], float] = time.monotonic,
         room: Room = room_of_file,
     ) -> None:

@@ -47,13 +47,13 @@ from ..values.printable import printable
 from .audit import AuditLog
 from .compiled import noted_writes, permitted_answers
 from .decisions import decision_key
-from .entries import DENIED, NO_ANSWER, Clock, Entry, Replaced, outcome_of, who_text
+from .entries import DENIED, NO_ANSWER, Entry, Replaced, WallClock, outcome_of, who_text
 from .networks import host_of_peer
 from .question import Asker, Question
 from .rates import Rates
 from .repeats import Repeats, so_often
 from .rules import Action, Decision, Policy, Rule
-from .writes import Lines, NotedWrites, with_lines
+from .writes import NotedWrites, WriteLines, with_lines
 
 _log = logging.getLogger("busway.policy")
 
@@ -173,7 +173,7 @@ class PolicyHandler:
         self._in_force = _InForce(policy, inner.generation)
         self._lock = threading.Lock()
         self._clock = clock
-        self._time = Clock(now)
+        self._time = WallClock(now)
         self._replaced_policies = 0
         self._planner = inner if isinstance(inner, ReadPlanner) else None
         self._observer = inner if isinstance(inner, WriteObserver) else None
@@ -225,7 +225,7 @@ class PolicyHandler:
             offered = self._offer(known.rights, context.unit, listed, answers)
         if self.audit is None or offered.writes is None:
             return offered.answers
-        return with_lines(offered.answers, offered.writes, Lines(self.audit, self._time, known.who, context.unit))
+        return with_lines(offered.answers, offered.writes, WriteLines(self.audit, self._time, known.who, context.unit))
 
     def _offer(self, rights: _Rights, unit: int, listed: int | None, answers: Mapping[int, Answer]) -> _Offer:
         """What those with some rights are offered of a unit; kept for the next of them."""

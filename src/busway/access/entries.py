@@ -61,7 +61,7 @@ def who_text(peer: str, role: str | None, listener: str) -> str:
     return f'"peer":{quoted(peer)},"role":{_NULL if role is None else quoted(role)},"listener":{quoted(listener)}'
 
 
-class Clock:
+class WallClock:
     """The time as text, put together anew once a millisecond, and its seconds once a second. From any thread."""
 
     __slots__ = ("_now", "_second", "_text")

@@ -37,7 +37,7 @@ _OF_FILES: Final = (ReadFileRecord, WriteFileRecord)
 
 
 @dataclass(slots=True)
-class Piece:
+class TouchedRange:
     """Items of one space that a request touches, from ``first`` to before ``end``."""
 
     space: Space
@@ -82,7 +82,7 @@ class Question:
     unit: int
     function: int
     sub_function: int | None
-    pieces: tuple[Piece, ...]
+    pieces: tuple[TouchedRange, ...]
     written: tuple[int, ...] | None = None
     masks: tuple[int, int] | None = None
     listed: int | None = None
@@ -156,34 +156,34 @@ def counts_as_write(kind: type[Request]) -> bool:
     return kind.code not in _PUBLIC and kind.reads is None
 
 
-def _pieces(request: Request) -> tuple[Piece, ...]:
+def _pieces(request: Request) -> tuple[TouchedRange, ...]:
     found = []
     is_written = False
     for span in request.spans():
-        found.append(Piece(span.table, span.address, span.address + (span.count or 1), span.writes))
+        found.append(TouchedRange(span.table, span.address, span.address + (span.count or 1), span.writes))
         is_written = is_written or span.writes
     if isinstance(request, _OF_FILES):
         is_written = isinstance(request, WriteFileRecord)
-        found += [Piece(FILES, group.file, group.file + 1, is_written) for group in request.groups]
+        found += [TouchedRange(FILES, group.file, group.file + 1, is_written) for group in request.groups]
     if not found or not is_written:
         writes = counts_as_write(type(request))
         if writes or not found:
-            found.append(Piece(None, 0, 1, writes))
+            found.append(TouchedRange(None, 0, 1, writes))
     return tuple(found)
 
 
-def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) -> tuple[Piece, ...]:
+def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) -> tuple[TouchedRange, ...]:
     kind = request.kind
     if kind.sub_code is not None and sub_function is None:
         return _UNKNOWN_WRITE
     if issubclass(kind, _OF_FILES):
-        return (Piece(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
+        return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [
-        Piece(touch.table, 0, END, writes)
+        TouchedRange(touch.table, 0, END, writes)
         for touch, writes in ((kind.writes, True), (kind.reads, False))
         if touch is not None
     ]
-    return tuple(found) or (Piece(None, 0, 1, counts_as_write(kind)),)
+    return tuple(found) or (TouchedRange(None, 0, 1, counts_as_write(kind)),)
 
 
 def _sub_function(function: int, data: bytes) -> int | None:
@@ -202,4 +202,4 @@ _WRITTEN: Final[dict[type, Callable[[Any], tuple[int, ...]]]] = {
     ReadWriteMultipleRegisters: _registers,
 }
 """The holding registers that a request writes, as numbers, of the functions of which that is known."""
-_UNKNOWN_WRITE: Final = (Piece(None, 0, 1, True),)
+_UNKNOWN_WRITE: Final = (TouchedRange(None, 0, 1, True),)

@@ -28,7 +28,7 @@ from ..values.refusal import shown
 from .addresses import AddressList
 from .networks import NetworkIndex, Networks
 from .notation import Function, Range, merged, parse_files, parse_functions, parse_items, parse_table, parse_units
-from .question import END, FILES, Asker, Piece, Question, Space
+from .question import END, FILES, Asker, Question, Space, TouchedRange
 
 _EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
 _NOWHERE: Final[tuple[Range, ...]] = ()
@@ -50,7 +50,7 @@ class Action(Enum):
         return self is Action.ALLOW or (self is Action.READ_ONLY and not writes)
 
 
-class Access(Enum):
+class AccessKind(Enum):
     """Which accesses a rule is about."""
 
     READ = "read"
@@ -59,7 +59,7 @@ class Access(Enum):
 
     def fits(self, writes: bool) -> bool:
         """Whether a read, or a write, is one of them."""
-        return self is Access.ANY or (self is Access.WRITE) == writes
+        return self is AccessKind.ANY or (self is AccessKind.WRITE) == writes
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ class Rule:
     functions: frozenset[Function] | None = None
     items: Mapping[Table, tuple[Range, ...]] = field(default_factory=dict, hash=False)
     files: tuple[Range, ...] = ()
-    access: Access = Access.ANY
+    access: AccessKind = AccessKind.ANY
     limits: Limits | None = None
     rate: float | None = None
     code: int = ExceptionCode.ILLEGAL_FUNCTION
@@ -153,7 +153,7 @@ class Rule:
             raise ConfigError(f"a refusal is answered with 1 or 2, not {shown(self.code)}", key="code")
         if self.code == ExceptionCode.ILLEGAL_DATA_ADDRESS and (not self.items or self.roles is not None):
             raise ConfigError("2 is for rules that name a table or addresses and no role; leave it out", key="code")
-        if self.limits is not None and (self.action is not Action.ALLOW or self.access is Access.READ):
+        if self.limits is not None and (self.action is not Action.ALLOW or self.access is AccessKind.READ):
             raise ConfigError("limits are for writes that a rule allows", key="values")
         if self.limits is not None and self.items and Table.HOLDING_REGISTERS not in self.items:
             raise ConfigError("limits are for holding registers", key="values")
@@ -182,7 +182,7 @@ class Rule:
         table: str | Table | Iterable[str | Table] | None = None,
         addresses: str | int | Iterable[str | int] | None = None,
         files: str | int | Iterable[str | int] | None = None,
-        access: str | Access = Access.ANY,
+        access: str | AccessKind = AccessKind.ANY,
         values: tuple[int, int] | Limits | None = None,
         signed: bool = False,
         rate: float | None = None,
@@ -231,7 +231,7 @@ class Rule:
             functions=given_functions,
             items=_items(table, addresses),
             files=given_files or (),
-            access=_one_of(Access, access, "access"),
+            access=_one_of(AccessKind, access, "access"),
             limits=limits,
             rate=rate,
             code=code,
@@ -422,7 +422,7 @@ class Policy:
         """
         relevant = [rule for rule in self.rules if rule.is_about(unit, function, None, listed=listed)]
         plain = []
-        for rule, first, end in self._parts(relevant, Piece(space, 0, END, writes)):
+        for rule, first, end in self._parts(relevant, TouchedRange(space, 0, END, writes)):
             action = self.default if rule is None else rule.action
             is_bound = rule is not None and (rule.rate is not None or (writes and rule.limits is not None))
             if action.permits(writes) and not is_bound:
@@ -430,7 +430,7 @@ class Policy:
         found = merged(plain)
         return tuple(Window(first, end) for first, end in found), found == _EVERYWHERE
 
-    def _parts(self, rules: Iterable[Rule], piece: Piece) -> Iterator[tuple[Rule | None, int, int]]:
+    def _parts(self, rules: Iterable[Rule], piece: TouchedRange) -> Iterator[tuple[Rule | None, int, int]]:
         """A piece cut into what each rule decides about; None for the default."""
         left: list[Range] = [(piece.first, piece.end)]
         for rule in rules:
@@ -476,7 +476,7 @@ def zones_of(policy: Policy, unit: int, function: int, table: Table, *, listed: 
     """
     relevant = [rule for rule in policy.rules if rule.is_about(unit, function, None, listed=listed)]
     found = []
-    for rule, first, end in policy._parts(relevant, Piece(table, 0, END, True)):
+    for rule, first, end in policy._parts(relevant, TouchedRange(table, 0, END, True)):
         if not (policy.default if rule is None else rule.action).permits(True):
             continue
         if rule is None:

@@ -22,7 +22,7 @@ from ..codes import Table
 from ..pdu.direct import Answer, Block, DirectModel, ExchangingBlock
 from ..pdu.message import Request
 from .audit import AuditLog
-from .entries import DONE, Clock, done_line
+from .entries import DONE, WallClock, done_line
 from .rules import Zone
 
 LOOKED_AT: Final = frozenset(DONE)
@@ -30,7 +30,7 @@ LOOKED_AT: Final = frozenset(DONE)
 
 
 @dataclass(frozen=True, slots=True)
-class Lines:
+class WriteLines:
     """Where the lines of one client's writes to one unit go, and what they say of it.
 
     Attributes:
@@ -41,7 +41,7 @@ class Lines:
     """
 
     log: AuditLog
-    clock: Clock
+    clock: WallClock
     who: str
     unit: int
 
@@ -59,7 +59,7 @@ class NotedWrites:
     zones: Mapping[int, tuple[type[Request], tuple[Zone, ...]]]
 
 
-def with_lines(answers: Mapping[int, Answer], writes: NotedWrites, lines: Lines) -> dict[int, Answer]:
+def with_lines(answers: Mapping[int, Answer], writes: NotedWrites, lines: WriteLines) -> dict[int, Answer]:
     """The answers that one client is offered: those it shares with others, and its writes, which leave lines.
 
     A write is compiled when it is first asked, and takes its place then: most clients do not write.
@@ -70,7 +70,7 @@ def with_lines(answers: Mapping[int, Answer], writes: NotedWrites, lines: Lines)
     return offered
 
 
-def _compiled_later(offered: dict[int, Answer], code: int, writes: NotedWrites, lines: Lines) -> Answer:
+def _compiled_later(offered: dict[int, Answer], code: int, writes: NotedWrites, lines: WriteLines) -> Answer:
     def first(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
         if offered[code] is first:
             kind, zones = writes.zones[code]
@@ -85,7 +85,7 @@ def _decline(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
 
 
 def looking_answer(
-    kind: type[Request], model: DirectModel, zones: Sequence[Zone], lines: Lines | None = None
+    kind: type[Request], model: DirectModel, zones: Sequence[Zone], lines: WriteLines | None = None
 ) -> Answer | None:
     """The answer to one kind of write, of those `LOOKED_AT`, within the zones of a policy.
 
@@ -106,7 +106,9 @@ class _LookingModel:
 
     __slots__ = ("_kind", "_lines", "_model", "_zones")
 
-    def __init__(self, model: DirectModel, kind: type[Request], zones: Sequence[Zone], lines: Lines | None) -> None:
+    def __init__(
+        self, model: DirectModel, kind: type[Request], zones: Sequence[Zone], lines: WriteLines | None
+    ) -> None:
         self._model = model
         self._kind = kind
         self._zones = zones
@@ -173,7 +175,7 @@ def _limited(block: Block, zones: Sequence[Zone]) -> Callable[[int, int, bytes],
 
 
 def _noted(
-    block: ExchangingBlock, kind: type[Request], zones: Sequence[Zone], lines: Lines
+    block: ExchangingBlock, kind: type[Request], zones: Sequence[Zone], lines: WriteLines
 ) -> Callable[[int, int, bytes], bool | None]:
     """Writes within zones and limits, each with its line."""
     begin, exchange, zone_of = block.first, block.exchange, _judge(block.first, zones)

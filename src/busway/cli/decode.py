@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import typer
 
 from ..errors import ConfigError
-from ..observe.dissect import Direction, Dissection, Dissector, Framing
+from ..observe.dissect import Dissection, Dissector, Framing, MessageDirection
 from .arguments import JSON
 from .exits import ExitCode
 from .output import print_json
@@ -48,7 +48,9 @@ def decode(
     """Explain frames, field by field."""
     dissector = Dissector(
         framing=None if framing is None else Framing(_one_of(framing, "--framing", [each.value for each in Framing])),
-        direction=None if direction is None else Direction(_one_of(direction, "--direction", ["request", "reply"])),
+        direction=None
+        if direction is None
+        else MessageDirection(_one_of(direction, "--direction", ["request", "reply"])),
     )
     code = ExitCode.DONE
     if frames == ["-"]:

@@ -22,7 +22,7 @@ from ..values import Address, ValueType, format_address, printable
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TableRow:
     """One value.
 
     Attributes:
@@ -56,7 +56,7 @@ class Row:
         return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
 
 
-def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[Row]:
+def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[TableRow]:
     """The rows of consecutive values from ``place`` on; ``form`` is None for coils and discrete inputs."""
     step = 1 if form is None else form.registers
     size = 1 if form is None else 2 * step
@@ -65,7 +65,7 @@ def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any
         if form is not None and form.name.startswith("float"):
             value = fewest_digits(value, size)
         address = Address(place.table, place.offset + index * step, place.bit)
-        rows.append(Row(address, value, raw[index * size : (index + 1) * size]))
+        rows.append(TableRow(address, value, raw[index * size : (index + 1) * size]))
     return rows
 
 
@@ -106,7 +106,7 @@ def json_value(value: Any) -> Any:
 class Writer(Protocol):
     """Something that shows rows; ``time`` is when they were read, empty where that is not asked for."""
 
-    def write(self, rows: Sequence[Row], time: str = "") -> None:
+    def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         """Show these rows."""
 
     def close(self) -> None:
@@ -129,7 +129,7 @@ def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writ
 class LineWriter:
     """Columns: address, value, raw; with the time in front if there is one."""
 
-    def write(self, rows: Sequence[Row], time: str = "") -> None:
+    def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         cells = [
             (*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw_text, row.outcome)
             for row in rows
@@ -143,7 +143,7 @@ class LineWriter:
 class JsonWriter:
     """One JSON object per value and line."""
 
-    def write(self, rows: Sequence[Row], time: str = "") -> None:
+    def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         for row in rows:
             fields: dict[str, Any] = {"time": time} if time else {}
             fields |= {
@@ -172,7 +172,7 @@ class CsvWriter:
     def __init__(self) -> None:
         self._has_header = False
 
-    def write(self, rows: Sequence[Row], time: str = "") -> None:
+    def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         outcome = ["outcome"] if any(row.written for row in rows) else []
         header = [] if self._has_header else [*(["time"] if time else []), "address", "value", "raw", *outcome]
         self._has_header = True
@@ -191,7 +191,7 @@ class CsvWriter:
 class TableWriter:
     """A table with headings."""
 
-    def write(self, rows: Sequence[Row], time: str = "") -> None:
+    def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         from rich.console import Console
 
         Console().print(_table(rows, time))
@@ -209,14 +209,14 @@ class LiveTableWriter:
         self._live = Live(auto_refresh=False)
         self._live.start()
 
-    def write(self, rows: Sequence[Row], time: str = "") -> None:
+    def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         self._live.update(_table(rows, time), refresh=True)
 
     def close(self) -> None:
         self._live.stop()
 
 
-def _table(rows: Sequence[Row], time: str) -> Any:
+def _table(rows: Sequence[TableRow], time: str) -> Any:
     from rich.table import Table as RichTable
     from rich.text import Text
 

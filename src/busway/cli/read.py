@@ -35,7 +35,7 @@ from .arguments import (
 )
 from .exits import ExitCode, exit_code_of
 from .files import capturing
-from .output import Row, Writer, choose_writer, say, value_rows
+from .output import TableRow, Writer, choose_writer, say, value_rows
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -122,7 +122,7 @@ def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool)
 
 
 def _read_once(unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, *, split: bool) -> int:
-    rows: list[Row] = []
+    rows: list[TableRow] = []
     code: int = ExitCode.DONE
     for each in wanted:
         try:
@@ -144,7 +144,7 @@ def _read_again_and_again(
     due = time.monotonic()
     while True:
         now = datetime.now().astimezone().isoformat(timespec="milliseconds")
-        rows: list[Row] = []
+        rows: list[TableRow] = []
         for each in wanted:
             try:
                 rows += _rows(unit, each, split=split)
@@ -157,7 +157,7 @@ def _read_again_and_again(
         time.sleep(due - time.monotonic() if due > time.monotonic() else 0)
 
 
-def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[Row]:
+def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[TableRow]:
     """Ask, and keep the bytes beside the values."""
     from ..client.operations import read_values
 

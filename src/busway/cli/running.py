@@ -21,7 +21,7 @@ from .signals import on_hangup
 if TYPE_CHECKING:
     from ..access.addresses import AddressList
     from ..access.rules import AccessRules
-    from ..apps.server.service import Declared, Service
+    from ..apps.server.service import DeclaredServer, Service
 
 NO_STANDARD_PORT = typer.Option(
     False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
@@ -80,14 +80,14 @@ def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: opti
     return {"priority": Networks(priority, key="--priority")} if priority else {}
 
 
-def access_rules(policy: str | None) -> "Callable[[Declared], AccessRules | None]":
+def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":
     """What gives the access rules: those of ``--policy``, or else those of the configuration."""
     from ..apps.server.service import declared_rules
 
     if policy is None:
         return declared_rules
 
-    def read(configuration: "Declared") -> "AccessRules":
+    def read(configuration: "DeclaredServer") -> "AccessRules":
         from ..access.addresses import AddressList
         from ..access.rules import AccessRules, Policy
         from ..config.files.policy import parse_policy_file

@@ -59,7 +59,7 @@ from .sources import (
 )
 
 if TYPE_CHECKING:
-    from ..apps.server.service import Declared, Service
+    from ..apps.server.service import DeclaredServer, Service
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.hosting import ControlPage
 
@@ -200,13 +200,13 @@ def _speed(text: str) -> float:
     return value
 
 
-def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], Declared]":
+def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredServer]":
     """What gives the simulation first, and what its source says whenever it is read again."""
     from ..apps.simulator.simulation import Simulation
 
-    first: list[Declared] = [simulation]
+    first: list[DeclaredServer] = [simulation]
 
-    def read() -> "Declared":
+    def read() -> "DeclaredServer":
         if first:
             return first.pop()
         declaration = source.load()

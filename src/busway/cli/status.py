@@ -20,7 +20,7 @@ from .signals import stop_flag
 
 if TYPE_CHECKING:
     from ..apps.control.asking import Running
-    from .status_view import Section
+    from .status_view import StatusSection
 
 EXAMPLES = """\b
 Examples:
@@ -123,13 +123,13 @@ def _ask_again(where: str | None) -> list[dict[str, Any]]:
         return []
 
 
-def _sections(told: list[dict[str, Any]]) -> "list[Section]":
+def _sections(told: list[dict[str, Any]]) -> "list[StatusSection]":
     from .status_view import list_of_programs, sections_of
 
     return sections_of(told[0]) if len(told) == 1 else [list_of_programs(told)]
 
 
-def _print_plain(sections: "list[Section]") -> None:
+def _print_plain(sections: "list[StatusSection]") -> None:
     for number, section in enumerate(sections):
         if number:
             print()
@@ -139,7 +139,7 @@ def _print_plain(sections: "list[Section]") -> None:
         print_aligned(rows)
 
 
-def _coloured(sections: "list[Section]") -> Any:  # something that rich can print
+def _coloured(sections: "list[StatusSection]") -> Any:  # something that rich can print
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

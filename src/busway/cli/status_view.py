@@ -61,7 +61,7 @@ _STYLES: Final[Mapping[str, Mapping[str, str]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class StatusSection:
     """A part of what is shown.
 
     Attributes:
@@ -86,48 +86,48 @@ class Section:
         return _STYLES.get(self.columns[column], {}).get(cell, "")
 
 
-def sections_of(told: JsonObject) -> list[Section]:
+def sections_of(told: JsonObject) -> list[StatusSection]:
     """All that one program tells."""
     state = told["status"]
-    sections = [Section(headline(told))]
+    sections = [StatusSection(headline(told))]
     sections += server_sections(state)
     for front in state.get("fronts") or ():
         server = front.get("server") or {}
-        sections.append(Section(f"front {front.get('name', '')}".rstrip()))
+        sections.append(StatusSection(f"front {front.get('name', '')}".rstrip()))
         sections += server_sections(server)
         counted = list(_counted(front.get("counters") or {}))
         if counted:
-            sections.append(Section("of them", (), counted))
+            sections.append(StatusSection("of them", (), counted))
     sections += line_sections(state.get("lines") or ())
     return sections
 
 
-def server_sections(state: JsonObject) -> list[Section]:
+def server_sections(state: JsonObject) -> list[StatusSection]:
     """A server: places, listeners, certificates, connections, and what it has counted."""
     sections = []
     places = places_line(state)
     if places:
-        sections.append(Section(places))
+        sections.append(StatusSection(places))
     if state.get("listeners"):
         sections.append(_table([_flat(one) for one in state["listeners"]], _LISTENER_COLUMNS, ""))
     interfaces = [row for one in state.get("listeners") or () for row in interface_rows(one)]
     if interfaces:
-        sections.append(Section("", ("listener", "interface", "address", "netmask", "gateway"), interfaces))
+        sections.append(StatusSection("", ("listener", "interface", "address", "netmask", "gateway"), interfaces))
     certificates = [line for one in state.get("listeners") or () for line in certificate_lines(one)]
     if certificates:
-        sections.append(Section("certificates", (), certificates))
+        sections.append(StatusSection("certificates", (), certificates))
     if state.get("connections"):
         sections.append(_table(state["connections"], _CONNECTION_COLUMNS, ""))
     counted = list(_counted(state.get("counters") or {}))
     if counted:
-        sections.append(Section("counted since the start or the last reset", (), counted))
+        sections.append(StatusSection("counted since the start or the last reset", (), counted))
     refusals = [[rule, str(count)] for rule, count in (state.get("refusals") or {}).items() if count]
     if refusals:
-        sections.append(Section("refused by rule", (), refusals))
+        sections.append(StatusSection("refused by rule", (), refusals))
     return sections
 
 
-def line_sections(lines: Sequence[JsonObject]) -> list[Section]:
+def line_sections(lines: Sequence[JsonObject]) -> list[StatusSection]:
     """The lines of a gateway: how they are, what became of requests, why one is down, and which units are not asked."""
     if not lines:
         return []
@@ -154,9 +154,9 @@ def line_sections(lines: Sequence[JsonObject]) -> list[Section]:
                 suspended.append([line["name"], f"unit {unit['unit']}", "does not answer", f"asked again {when}"])
     sections = [_table(rows, _LINE_COLUMNS, "")]
     if down:
-        sections.append(Section("cannot be reached", (), down))
+        sections.append(StatusSection("cannot be reached", (), down))
     if suspended:
-        sections.append(Section("not asked now", (), suspended))
+        sections.append(StatusSection("not asked now", (), suspended))
     return sections
 
 
@@ -165,7 +165,7 @@ def _when(pause: float | None) -> str:
     return f"in {duration(pause)}" if pause else "with the next request"
 
 
-def list_of_programs(told: Iterable[JsonObject]) -> Section:
+def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
     """Several programs, a line each."""
     rows = [
         [
@@ -178,7 +178,7 @@ def list_of_programs(told: Iterable[JsonObject]) -> Section:
         ]
         for one in told
     ]
-    return Section("", ("process", "name", "state", "uptime", "connections", "endpoints"), rows)
+    return StatusSection("", ("process", "name", "state", "uptime", "connections", "endpoints"), rows)
 
 
 def headline(told: JsonObject) -> str:
@@ -261,7 +261,7 @@ def shown(name: str, value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else printable(str(value))
 
 
-def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Section:
+def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> StatusSection:
     """Rows of scalars under headings, the known columns first."""
     names = list(dict.fromkeys([*known, *(name for row in rows for name in row)]))
     names = [
@@ -271,7 +271,7 @@ def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Sect
         and (any(row.get(name) for row in rows) or (name in _ALWAYS and name in rows[0]))
     ]
     headings = [_HEADINGS.get(name, name.replace("_", " ")) for name in names]
-    return Section(title, headings, [[shown(name, row.get(name)) for name in names] for row in rows])
+    return StatusSection(title, headings, [[shown(name, row.get(name)) for name in names] for row in rows])
 
 
 def _flat(listener: JsonObject) -> JsonObject:

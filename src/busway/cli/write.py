@@ -34,7 +34,7 @@ from .arguments import (
 )
 from .exits import ExitCode
 from .files import capturing
-from .output import Row, choose_writer, print_csv, print_json, say, shown_value, value_rows
+from .output import TableRow, choose_writer, print_csv, print_json, say, shown_value, value_rows
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -137,7 +137,7 @@ def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw
     return form.decode(data), data
 
 
-def _compared(written: Sequence[Row], held: Sequence[Row]) -> list[Row]:
+def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[TableRow]:
     """The rows that were written, with what the device was found to hold."""
     compared = []
     for row, found in zip(written, held, strict=True):

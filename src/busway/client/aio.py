@@ -45,7 +45,7 @@ from .calls import (
     with_assumed_unit,
 )
 from .link import AsyncLinkDriver
-from .management import Selection, selection
+from .management import LinkSelection, selection
 from .operations import (
     CallOptions,
     Operation,
@@ -480,7 +480,7 @@ class AsyncLink:
     one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
-    def __init__(self, settings: LinkSettings, *, shared: bool, rule: Selection | None = None) -> None:
+    def __init__(self, settings: LinkSettings, *, shared: bool, rule: LinkSelection | None = None) -> None:
         self._settings = settings
         self.parameters = settings.parameters
         self._shared = shared
@@ -586,7 +586,7 @@ def open_link(
     url: str | Endpoint,
     *,
     shared: bool = True,
-    select: Literal["first", "oldest"] | Selection | None = None,
+    select: Literal["first", "oldest"] | LinkSelection | None = None,
     **options: "Unpack[LinkOptions]",
 ) -> AsyncLink:
     """A link for asyncio programs: ``async with busway.open("tcp://10.0.0.5") as link: …``.

@@ -45,7 +45,7 @@ from .calls import (
     refused,
     with_assumed_unit,
 )
-from .management import Selection, selection
+from .management import LinkSelection, selection
 from .operations import (
     CallOptions,
     Operation,
@@ -610,7 +610,9 @@ class BlockingLink:
     endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
-    def __init__(self, settings: LinkSettings, link: BlockingLinkDriver | None, rule: Selection | None = None) -> None:
+    def __init__(
+        self, settings: LinkSettings, link: BlockingLinkDriver | None, rule: LinkSelection | None = None
+    ) -> None:
         self._settings = settings
         self._link = link
         self._rule = rule
@@ -622,7 +624,7 @@ class BlockingLink:
             raise closed_error(self._settings)
         if self._link is not None:
             return self._link
-        return BLOCKING_POOL.choose(self._settings, self._rule or Selection.FIRST)
+        return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
         """The link as far as there is one."""
@@ -714,7 +716,7 @@ def connect(
     url: str | Endpoint,
     *,
     shared: bool = True,
-    select: Literal["first", "oldest"] | Selection | None = None,
+    select: Literal["first", "oldest"] | LinkSelection | None = None,
     **options: "Unpack[LinkOptions]",
 ) -> BlockingLink:
     """A link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.

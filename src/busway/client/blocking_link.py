@@ -23,7 +23,7 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from ..errors import LinkClosed, LinkDown
-from ..observe.line_trace import Trace, trace_for
+from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.client import TcpClientSession
@@ -34,7 +34,7 @@ from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
-from .conversation import Conversation
+from .conversation import ClientSession
 from .doubts import KEPT
 from .polling import ExactPoll, Poll
 from .registry import LOCAL, LocalConnectionStatus, status_of
@@ -79,7 +79,7 @@ class BlockingLinkDriver:
         self.name = settings.endpoint.url
         self._connector = connector
         self._framing = settings.endpoint.framing
-        self.session: Conversation = session
+        self.session: ClientSession = session
         self._line = session if isinstance(session, SerialClientSession) else None
         management = settings.management
         reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
@@ -101,7 +101,7 @@ class BlockingLinkDriver:
         self._closed = False
         self.reconnect = reconnect
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
-        self._trace: Trace | None = None
+        self._trace: ConnectionTrace | None = None
         LOCAL.add(self)
 
     # What the interface asks.
@@ -470,7 +470,7 @@ class BlockingLinkDriver:
                 self._traced().note(note)
         notes.clear()
 
-    def _traced(self) -> Trace:
+    def _traced(self) -> ConnectionTrace:
         if self._trace is None:
             carrier = None if self._connection is None else self._connection.channel
             self._trace = trace_for(self._framing, self.name, is_server=False, carrier=carrier)

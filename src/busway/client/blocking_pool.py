@@ -10,7 +10,7 @@ from .calls import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
-from .management import Selection
+from .management import LinkSelection
 from .scope import ClientScope, same_scope
 from .settings import LinkSettings
 
@@ -45,7 +45,7 @@ class BlockingPool:
             entry.users += 1
             return entry.link
 
-    def choose(self, settings: LinkSettings, rule: Selection) -> BlockingLinkDriver:
+    def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
         """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
         with self._lock:
             return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)

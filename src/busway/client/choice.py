@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeVar
 
 from ..errors import LinkDown, Overloaded
-from .management import Selection
+from .management import LinkSelection
 from .settings import LinkSettings
 
 
@@ -42,7 +42,7 @@ def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
         )
 
 
-def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: Selection) -> AnyLink:
+def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection) -> AnyLink:
     """The link that takes a request: one that is connected, by the rule; else the first, which connects at this need.
 
     ``links`` are in the order they were made. Raises `LinkDown` where there is none.
@@ -54,4 +54,4 @@ def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: Selection) ->
     standing = [link for link in links if link.is_connected]
     if not standing:
         return links[0]
-    return standing[0] if rule is Selection.FIRST else min(standing, key=lambda link: link.opened)
+    return standing[0] if rule is LinkSelection.FIRST else min(standing, key=lambda link: link.opened)

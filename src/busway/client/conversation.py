@@ -21,7 +21,7 @@ from ..transport.serial.settings import SerialSettings
 from .settings import LineSettings, LinkSettings
 
 
-class Conversation(Protocol):
+class ClientSession(Protocol):
     """The client's side of one conversation: `TcpClientSession` or `SerialClientSession`.
 
     Attributes:
@@ -138,4 +138,4 @@ def timing_of(port: SerialSettings | None) -> SerialTiming:
     )
 
 
-__all__ = ["Conversation", "LineSettings", "conversation_for", "timing_of"]
+__all__ = ["ClientSession", "LineSettings", "conversation_for", "timing_of"]

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import LinkClosed, LinkDown
-from ..observe.line_trace import Trace, trace_for
+from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.client import TcpClientSession
@@ -31,7 +31,7 @@ from ..session.serial_client import SerialClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
-from .conversation import Conversation
+from .conversation import ClientSession
 from .doubts import KEPT
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
@@ -154,7 +154,7 @@ class AsyncLinkDriver:
         self._connector = connector
         self._parameters = settings.parameters
         self._framing = settings.endpoint.framing
-        self.session: Conversation = session
+        self.session: ClientSession = session
         self._line = session if isinstance(session, SerialClientSession) else None
         self._clock = _clock_of(self._loop) if self._line is None else time.monotonic
         self.now = self._clock
@@ -188,7 +188,7 @@ class AsyncLinkDriver:
         self._timer_at = 0.0
         self._flush_planned = False
         self._outgoing: list[bytes] = []
-        self._trace: Trace | None = None
+        self._trace: ConnectionTrace | None = None
         self._closed = False
         self.reconnect = reconnect
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
@@ -651,7 +651,7 @@ class AsyncLinkDriver:
             self._frame_leaves()
         return now
 
-    def _traced(self) -> Trace:
+    def _traced(self) -> ConnectionTrace:
         if self._trace is None:
             self._trace = trace_for(self._framing, self.name, is_server=False, carrier=self._transport)
         return self._trace

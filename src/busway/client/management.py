@@ -26,7 +26,7 @@ class Hold(Enum):
     REQUEST = "request"
 
 
-class Selection(Enum):
+class LinkSelection(Enum):
     """Which of several connections to one remote takes a request (Messaging on TCP/IP V1.0b §4.2.1.2).
 
     Attributes:
@@ -85,11 +85,11 @@ class ManagementParameters:
         return self.hold
 
 
-def selection(name: "str | Selection | None") -> Selection | None:
+def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
     """The rule of a name, as `busway.open` takes it. Raises `ConfigError`."""
-    if name is None or isinstance(name, Selection):
+    if name is None or isinstance(name, LinkSelection):
         return name
     try:
-        return Selection(name)
+        return LinkSelection(name)
     except ValueError:
         raise ConfigError(f"must be first or oldest, not {name!r}", key="select") from None

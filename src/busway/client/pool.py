@@ -19,7 +19,7 @@ from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
 from .link import AsyncLinkDriver
-from .management import Selection
+from .management import LinkSelection
 from .scope import ClientScope, same_scope
 from .settings import LinkSettings
 
@@ -52,7 +52,7 @@ class LinkPool:
         entry.users += 1
         return entry.link
 
-    def choose(self, settings: LinkSettings, rule: Selection) -> AsyncLinkDriver:
+    def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
         """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 

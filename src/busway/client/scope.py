@@ -18,7 +18,7 @@ from ..errors import ConfigError
 from ..session.requests_in_flight import Places, places
 
 
-class Served(Protocol):
+class ScopedLink(Protocol):
     """A link that takes its places from a scope."""
 
     def serve(self, now: float) -> None:
@@ -38,18 +38,18 @@ class ClientScope:
         self.limit = limit
         self.places: Places = places(limit)
         self.lock = threading.Lock()
-        self._links: deque[weakref.ref[Served]] = deque()
+        self._links: deque[weakref.ref[ScopedLink]] = deque()
 
     @property
     def is_used(self) -> bool:
         """Whether a link takes its places from here."""
         return any(link() is not None for link in self._links)
 
-    def enter(self, link: Served) -> None:
+    def enter(self, link: ScopedLink) -> None:
         """A link was made."""
         self._links.append(weakref.ref(link))
 
-    def leave(self, link: Served) -> None:
+    def leave(self, link: ScopedLink) -> None:
         """A link was closed; its places are free already."""
         self._links = deque(one for one in self._links if one() not in (None, link))
 

@@ -36,7 +36,7 @@ class NamedLink:
     settings: LinkSettings
 
 
-class Declared(Protocol):
+class DeclaredLinks(Protocol):
     """A section that declares a link."""
 
     @property
@@ -77,7 +77,7 @@ def for_all_links(file: SystemFile) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def named_link(
-    section: Declared,
+    section: DeclaredLinks,
     general: Mapping[str, Any],
     security: Mapping[str, Any],
     root: Callable[[Mapping[str, Any]], dict[str, Any]],

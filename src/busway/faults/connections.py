@@ -38,8 +38,8 @@ class FaultyTap:
         self._faults = faults
         self._clock = clock
         self._changed = changed
-        self._ways: dict[tuple[str, str], Way] = {}
-        self._behind: set[Way] = set()
+        self._ways: dict[tuple[str, str], FaultyWay] = {}
+        self._behind: set[FaultyWay] = set()
         self._was_any_on = faults.is_any_on
         self.accepted = self.drained = 0
         faults.watch(self._switched)
@@ -47,10 +47,10 @@ class FaultyTap:
     def __len__(self) -> int:
         return len(self._ways)
 
-    def __iter__(self) -> "Iterator[Way]":
+    def __iter__(self) -> "Iterator[FaultyWay]":
         return iter(list(self._ways.values()))
 
-    def find(self, listener: str, peer: str) -> "Way | None":
+    def find(self, listener: str, peer: str) -> "FaultyWay | None":
         """The way by which a request came, by the names of its context."""
         return self._ways.get((listener, peer))
 
@@ -65,7 +65,7 @@ class FaultyTap:
         """As `busway.server.wires.ConnectionTap.came`."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
-        way = Way(wire, self._faults, clock, loop, others=len(self._ways), moved=self._moved)
+        way = FaultyWay(wire, self._faults, clock, loop, others=len(self._ways), moved=self._moved)
         self._ways[wire.listener, wire.peer] = way
         self.accepted += 1
         way.pump()
@@ -78,13 +78,13 @@ class FaultyTap:
             way.end()
             asyncio.get_running_loop().call_soon(self._forget, way)
 
-    def _forget(self, way: "Way") -> None:
+    def _forget(self, way: "FaultyWay") -> None:
         key = way.wire.listener, way.wire.peer
         if self._ways.get(key) is way:
             del self._ways[key]
         self._changed()
 
-    def _moved(self, way: "Way") -> None:
+    def _moved(self, way: "FaultyWay") -> None:
         """Something has come to wait at a wire, or waits no more."""
         if way.is_behind:
             self._behind.add(way)
@@ -101,7 +101,7 @@ class FaultyTap:
             way.ask_to_pump(is_used_now=is_first)
 
 
-class Way:
+class FaultyWay:
     """One wire and its conversation.
 
     Attributes:
@@ -116,7 +116,7 @@ class Way:
         loop: asyncio.AbstractEventLoop,
         *,
         others: int,
-        moved: Callable[["Way"], None],
+        moved: Callable[["FaultyWay"], None],
     ) -> None:
         self.wire = wire
         self.clock = clock

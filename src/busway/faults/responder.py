@@ -29,7 +29,7 @@ from ..session.handler import (
     UnitHolder,
     WriteObserver,
 )
-from .connections import FaultyTap, Way
+from .connections import FaultyTap, FaultyWay
 from .conversation import Struck
 from .fault import Exchange, Faults
 
@@ -133,7 +133,7 @@ class FaultyHandler:
 class _Turn:
     """One request whose reply leaves by its way."""
 
-    def __init__(self, way: Way, exchange: Exchange, struck: Struck) -> None:
+    def __init__(self, way: FaultyWay, exchange: Exchange, struck: Struck) -> None:
         self._way = way
         self._exchange = exchange
         self._struck = struck
@@ -185,7 +185,7 @@ class _Turn:
         return reply  # nobody takes it: `SILENCE` was the reply
 
 
-def _exchange(context: RequestContext, request: AnyRequest, way: Way) -> Exchange:
+def _exchange(context: RequestContext, request: AnyRequest, way: FaultyWay) -> Exchange:
     pdu = request.encode()
     is_broadcast = context.executed is not None
     conversation = way.conversation

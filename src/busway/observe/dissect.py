@@ -34,7 +34,7 @@ class Framing(Enum):
     PDU = "pdu"
 
 
-class Direction(Enum):
+class MessageDirection(Enum):
     """Who sent it."""
 
     REQUEST = "request"
@@ -56,7 +56,7 @@ class Dissection:
     """
 
     framing: Framing
-    direction: Direction
+    direction: MessageDirection
     title: str
     parts: tuple[Part, ...]
     problems: tuple[str, ...]
@@ -114,7 +114,7 @@ class Dissector:
         functions: FunctionTable = STANDARD,
         *,
         framing: Framing | None = None,
-        direction: Direction | None = None,
+        direction: MessageDirection | None = None,
     ) -> None:
         self._functions = functions
         self._framing = framing
@@ -178,14 +178,14 @@ class Dissector:
 
     def _dissected(self, frame: _Frame) -> Dissection:
         direction, description, answers, mismatch = self._directed(frame)
-        if direction is Direction.REPLY:
+        if direction is MessageDirection.REPLY:
             self._asked = None if answers else self._asked
         elif isinstance(description.message, Request):
             self._asked = _Asked(description.message, frame.pdu[0], frame.unit, frame.transaction)
         inner = [replace(part, offset=frame.pdu_at + part.offset * frame.characters) for part in description.parts]
         around = [f"{part.name}: {part.problem}" for part in (*frame.head, *frame.tail) if part.problem]
         title = f"{frame.title}: {description.title}"
-        if direction is Direction.EITHER:
+        if direction is MessageDirection.EITHER:
             title += " or its reply, which is alike"
         return Dissection(
             frame.framing,
@@ -196,34 +196,34 @@ class Dissector:
             answers,
         )
 
-    def _directed(self, frame: _Frame) -> tuple[Direction, Description, bool, tuple[str, ...]]:
+    def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
         """Direction, description, whether it answers the request before it, and what does not fit that request."""
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
         as_reply = describe_reply(frame.pdu, self._functions, request=asked.request if asked and due else None)
         direction = self._direction or _likelier(as_request, as_reply, frame.pdu, due=due)
-        if direction is Direction.REQUEST:
+        if direction is MessageDirection.REQUEST:
             return direction, as_request, False, ()
         if asked is None or not due or as_reply.problems:
-            return direction, as_request if direction is Direction.EITHER else as_reply, False, ()
+            return direction, as_request if direction is MessageDirection.EITHER else as_reply, False, ()
         mismatch = _mismatch(asked, frame)
         if not mismatch:
-            return Direction.REPLY, as_reply, True, ()
-        if direction is Direction.EITHER:
+            return MessageDirection.REPLY, as_reply, True, ()
+        if direction is MessageDirection.EITHER:
             return direction, as_request, False, ()
         return direction, as_reply, False, (f"does not answer the request before it: {mismatch}",)
 
 
-def _likelier(as_request: Description, as_reply: Description, pdu: bytes, *, due: bool) -> Direction:
+def _likelier(as_request: Description, as_reply: Description, pdu: bytes, *, due: bool) -> MessageDirection:
     if pdu and pdu[0] & 0x80:
-        return Direction.REPLY
+        return MessageDirection.REPLY
     wrong, answer_wrong = len(as_request.problems), len(as_reply.problems)
     if not wrong and not answer_wrong:
-        return Direction.EITHER
+        return MessageDirection.EITHER
     if wrong == answer_wrong:
-        return Direction.REPLY if due else Direction.REQUEST
-    return Direction.REQUEST if wrong < answer_wrong else Direction.REPLY
+        return MessageDirection.REPLY if due else MessageDirection.REQUEST
+    return MessageDirection.REQUEST if wrong < answer_wrong else MessageDirection.REPLY
 
 
 def _mismatch(asked: _Asked, frame: _Frame) -> str:

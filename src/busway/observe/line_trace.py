@@ -29,7 +29,7 @@ _SOONEST: Final = 0.001
 """Seconds that a timer takes at least, so that one that comes a little early does not turn in circles."""
 
 
-class Trace(Protocol):
+class ConnectionTrace(Protocol):
     """Shows one connection."""
 
     def received(self, data: bytes) -> None:
@@ -42,7 +42,7 @@ class Trace(Protocol):
         """Show what the frames do not tell."""
 
 
-class Timer(Protocol):
+class SilenceTimer(Protocol):
     """A timer that was set: `threading.Timer`."""
 
     def start(self) -> None:
@@ -52,7 +52,7 @@ class Timer(Protocol):
         """Let it not call any more."""
 
 
-def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> Trace:
+def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> ConnectionTrace:
     """The trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
 
     ``carrier`` is its socket or transport, from which a capture file has its addresses.
@@ -62,7 +62,7 @@ def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = Non
     return LineTrace(framing, name, is_server=is_server)
 
 
-def _timer(delay: float, call: Callable[[], None]) -> Timer:
+def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
     timer = threading.Timer(delay, call)
     timer.daemon = True  # nobody waits for it at the end of the program
     return timer
@@ -92,7 +92,7 @@ class LineTrace:
         *,
         is_server: bool = False,
         clock: Callable[[], float] = time.monotonic,
-        make_timer: Callable[[float, Callable[[], None]], Timer] = _timer,
+        make_timer: Callable[[float, Callable[[], None]], SilenceTimer] = _timer,
     ) -> None:
         """A line of which nothing was seen yet.
 
@@ -112,7 +112,7 @@ class LineTrace:
         self._clock = clock
         self._lock = threading.RLock()
         self._make_timer = make_timer
-        self._timer: Timer | None = None
+        self._timer: SilenceTimer | None = None
 
     def received(self, data: bytes) -> None:
         """Show what came in, as far as it is decided."""

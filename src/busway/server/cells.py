@@ -56,14 +56,14 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class CellLayout:
     """What a declaration comes to: pieces and read-only ranges (first address, address after the last), ascending."""
 
     pieces: tuple[Piece, ...]
     read_only: tuple[tuple[int, int], ...]
 
 
-def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TABLE_SIZE) -> Layout:
+def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TABLE_SIZE) -> CellLayout:
     """The layout of a declaration.
 
     Args:
@@ -87,7 +87,7 @@ def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TA
     for first, end in read_only:
         if not any(piece.first <= first and end <= piece.end for piece in pieces):
             raise ConfigError(f"the read-only range {first}…{end - 1} holds addresses that do not exist", key=key)
-    return Layout(tuple(pieces), tuple(read_only))
+    return CellLayout(tuple(pieces), tuple(read_only))
 
 
 def _as_cells(declared: TableLike, key: str) -> Cells:

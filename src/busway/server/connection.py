@@ -15,7 +15,7 @@ import asyncio
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from ..observe.line_trace import Trace, trace_for
+from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import peer_has_ended
@@ -23,7 +23,7 @@ from .failures import answer_later
 from .framed import Session
 from .peers import host_of, peer_name
 from .pools import Pool
-from .status import ConnectionState
+from .status import ServedConnectionState
 
 if TYPE_CHECKING:
     from .connections import ConnectionManagement
@@ -102,7 +102,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._turns = management.turns
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
         self._tasks: set[asyncio.Task[None]] | None = None
-        self._trace: Trace | None = None
+        self._trace: ConnectionTrace | None = None
         self._end_waits = False  # the client sends no more, behind what still waits
         self._half_closed = False
         self._is_queued = False  # it waits for its turn
@@ -353,15 +353,15 @@ class ServerConnection(asyncio.BufferedProtocol):
         return int(self._transport.get_write_buffer_size())
 
     @property
-    def state(self) -> ConnectionState:
+    def state(self) -> ServedConnectionState:
         """What it does."""
         if self.session is None or self._transport.is_closing():
-            return ConnectionState.CLOSING
+            return ServedConnectionState.CLOSING
         if self._is_stuck or self._management.is_held(self):
-            return ConnectionState.HELD
+            return ServedConnectionState.HELD
         if self.is_busy:
-            return ConnectionState.BUSY
-        return ConnectionState.RECEIVING if self.unfinished else ConnectionState.IDLE
+            return ServedConnectionState.BUSY
+        return ServedConnectionState.RECEIVING if self.unfinished else ServedConnectionState.IDLE
 
     # Inside.
 
@@ -385,7 +385,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         if TRACE.level:
             self._traced().sent(b"".join(replies))
 
-    def _traced(self) -> Trace:
+    def _traced(self) -> ConnectionTrace:
         if self._trace is None:
             self._trace = trace_for(self._management.framing, self.peer, is_server=True, carrier=self._transport)
         return self._trace

@@ -16,7 +16,7 @@ from typing import Final
 from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler
 from ..session.line_framing import LineFraming
-from ..session.serial_server import Emission, SerialServerSession
+from ..session.serial_server import FrameToSend, SerialServerSession
 from ..session.server import Deferred, HandlerFailure, TcpServerSession
 
 SHARE_OF_BYTES: Final = 513
@@ -147,7 +147,7 @@ class FramedSession:
 
     # Inside.
 
-    def _late(self, emission: Emission) -> None:
+    def _late(self, emission: FrameToSend) -> None:
         self._deliver(emission.frame)
 
     def _rearm(self) -> None:

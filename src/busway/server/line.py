@@ -18,11 +18,11 @@ from dataclasses import replace
 from typing import Final
 
 from ..errors import LinkDown
-from ..observe.line_trace import Trace, trace_for
+from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler
-from ..session.serial_server import Emission, SerialServerSession
+from ..session.serial_server import FrameToSend, SerialServerSession
 from ..transport.serial.alarm import Alarm
 from ..transport.serial.connection import SerialConnection
 from ..transport.serial.opening import Claim
@@ -92,12 +92,12 @@ class SerialListener:
         self._claim: Claim | None = None
         self._opening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._pending: Emission | None = None
+        self._pending: FrameToSend | None = None
         self._emission_alarm: Alarm | None = None
         self._silence_timer: asyncio.TimerHandle | None = None
         self._spin = 0.0
         self._overruns: Overruns | None = None
-        self._trace: Trace | None = None
+        self._trace: ConnectionTrace | None = None
 
     # Life.
 
@@ -233,7 +233,7 @@ class SerialListener:
         damaged = session.damaged_frames
         overrun = self._overruns is not None and self._overruns.more()
         pending = self._pending
-        emissions: list[Emission] = []
+        emissions: list[FrameToSend] = []
         if errors or overrun:
             session.receive_damaged(data, now, overrun=overrun)
         else:
@@ -247,7 +247,7 @@ class SerialListener:
                 self._schedule(replace(pending, not_before=session.clear_at()))
         self._follow(emissions)
 
-    def _follow(self, emissions: list[Emission]) -> None:
+    def _follow(self, emissions: list[FrameToSend]) -> None:
         """Do what the session asks for: answer, wait for handlers, report, look at the clock again."""
         session = self._session
         if emissions:
@@ -285,12 +285,12 @@ class SerialListener:
 
     # Answers.
 
-    def _late_answer(self, emission: Emission) -> None:
+    def _late_answer(self, emission: FrameToSend) -> None:
         """A handler that needed time has its answer."""
         self._schedule(emission)
         self._watch_silence()
 
-    def _schedule(self, emission: Emission) -> None:
+    def _schedule(self, emission: FrameToSend) -> None:
         self._pending = emission
         leaves = emission.not_before - self._spin
         if self._emission_alarm is not None and leaves > time.monotonic():
@@ -340,7 +340,7 @@ class SerialListener:
         if TRACE.level:
             self._traced().sent(data)
 
-    def _traced(self) -> Trace:
+    def _traced(self) -> ConnectionTrace:
         if self._trace is None:
             self._trace = trace_for(self._settings.endpoint.framing, self.name, is_server=True)
         return self._trace

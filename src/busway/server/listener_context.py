@@ -27,7 +27,7 @@ from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .pools import Pool
-from .status import ConnectionState, ConnectionStatus, ListenerStatus
+from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .wires import ConnectionTap, Wire, stay
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class UdpPeer(Protocol):
         """Its conversation; None before it begins and after it has ended."""
 
     @property
-    def state(self) -> ConnectionState:
+    def state(self) -> ServedConnectionState:
         """What it does."""
 
     def deliver(self, adu: bytes) -> None:

@@ -35,7 +35,7 @@ class Pool(Enum):
     OTHER = "other"
 
 
-class Member(Protocol):
+class PoolMember(Protocol):
     """What is to be known of a connection.
 
     Attributes:
@@ -61,7 +61,7 @@ class Member(Protocol):
         """Whether its other end is known to have closed, with nothing left to be read."""
 
 
-One = TypeVar("One", bound=Member)
+One = TypeVar("One", bound=PoolMember)
 
 
 @dataclass(frozen=True, slots=True)

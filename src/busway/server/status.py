@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .secure import SecurityStatus
 
 
-class ConnectionState(Enum):
+class ServedConnectionState(Enum):
     """What a connection does.
 
     Attributes:
@@ -52,7 +52,7 @@ class ConnectionStatus:
 
     peer: str
     listener: str
-    state: ConnectionState
+    state: ServedConnectionState
     pool: Pool
     role: str | None
     subject: str

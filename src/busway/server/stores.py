@@ -12,7 +12,7 @@ from bisect import bisect_right
 from ..pdu.bits import pack_bits
 from ..pdu.write_items import pack_registers
 from .blocks import BitRun, RegisterRun, Run
-from .cells import Layout
+from .cells import CellLayout
 
 
 class Store:
@@ -44,13 +44,13 @@ class Store:
         return any(first < address + count and address < end for first, end in self.read_only)
 
 
-def register_store(layout: Layout, lock: threading.RLock) -> Store:
+def register_store(layout: CellLayout, lock: threading.RLock) -> Store:
     """A store of registers that hold what ``layout`` says."""
     runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
     return Store(runs, layout.read_only)
 
 
-def bit_store(layout: Layout, lock: threading.RLock) -> Store:
+def bit_store(layout: CellLayout, lock: threading.RLock) -> Store:
     """A store of bits that hold what ``layout`` says."""
     runs = tuple(
         BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)

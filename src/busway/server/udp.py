@@ -20,7 +20,7 @@ from typing import Any, cast
 
 from ..framing.datagram import WHOLE
 from ..observe.ends import SocketAddresses
-from ..observe.line_trace import Trace, trace_for
+from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.tcp import SocketParameters
 from .counters import ServerCounters
@@ -30,7 +30,7 @@ from .listener_context import ListenerContext, add_living
 from .naming import bound_name, listening_sockets
 from .peers import host_of, peer_name
 from .pools import Pool, Pools
-from .status import ConnectionState, ConnectionStatus, ListenerStatus
+from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 
 class UdpListener:
@@ -254,7 +254,7 @@ class _Peer:
         self.received = self.sent = 0
         self._listener_context = listener_context
         self._tasks: set[asyncio.Task[None]] = set()
-        self._trace: Trace | None = None
+        self._trace: ConnectionTrace | None = None
         self.session = listener_context.session_for(self)
 
     def receive(self, data: bytes, now: float) -> None:
@@ -310,11 +310,11 @@ class _Peer:
         return False
 
     @property
-    def state(self) -> ConnectionState:
+    def state(self) -> ServedConnectionState:
         """What it does."""
-        return ConnectionState.BUSY if self.is_busy else ConnectionState.IDLE
+        return ServedConnectionState.BUSY if self.is_busy else ServedConnectionState.IDLE
 
-    def _traced(self) -> Trace:
+    def _traced(self) -> ConnectionTrace:
         if self._trace is None:
             self._trace = trace_for(
                 self._listener_context.framing, self.peer, is_server=True, carrier=self.socket.ends(self.address)

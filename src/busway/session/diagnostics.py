@@ -105,7 +105,7 @@ _COUNTER_OF = {
 
 
 @dataclass(slots=True)
-class Heard:
+class HeardCounters:
     """What every device on a line hears, whatever its unit: whole messages, damaged frames, and of these overruns."""
 
     messages: int = 0
@@ -155,7 +155,7 @@ class LineDiagnostics:
         self.exchanged: Counter[int] = Counter()
         self.arrived: Counter[int] = Counter()
         self.departed: Counter[int] = Counter()
-        self.heard = Heard()
+        self.heard = HeardCounters()
         self.requests = 0
         self._listed_unit = listed_unit
         self._states: dict[int, CommunicationState] = {}
@@ -177,7 +177,7 @@ class LineDiagnostics:
     def counters(self) -> Counters:
         """What was heard since the start, which no unit clears, and the sums of the counters that each unit has."""
         self.fold()
-        total = _with_heard(Counters(), self.heard, Heard())
+        total = _with_heard(Counters(), self.heard, HeardCounters())
         for state in self._distinct():
             for name in _OWN_COUNTERS:
                 setattr(total, name, getattr(total, name) + getattr(state.own, name))
@@ -277,7 +277,7 @@ class CommunicationState:
         self.program_command_running = False
         self.diagnostic_register = 0
         self._event_count = 0
-        self._heard_before = Heard()
+        self._heard_before = HeardCounters()
         self._log: deque[int] = deque(heard_before, maxlen=EVENT_LOG_SIZE)
         self._restart_clears_log: bool | None = None  # None: no restart is asked for
 
@@ -429,7 +429,7 @@ class CommunicationState:
         self._event_count = 0
 
 
-def _with_heard(own: Counters, heard: Heard, before: Heard) -> Counters:
+def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
     """Counters of a unit, completed by what was heard since ``before``."""
     return replace(
         own,

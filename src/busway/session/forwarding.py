@@ -1,6 +1,6 @@
 """Reads that are handed on: those of one connection that came together go to where they lead in one step.
 
-Knows how a read and its answer look on TCP, and the slots of a connection; knows no line and no route: a `Way` does.
+Knows how a read and its answer look on TCP, and the slots of a connection; knows no line and no route.
 
 1. A read is known by its ten bytes behind the transaction, as those that a server plans are; what they mean is asked
    of the handler once for all who have the same rights.
@@ -42,14 +42,14 @@ DeliverTogether = Callable[[list[bytes]], None]
 """Takes the bytes of late replies to the connection."""
 
 
-class Way(Protocol):
+class UpstreamReads(Protocol):
     """Where reads go."""
 
     def ask(self, asker: "ForwardedReads", reads: "list[ForwardedRead]") -> None:
         """Ask them. Each is answered by ``asker``, perhaps before this returns."""
 
 
-class Asked(Protocol):
+class AskedUpstream(Protocol):
     """Something that is asked for a connection."""
 
     def asker_gone(self, asker: "ForwardedReads") -> None:
@@ -71,7 +71,7 @@ class ForwardPlan:
 
     __slots__ = ("head", "request", "way")
 
-    def __init__(self, way: Way, unit: int, request: Request) -> None:
+    def __init__(self, way: UpstreamReads, unit: int, request: Request) -> None:
         self.way = way
         self.request = request
         # Behind the head come the data: the answer is as long as the reply that is expected behind.
@@ -98,7 +98,7 @@ class ForwardPlans:
     __slots__ = ("known", "others", "sole_way")
 
     def __init__(self) -> None:
-        self.sole_way: Way | None = None
+        self.sole_way: UpstreamReads | None = None
         self.known: dict[bytes, ForwardPlan] = {}
         self.others: set[bytes] = set()
 
@@ -180,7 +180,7 @@ class ForwardedReads:
         self._asked: Counter[int] = Counter()  # by unit, as are those that were answered
         self._answered: Counter[int] = Counter()
         self.waiting = 0
-        self.works: dict[Asked, None] = {}
+        self.works: dict[AskedUpstream, None] = {}
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
         """Take the reads that are known from ``at`` on, as many as there are slots; where the first other begins."""
@@ -225,7 +225,7 @@ class ForwardedReads:
 
     def _ask_each(self, reads: list[ForwardedRead]) -> None:
         """Ask reads that go different ways: those of each way together."""
-        by_way: dict[Way, list[ForwardedRead]] = {}
+        by_way: dict[UpstreamReads, list[ForwardedRead]] = {}
         for read in reads:
             by_way.setdefault(read[1].way, []).append(read)
         for way, those in by_way.items():

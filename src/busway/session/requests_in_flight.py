@@ -24,7 +24,7 @@ HEAD_SIZE = 9
 """Bytes of a reply by which it is known: transaction and the seven behind it."""
 
 
-class Route:
+class EncodedRequest:
     """What a request to a unit looks like on TCP but for its transaction.
 
     Attributes:
@@ -48,16 +48,16 @@ class Route:
         self.take = take
         is_known = take is not None and size > 0 and len(prefix) == 2
         self.head = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
-        self.others: dict[int, Route] | None = None
+        self.others: dict[int, EncodedRequest] | None = None
         self.plan: BatchPlan | None = None
 
 
-def route_of(request: Request, unit: int) -> Route:
+def route_of(request: Request, unit: int) -> EncodedRequest:
     """The route of a request to a unit; made when it is first asked for, and kept with the request."""
     try:
-        route: Route = request.memo
+        route: EncodedRequest = request.memo
     except AttributeError:
-        route = Route(request, unit)
+        route = EncodedRequest(request, unit)
     else:
         if route.unit == unit:
             return route
@@ -66,13 +66,13 @@ def route_of(request: Request, unit: int) -> Route:
     return route
 
 
-def _other_route(request: Request, unit: int, known: Route) -> Route:
+def _other_route(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
     """The route to a unit where another one is kept already; from now on each finds the others."""
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
     found = known.others.get(unit)
     if found is None:
-        found = known.others[unit] = Route(request, unit)
+        found = known.others[unit] = EncodedRequest(request, unit)
         found.others = known.others
     return found
 
@@ -84,7 +84,7 @@ class RequestInFlight:
 
     call: Call | None  # None: cancelled
     position: int
-    route: Route
+    route: EncodedRequest
     sent: float
     expires: float
 
@@ -123,7 +123,7 @@ class BatchPlan:
         "takers",
     )
 
-    def __init__(self, first: Route, following: tuple[Request, ...]) -> None:
+    def __init__(self, first: EncodedRequest, following: tuple[Request, ...]) -> None:
         routes = [first, *[route_of(request, first.unit) for request in following]]
         self.following = following
         self.fits = all(route.head for route in routes)

@@ -33,7 +33,7 @@ _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_E
 
 
 @dataclass(frozen=True, slots=True)
-class Emission:
+class FrameToSend:
     """A frame to send.
 
     Attributes:
@@ -108,7 +108,7 @@ class SerialServerSession:
         *,
         framing: LineFraming,
         diagnostics: LineDiagnostics,
-        deliver: Callable[[Emission], None],
+        deliver: Callable[[FrameToSend], None],
         line: str = "",
         listener: str = "",
         sends_at_once: bool = False,
@@ -153,7 +153,7 @@ class SerialServerSession:
 
     # What the port reports.
 
-    def receive(self, data: bytes, now: float) -> list[Emission]:
+    def receive(self, data: bytes, now: float) -> list[FrameToSend]:
         """Work through bytes read at ``now``; the answers to send, at most one on a line where masters keep order."""
         self._last_byte = max(self._last_byte, now)
         return self._work(self._receiver.receive(data, now))
@@ -171,7 +171,7 @@ class SerialServerSession:
         """The earliest time at which an answer may be sent."""
         return self._last_byte + self._framing.send_gap
 
-    def tick(self, now: float) -> list[Emission]:
+    def tick(self, now: float) -> list[FrameToSend]:
         """Let the silence until ``now`` take effect."""
         return self._work(self._receiver.tick(now))
 
@@ -213,8 +213,8 @@ class SerialServerSession:
 
     # Inside.
 
-    def _work(self, received: list[Received]) -> list[Emission]:
-        out: list[Emission] = []
+    def _work(self, received: list[Received]) -> list[FrameToSend]:
+        out: list[FrameToSend] = []
         for found in received:
             self._abandon()
             if isinstance(found, Damaged):
@@ -226,7 +226,7 @@ class SerialServerSession:
                 out.append(answer)
         return out
 
-    def _frame(self, frame: SerialFrame) -> Emission | None:
+    def _frame(self, frame: SerialFrame) -> FrameToSend | None:
         broadcast = frame.unit == BROADCAST_UNIT
         function = frame.pdu[0]
         is_own = self._takes_more and (broadcast or frame.unit in self._units)
@@ -345,7 +345,7 @@ class SerialServerSession:
             context.diagnostics.kept_silent()
             context.abandon()
 
-    def _answer(self, context: RequestContext, reply: Message) -> Emission:
+    def _answer(self, context: RequestContext, reply: Message) -> FrameToSend:
         answer = _Answer(context, reply)
         if self._sends_at_once:
             answer.left()
@@ -354,4 +354,4 @@ class SerialServerSession:
         frame = self._framing.encode(context.unit, reply.encode())
         if context.function == FunctionCode.DIAGNOSTICS:
             self._framing.delimit_by(self._diagnostics.ascii_delimiter)
-        return Emission(frame, self.clear_at())
+        return FrameToSend(frame, self.clear_at())

@@ -9,7 +9,7 @@ import busway
 from busway.apps.gateway.assembly import GatewayConfiguration, load_gateway, parse_gateway, simple_gateway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.overview import gateway_rows, routing_rows
-from busway.apps.gateway.routes import Action, AddressRange
+from busway.apps.gateway.routes import AddressRange, RouteAction
 from busway.apps.server.service import Service, Wishes
 from busway.server.parameters import ListenerParameters
 from busway.session.parameters import Scope
@@ -30,11 +30,11 @@ def test_sections_become_fronts_lines_routes_and_options_of_servers() -> None:
     assert (hall.link.parameters.timeout, hall.link.parameters.retries) == (0.5, 1)
     assert (inverter.connections, inverter.share_reads, inverter.broadcast) == (4, False, True)
     first, second, third, fourth = plan.table.routes
-    assert (first.action, first.code, first.fronts) == (Action.REFUSE, 1, frozenset({"scada"}))
+    assert (first.action, first.code, first.fronts) == (RouteAction.REFUSE, 1, frozenset({"scada"}))
     assert (second.line, second.max_registers, second.timeout) == ("hall", 50, 0.6)
     assert third.addresses == AddressRange(busway.codes.Table.HOLDING_REGISTERS, 0, 100)
     assert (third.unit, third.shift, third.cache) == (1, 1000, 0.5)
-    assert fourth.action is Action.DROP
+    assert fourth.action is RouteAction.DROP
     assert plan.own_unit == 254
     assert configuration.audit == str(GOOD.parent / "audit.jsonl")
     assert plan.server["listener"] == ListenerParameters(idle_timeout=600)

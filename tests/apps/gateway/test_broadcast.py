@@ -10,10 +10,10 @@ from scripted_peer import ScriptedPeer
 from waiting import until
 
 import busway
-from busway.access.rules import Access, Policy, Rule
-from busway.access.rules import Action as Judged
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
-from busway.apps.gateway.routes import Action, AddressRange, Route, RoutingTable
+from busway.access.rules import AccessKind, Policy, Rule
+from busway.access.rules import RouteAction as Judged
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
 from busway.codes import Table
 from busway.framing.mbap import encode_mbap
 from busway.pdu.functions import AnyRequest
@@ -53,7 +53,7 @@ async def gateway(
     *routes: Route, lines: dict[str, str], front: GatewayListener = FRONT, own_unit: int | None = 255, **options: object
 ) -> AsyncIterator[tuple[Gateway, busway.AsyncLink]]:
     settings = tuple(
-        LineSettings.of(name, url, **({"turnaround_delay": 0.01} if url.startswith("rtu") else {}), **options)
+        UpstreamSettings.of(name, url, **({"turnaround_delay": 0.01} if url.startswith("rtu") else {}), **options)
         for name, url in lines.items()
     )
     plan = GatewayPlan(fronts=(front,), lines=settings, table=RoutingTable(routes), own_unit=own_unit)
@@ -124,7 +124,7 @@ async def test_several_lines_hear_it_each_once_and_lines_of_other_fronts_do_not(
         plan = GatewayPlan(
             fronts=fronts,
             lines=tuple(
-                LineSettings.of(name, line.url, turnaround_delay=0.01)
+                UpstreamSettings.of(name, line.url, turnaround_delay=0.01)
                 for name, line in {"one": one, "two": two, "foreign": foreign}.items()
             ),
             table=RoutingTable(
@@ -192,15 +192,15 @@ async def test_unit_0_of_a_server_on_tcp_is_written_where_a_route_says_so() -> N
     [
         [Route(line="line", units=OTHERS, functions=frozenset({1, 2, 3, 4}))],
         [
-            Route(units=OTHERS, functions=frozenset({5, 6, 15, 16, 22, 23}), action=Action.REFUSE),
+            Route(units=OTHERS, functions=frozenset({5, 6, 15, 16, 22, 23}), action=RouteAction.REFUSE),
             Route(line="line", units=OTHERS),
         ],
         [
-            Route(units=frozenset({0}), functions=frozenset({6}), action=Action.REFUSE),
+            Route(units=frozenset({0}), functions=frozenset({6}), action=RouteAction.REFUSE),
             Route(line="line", units=OTHERS),
         ],
         [
-            Route(units=frozenset({2}), functions=frozenset({6}), action=Action.REFUSE),
+            Route(units=frozenset({2}), functions=frozenset({6}), action=RouteAction.REFUSE),
             Route(line="line", units=OTHERS),
         ],
         [
@@ -222,7 +222,9 @@ async def test_a_dropped_broadcast_is_neither_sent_nor_answered() -> None:
     async with (
         bus() as line,
         gateway(
-            Route(units=frozenset({0}), action=Action.DROP), Route(line="line", units=OTHERS), lines={"line": line.url}
+            Route(units=frozenset({0}), action=RouteAction.DROP),
+            Route(line="line", units=OTHERS),
+            lines={"line": line.url},
         ) as (made, link),
     ):
         asked = asyncio.create_task(link.unit(0).write_single_register(5, 55))
@@ -278,7 +280,7 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
     async with bus() as line:
         plan = GatewayPlan(
             fronts=(GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0")),),
-            lines=(LineSettings.of("line", line.url, turnaround_delay=0.01),),
+            lines=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
             table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
         )
         async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
@@ -300,12 +302,12 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
 async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once(
     scheme: str, units: frozenset[int] | None
 ) -> None:
-    rules = (Rule(name="slowly", action=Judged.ALLOW, units=units, rate=2.0, access=Access.WRITE),)
+    rules = (Rule(name="slowly", action=Judged.ALLOW, units=units, rate=2.0, access=AccessKind.WRITE),)
     policy = Policy(rules, default=Judged.ALLOW)
     async with bus() as line:
         plan = GatewayPlan(
             fronts=(GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0")),),
-            lines=(LineSettings.of("line", line.url, turnaround_delay=0.01),),
+            lines=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
             table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
         )
         async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
@@ -417,8 +419,8 @@ async def test_a_client_that_goes_away_takes_its_queued_broadcasts_with_it() -> 
         plan = GatewayPlan(
             fronts=(FRONT,),
             lines=(
-                LineSettings.of("line", lines["line"], turnaround_delay=0.01),
-                LineSettings.of("stuck", lines["stuck"], broadcast=True, timeout=5.0),
+                UpstreamSettings.of("line", lines["line"], turnaround_delay=0.01),
+                UpstreamSettings.of("stuck", lines["stuck"], broadcast=True, timeout=5.0),
             ),
             table=RoutingTable(
                 (Route(line="line", units=frozenset({1, 2})), Route(line="stuck", units=frozenset({3, 4})))

@@ -12,7 +12,7 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.assembly import simple_gateway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.routing_table import worst_case
 from busway.framing.mbap import MbapFrame
@@ -31,7 +31,7 @@ async def gateway(
     """A gateway with one front for each deadline."""
     plan = GatewayPlan(
         tuple(GatewayListener(f"front {n}", Listener(ANY_PORT), deadline=one) for n, one in enumerate(deadlines)),
-        (LineSettings.of("line", line, **options),),
+        (UpstreamSettings.of("line", line, **options),),
         RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
     )
     async with Gateway(plan) as made:
@@ -181,7 +181,7 @@ async def test_a_read_for_which_nobody_has_time_left_is_taken_back(cache: float 
 async def test_where_nothing_is_said_a_request_is_answered_within_two_and_a_half_seconds() -> None:
     front = GatewayListener("front", Listener(ANY_PORT))
     assert front.deadline == 2.5
-    line = LineSettings.of("line", "tcp://127.0.0.1:1")
+    line = UpstreamSettings.of("line", "tcp://127.0.0.1:1")
     assert line.link.parameters.timeout == 1.0
     adaptive_timeout = busway.open("tcp://127.0.0.1:1").parameters.timeout
     assert worst_case(line, Route(line="line")).seconds < front.deadline < adaptive_timeout == 3.0

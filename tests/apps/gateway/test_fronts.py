@@ -13,7 +13,7 @@ from handles import open_handles
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.clients import SLOW_LORIS
 from busway.framing.rtu import encode_rtu
@@ -42,7 +42,7 @@ async def code_of(asked: Any) -> int:
 async def gateway(
     scheme: str, *routes: Route, lines: dict[str, str], server: dict[str, Any] | None = None, **options: Any
 ) -> AsyncIterator[tuple[Gateway, busway.AsyncLink]]:
-    settings = tuple(LineSettings.of(name, url, **options) for name, url in lines.items())
+    settings = tuple(UpstreamSettings.of(name, url, **options) for name, url in lines.items())
     plan = GatewayPlan((front(scheme),), settings, RoutingTable(routes), server=server or {})
     async with Gateway(plan) as made, busway.open(made.endpoints[0], timeout=3, retries=0) as link:
         yield made, link
@@ -102,7 +102,7 @@ async def test_a_serial_front_is_silent_for_units_that_it_does_not_route_and_for
 async def test_the_gateway_itself_may_be_a_unit_of_a_serial_front(scheme: str) -> None:
     plan = GatewayPlan(
         (front(scheme),),
-        (LineSettings.of("line", "tcp://127.0.0.1:1"),),
+        (UpstreamSettings.of("line", "tcp://127.0.0.1:1"),),
         RoutingTable((only(3),)),
         own_unit=100,
         own_registers=True,
@@ -120,7 +120,7 @@ async def test_255_and_anything_but_a_write_on_0_are_the_gateway_itself_or_no_pa
 ) -> None:
     plan = GatewayPlan(
         (front(scheme),),
-        (LineSettings.of("line", "tcp://127.0.0.1:1"),),
+        (UpstreamSettings.of("line", "tcp://127.0.0.1:1"),),
         RoutingTable((only(3),)),
         own_unit=255 if own else None,
         own_registers=registers,

@@ -11,8 +11,8 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings, simple_plan
-from busway.apps.gateway.routes import ALL_UNITS, Action, AddressRange, Route, RoutingTable
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
+from busway.apps.gateway.routes import ALL_UNITS, AddressRange, Route, RouteAction, RoutingTable
 from busway.codes import Table
 from busway.framing.mbap import MbapFrame
 from busway.framing.rtu import encode_rtu
@@ -32,7 +32,7 @@ def device(first: int = 0) -> busway.Device:
 
 
 def plan(*routes: Route, lines: dict[str, str], front: GatewayListener = FRONT, **options: object) -> GatewayPlan:
-    settings = tuple(LineSettings.of(name, url, **options) for name, url in lines.items())
+    settings = tuple(UpstreamSettings.of(name, url, **options) for name, url in lines.items())
     return GatewayPlan(fronts=(front,), lines=settings, table=RoutingTable(routes))
 
 
@@ -154,8 +154,8 @@ async def test_without_an_own_unit_255_is_no_path() -> None:
 async def test_routes_renumber_shift_split_refuse_and_drop() -> None:
     async with busway.serve(ANY_PORT, units={5: device()}) as server:
         made = plan(
-            Route(units=frozenset({1}), functions=frozenset({6, 16}), action=Action.REFUSE, code=3),
-            Route(units=frozenset({1}), addresses=AddressRange(Table.COILS, 0, 10), action=Action.DROP),
+            Route(units=frozenset({1}), functions=frozenset({6, 16}), action=RouteAction.REFUSE, code=3),
+            Route(units=frozenset({1}), addresses=AddressRange(Table.COILS, 0, 10), action=RouteAction.DROP),
             Route(line="line", units=frozenset({1}), unit=5, shift=100, max_registers=7, max_bits=9),
             Route(line="line", units=frozenset({105}), unit_offset=-100),
             lines={"line": server.endpoints[0]},

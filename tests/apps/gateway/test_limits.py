@@ -12,7 +12,7 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings, simple_plan
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
 from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, RoutingTable
@@ -36,7 +36,7 @@ async def test_three_hundred_clients_are_served_over_one_connection_and_leave_no
     async with busway.serve(ANY_PORT, units={1: device}) as server:
         plan = GatewayPlan(
             (GatewayListener("front", Listener(ANY_PORT, limits=limits)),),
-            (LineSettings.of("line", server.endpoints[0], queue=300, timeout=10, max_transactions=16),),
+            (UpstreamSettings.of("line", server.endpoints[0], queue=300, timeout=10, max_transactions=16),),
             RoutingTable((Route(line="line"),)),
         )
         async with Gateway(plan) as gateway:

@@ -8,7 +8,7 @@ import pytest
 from handlers import ScriptedHandler, registers
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.functions import AnyRequest
 from busway.server.listener import Listener
@@ -75,7 +75,7 @@ async def test_reads_never_go_back_behind_a_write_or_another_read(seed: int, cac
         plan = GatewayPlan(
             fronts=(GatewayListener("front", Listener(ANY_PORT)),),
             lines=(
-                LineSettings.of(
+                UpstreamSettings.of(
                     "line", server.endpoints[0], max_transactions=16, queue=1000, connections=3, timeout=20
                 ),
             ),

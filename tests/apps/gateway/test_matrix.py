@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
@@ -70,7 +70,7 @@ async def gateway_between(front: str, line: str, files: Files) -> AsyncIterator[
         async with busway.serve(inner.listen, units={unit: device(unit) for unit in UNITS}) as server:
             plan = GatewayPlan(
                 fronts=(GatewayListener("front", Listener(outer.listen)),),
-                lines=(LineSettings.of("line", inner.client(server.endpoints[0]), timeout=2.0),),
+                lines=(UpstreamSettings.of("line", inner.client(server.endpoints[0]), timeout=2.0),),
                 table=RoutingTable((Route(line="line", units=frozenset({*UNITS, 30})),)),
                 own_unit=None,
             )

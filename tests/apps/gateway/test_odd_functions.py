@@ -8,7 +8,7 @@ import pytest
 from handlers import ScriptedHandler
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable
@@ -48,7 +48,7 @@ async def between(
         async with busway.serve(inner[0], handler=handler) as server:
             plan = GatewayPlan(
                 (GatewayListener("front", Listener(outer[0])),),
-                (LineSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),
+                (UpstreamSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),
                 RoutingTable((Route(line="line", units=frozenset({3})),)),
                 functions=functions,
                 own_unit=None,

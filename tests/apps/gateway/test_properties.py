@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import busway
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
-from busway.apps.gateway.routes import Action, AddressRange, Route, RoutingTable
+from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.faults.clock import FakeClock
@@ -114,7 +114,7 @@ ROUTES = st.builds(
         max_registers=limits[0],
         max_bits=limits[1],
         split_writes=writes,
-        action=refusal or Action.FORWARD,
+        action=refusal or RouteAction.FORWARD,
         code=4,
     ),
     st.sampled_from(["a", "b"]),
@@ -130,7 +130,7 @@ ROUTES = st.builds(
         st.one_of(st.none(), st.integers(1, 130).map(lambda n: min(n, 125))), st.one_of(st.none(), st.integers(1, 400))
     ),
     st.booleans(),
-    st.sampled_from([None, None, None, Action.REFUSE, Action.DROP]),
+    st.sampled_from([None, None, None, RouteAction.REFUSE, RouteAction.DROP]),
 )
 
 
@@ -171,9 +171,9 @@ def expected(routes: Sequence[Route], unit: int, pdu: bytes) -> tuple[str, int, 
                 continue
             if len(inside) < count:
                 return 2
-        if route.action is Action.REFUSE:
+        if route.action is RouteAction.REFUSE:
             return 4
-        if route.action is Action.DROP:
+        if route.action is RouteAction.DROP:
             return None
         if address + route.shift < 0:
             return 2

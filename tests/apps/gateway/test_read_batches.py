@@ -13,7 +13,7 @@ import busway
 from busway.access.authorizer import PolicyHandler
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.lines import Line
-from busway.apps.gateway.routes import Action, AddressRange, ListenerRoutes, Route
+from busway.apps.gateway.routes import AddressRange, ListenerRoutes, Route, RouteAction
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.framing.mbap import MbapReceiver, encode_mbap
@@ -229,7 +229,7 @@ class Plant:
 # Both roads.
 
 ROUTES = [
-    Route(action=Action.REFUSE, code=4, addresses=AddressRange(Table.HOLDING_REGISTERS, 300, 310)),
+    Route(action=RouteAction.REFUSE, code=4, addresses=AddressRange(Table.HOLDING_REGISTERS, 300, 310)),
     Route(line="line", units=frozenset({2}), unit=7, shift=20),
     Route(line="line", units=frozenset({3}), max_registers=3),
     Route(line="line", units=frozenset({4}), functions=frozenset({3}), timeout=0.3),

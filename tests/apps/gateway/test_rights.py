@@ -10,7 +10,7 @@ from waiting import until
 import busway
 from busway.access.rules import Action, Policy, Rule
 from busway.apps.gateway.assembly import parse_gateway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.overview import gateway_rows
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.errors import ConfigError
@@ -47,7 +47,7 @@ class Slow:
 def plan(line: str, *, fronts: int = 2, **route: Any) -> GatewayPlan:
     return GatewayPlan(
         tuple(GatewayListener(f"front {n}", Listener(ANY_PORT)) for n in range(fronts)),
-        (LineSettings.of("line", line, same_device=(frozenset({1, 2}),)),),
+        (UpstreamSettings.of("line", line, same_device=(frozenset({1, 2}),)),),
         RoutingTable((Route(line="line", **route),)),
     )
 

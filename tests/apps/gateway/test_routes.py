@@ -5,7 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import busway
-from busway.apps.gateway.routes import Action, AddressRange, ListenerRoutes, Route, RoutingTable, Straddles, units_text
+from busway.apps.gateway.routes import (
+    AddressRange,
+    ListenerRoutes,
+    Route,
+    RouteAction,
+    RoutingTable,
+    Straddles,
+    units_text,
+)
 from busway.codes import Table
 from busway.errors import ConfigError
 from busway.pdu.general import OpaqueRequest
@@ -83,7 +91,7 @@ def test_routes_of_different_fronts_do_not_hide_each_other() -> None:
 @pytest.mark.parametrize(
     ("options", "key"),
     [
-        ({"line": "a", "action": Action.DROP}, "line"),
+        ({"line": "a", "action": RouteAction.DROP}, "line"),
         ({}, "line"),
         ({"line": "a", "units": frozenset()}, "units"),
         ({"line": "a", "units": frozenset({300})}, "units"),
@@ -92,7 +100,7 @@ def test_routes_of_different_fronts_do_not_hide_each_other() -> None:
         ({"line": "a", "units": frozenset({1}), "unit": 2, "unit_offset": 1}, "unit_offset"),
         ({"line": "a", "max_registers": 0}, "max_registers"),
         ({"line": "a", "cache": -1.0}, "cache"),
-        ({"action": Action.REFUSE, "code": 0}, "code"),
+        ({"action": RouteAction.REFUSE, "code": 0}, "code"),
     ],
 )
 def test_a_route_that_can_not_be_is_refused(options: dict[str, object], key: str) -> None:

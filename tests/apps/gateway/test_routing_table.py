@@ -3,7 +3,7 @@
 import pytest
 
 from busway.apps.gateway.assembly import parse_gateway
-from busway.apps.gateway.gateway import LineSettings
+from busway.apps.gateway.gateway import UpstreamSettings
 from busway.apps.gateway.routes import ALL_UNITS, Route
 from busway.apps.gateway.routing_table import worst_case
 from busway.config.files.problems import FileError
@@ -241,7 +241,7 @@ def test_a_deadline_out_of_range_is_refused() -> None:
 
 
 def test_the_worst_case_of_a_write_has_no_retries_and_the_longest_frame() -> None:
-    line = LineSettings.of("x", "rtu:///dev/x?baud=1200", timeout=1.0, retries=0)
+    line = UpstreamSettings.of("x", "rtu:///dev/x?baud=1200", timeout=1.0, retries=0)
     case = worst_case(line, Route(line="x"))
     assert case.seconds == pytest.approx(1.0 + 0.05 + 256 * 11 / 1200)
 

@@ -13,7 +13,7 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.assembly import parse_gateway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings, simple_plan
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.server.listener import Listener
@@ -33,7 +33,7 @@ def device(unit: int = 1) -> busway.Device:
 async def gateway(line: str, *, route: Route | None = None, **options: Any) -> AsyncIterator[Gateway]:
     plan = GatewayPlan(
         (GatewayListener("front", Listener(ANY_PORT)),),
-        (LineSettings.of("line", line, **options),),
+        (UpstreamSettings.of("line", line, **options),),
         RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
     )
     async with Gateway(plan) as made:
@@ -330,7 +330,7 @@ async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> 
 def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
     url: str, options: dict[str, Any], seconds: float
 ) -> None:
-    opening = LineSettings.of("line", url, **options).link.line.opening  # type: ignore[union-attr]
+    opening = UpstreamSettings.of("line", url, **options).link.line.opening  # type: ignore[union-attr]
     assert opening.port_wait == seconds
     told = "".join(f"{key} = {value}\n" for key, value in options.items())
     text = f'listen = ["{ANY_PORT}"]\n[[line]]\nname = "line"\nurl = "{url}"\n{told}'

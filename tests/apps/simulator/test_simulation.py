@@ -12,7 +12,7 @@ import pytest
 
 import busway
 from busway.apps.simulator.includes import parse_declaration
-from busway.apps.simulator.simulated import PointChange
+from busway.apps.simulator.simulated import PointChanged
 from busway.apps.simulator.simulation import Simulation
 from busway.errors import ConfigError, InvalidRequest
 from busway.faults.clock import FakeClock
@@ -235,10 +235,10 @@ def test_changes_are_told_together_with_who_made_them(caplog: pytest.LogCaptureF
     simulation = simulated()
     told: list[list[tuple[str, Any, float, str]]] = []
 
-    def watcher(changes: list[PointChange]) -> None:
+    def watcher(changes: list[PointChanged]) -> None:
         told.append([(each.key, each.value, each.at, each.who) for each in changes])
 
-    def broken(changes: list[PointChange]) -> None:
+    def broken(changes: list[PointChanged]) -> None:
         raise RuntimeError("a watcher that fails")
 
     simulation.watch(broken)
@@ -259,7 +259,7 @@ def test_changes_are_told_together_with_who_made_them(caplog: pytest.LogCaptureF
 async def test_modbus_writes_are_judged_held_and_told() -> None:
     clock = FakeClock()
     simulation = simulated(clock=clock)
-    told: list[PointChange] = []
+    told: list[PointChanged] = []
     simulation.watch(told.extend)
     async with simulation.running() as running, busway.open(running.server.endpoints[0]) as link:
         unit = link.unit(1)
@@ -365,7 +365,7 @@ def test_a_day_passes_without_drift() -> None:
     simulation = simulated(text, clock=clock)
     moments: list[float] = []
 
-    def seen(changes: list[PointChange]) -> None:
+    def seen(changes: list[PointChanged]) -> None:
         moments.extend(each.at for each in changes if each.point.name == "pulses")
 
     simulation.watch(seen)

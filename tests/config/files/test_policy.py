@@ -6,7 +6,7 @@ import pytest
 from accidents import after_accidents
 
 from busway.access.question import Question
-from busway.access.rules import Access, Action, Limits, Policy
+from busway.access.rules import AccessKind, Action, Limits, Policy
 from busway.codes import Table
 from busway.config.files.policy import PolicySection, parse_policy_file
 from busway.config.files.problems import FileError
@@ -63,7 +63,7 @@ def test_a_good_file_says_what_it_declares():
     assert not found.addresses("10.6.6.6")
     assert not found.addresses("11.0.0.1")
     first, second, third = found.policy.rules
-    assert (first.name, first.access, first.rate) == ("setpoints", Access.WRITE, 20)
+    assert (first.name, first.access, first.rate) == ("setpoints", AccessKind.WRITE, 20)
     assert first.limits == Limits(-5, 1000, True)
     assert first.items == {Table.HOLDING_REGISTERS: ((100, 200),)}
     assert first.roles == {"operator", "engineer"}

@@ -15,7 +15,7 @@ import foreign
 import pytest
 from serial_peers import UNIT, new_line, start_server, url_of
 
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, LineSettings
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.server.listener import Listener
 
@@ -57,7 +57,7 @@ def gateway_port() -> Iterator[int]:
         for unit, kind in SERVERS.items():
             wire = stack.enter_context(new_line())
             stack.enter_context(start_server(kind, wire.paths[1]))
-            lines.append(LineSettings.of(f"line {unit}", url_of(kind.split("-")[1], wire.paths[0]), timeout=2.0))
+            lines.append(UpstreamSettings.of(f"line {unit}", url_of(kind.split("-")[1], wire.paths[0]), timeout=2.0))
         plan = GatewayPlan(
             fronts=(GatewayListener("front", Listener("tcp://127.0.0.1:0")),),
             lines=tuple(lines),

@@ -12,7 +12,7 @@ from busway.transport.serial.rs485 import (
     TIOCMBIC,
     TIOCMBIS,
     TIOCSRS485,
-    Direction,
+    DriverDirection,
     set_rts,
     settle_direction,
 )
@@ -39,14 +39,14 @@ def kernel_driver(*, longest_delay_ms: int = 100, flags_kept: int = 0xFFFF) -> F
 
 def test_nothing_is_asked_where_nobody_here_switches() -> None:
     driver = FakeDriver()
-    assert settle_direction(3, SerialSettings(), driver) is Direction.NOBODY
+    assert settle_direction(3, SerialSettings(), driver) is DriverDirection.NOBODY
     assert driver.asked == []
 
 
 def test_the_kernel_mode_gets_levels_and_delays_in_whole_milliseconds() -> None:
     driver = kernel_driver()
     settings = SerialSettings(rs485=Rs485.KERNEL, delay_before_send=0.0011, delay_after_send=0.02)
-    assert settle_direction(3, settings, driver) is Direction.KERNEL
+    assert settle_direction(3, settings, driver) is DriverDirection.KERNEL
     request, structure = driver.asked[0]
     assert request == TIOCSRS485
     assert len(structure) == 32
@@ -66,14 +66,14 @@ def test_inverted_levels_and_an_echo_reach_the_kernel() -> None:
 def test_a_driver_without_the_mode_is_switched_by_rts_where_that_is_left_open(refusal: int) -> None:
     driver = FakeDriver(refusal)
     driver.answers[TIOCMBIC] = taken
-    assert settle_direction(3, SerialSettings(rs485=Rs485.AUTOMATIC), driver) is Direction.RTS
+    assert settle_direction(3, SerialSettings(rs485=Rs485.AUTOMATIC), driver) is DriverDirection.RTS
     assert driver.requests() == [TIOCSRS485, TIOCMBIC]
 
 
 def test_a_driver_that_only_pretends_to_take_the_mode_is_switched_by_rts() -> None:
     driver = kernel_driver(flags_kept=0)
     driver.answers[TIOCMBIC] = taken
-    assert settle_direction(3, SerialSettings(rs485=Rs485.AUTOMATIC), driver) is Direction.RTS
+    assert settle_direction(3, SerialSettings(rs485=Rs485.AUTOMATIC), driver) is DriverDirection.RTS
 
 
 def test_a_driver_without_the_mode_is_an_error_where_the_mode_is_asked_for() -> None:

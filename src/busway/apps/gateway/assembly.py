@@ -35,7 +35,7 @@ from ...session.parameters import CLIENT_DEADLINE, ServerParameters
 from ...transport.tcp import SocketParameters
 from ...transport.tls.parameters import TlsParameters
 from ..server.configuration import Configuration, put_together
-from .gateway import OF_LINES, Gateway, GatewayListener, GatewayPlan, LineSettings
+from .gateway import OF_LINES, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from .routes import RoutingTable
 from .routing_table import PlacedListener, PlacedRoute, judge_routes, placed_routes, unit_gaps
 
@@ -277,13 +277,13 @@ def _is_silent(file: GatewayFile, place: Place) -> bool:
     return section is not None and section.silent_broadcasts
 
 
-def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> LineSettings | None:
+def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> UpstreamSettings | None:
     general, security = for_all_links(file)
     link = named_link(section, {**OF_LINES, **general}, security, lambda options: rooted(options, name), at, judge)
     if link is None:
         return None
     return judge.make(
-        lambda: LineSettings(
+        lambda: UpstreamSettings(
             section.name,
             link.settings,
             section.connections,

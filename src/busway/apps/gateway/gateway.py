@@ -79,7 +79,7 @@ class GatewayListener:
 
 
 @dataclass(frozen=True, slots=True)
-class LineSettings:
+class UpstreamSettings:
     """Where routes lead.
 
     Attributes:
@@ -236,7 +236,7 @@ class GatewayPlan:
     """
 
     fronts: tuple[GatewayListener, ...]
-    lines: tuple[LineSettings, ...]
+    lines: tuple[UpstreamSettings, ...]
     table: RoutingTable
     own_unit: int | None = TCP_DEVICE_UNIT
     own_registers: bool = False
@@ -578,7 +578,7 @@ def _to_zero(counters: object) -> None:
         setattr(counters, one.name, 0)
 
 
-def _opened(settings: LineSettings) -> Line:
+def _opened(settings: UpstreamSettings) -> Line:
     line = Line(
         settings.name,
         settings.link,
@@ -591,13 +591,13 @@ def _opened(settings: LineSettings) -> Line:
     return line
 
 
-def _open(line: Line, settings: LineSettings) -> None:
+def _open(line: Line, settings: UpstreamSettings) -> None:
     line.open()
     line.leave_alone(settings.unit_gaps)
 
 
 def _changes(
-    what: str, old: Mapping[str, GatewayListener | LineSettings], new: Iterable[GatewayListener | LineSettings]
+    what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
     """What there is to say of fronts, or of lines."""
     names = set()
@@ -630,7 +630,7 @@ def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoin
     Args:
         fronts: URLs to listen on.
         line: URL of the line behind, or of the server.
-        options: of the line, as `LineSettings.of` takes them.
+        options: of the line, as `UpstreamSettings.of` takes them.
     """
     from .routes import ALL_UNITS, Route
 
@@ -639,6 +639,6 @@ def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoin
     listeners = [one if isinstance(one, Listener) else Listener(one) for one in fronts]
     return GatewayPlan(
         fronts=tuple(GatewayListener(parse_endpoint(one.endpoint).url, one) for one in listeners),
-        lines=(LineSettings.of("line", line, **options),),
+        lines=(UpstreamSettings.of("line", line, **options),),
         table=RoutingTable((Route(line="line", units=units),)),
     )

@@ -26,7 +26,7 @@ from ...session.forwarding import ForwardPlan, ForwardPlans
 from ...session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
 from .lines import Line
 from .read_batches import ReadTarget, batch_plan
-from .routes import Action, ListenerRoutes, Route, Straddles
+from .routes import ListenerRoutes, Route, RouteAction, Straddles
 from .translation import behind, echo
 
 _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
@@ -134,7 +134,7 @@ class ListenerHandler:
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:  # None: it looks at its reply
             return None
         found = self._routes.find(context.unit, request)
-        if not isinstance(found, Route) or found.action is not Action.FORWARD or found.cache is not None:
+        if not isinstance(found, Route) or found.action is not RouteAction.FORWARD or found.cache is not None:
             return None
         line = self._lines.get(found.line)
         if line is None or not line.takes_bunches:
@@ -166,7 +166,7 @@ class ListenerHandler:
             return self._broadcast(context, request)
         found = self._routes.find(unit, request)
         if isinstance(found, Route):
-            if found.action is not Action.FORWARD:
+            if found.action is not RouteAction.FORWARD:
                 return self._not_forwarded(context, found)
             line = self._lines.get(found.line)
             if line is not None:  # or it was taken out of the configuration a moment ago
@@ -183,7 +183,7 @@ class ListenerHandler:
         return ExceptionResponse(context.function, code)
 
     def _not_forwarded(self, context: RequestContext, route: Route) -> Outcome:
-        if route.action is Action.REFUSE:
+        if route.action is RouteAction.REFUSE:
             self.counters.refused += 1
             return ExceptionResponse(context.function, route.code)
         self.counters.dropped += 1
@@ -193,7 +193,7 @@ class ListenerHandler:
         """A write to unit 0 that came over a network."""
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
-        if isinstance(own, Route) and own.action is not Action.FORWARD:
+        if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
             return self._not_forwarded(context, own)
         charged: set[int] = set()
         ways = [
@@ -218,7 +218,7 @@ class ListenerHandler:
         247 requests of which most have no device would keep it busy for minutes.
         """
         found = self._routes.find(context.unit, request)
-        if not isinstance(found, Route) or found.action is not Action.FORWARD:
+        if not isinstance(found, Route) or found.action is not RouteAction.FORWARD:
             return SILENCE
         line = self._lines.get(found.line)
         if line is None:
@@ -256,7 +256,7 @@ class ListenerHandler:
             found = self._routes.find(unit, request)
             if isinstance(found, Straddles):
                 refused = refused or ExceptionCode.ILLEGAL_DATA_ADDRESS
-            elif found is not None and found.action is Action.REFUSE:
+            elif found is not None and found.action is RouteAction.REFUSE:
                 refused = refused or found.code
             elif found is None or found.line != line.name:
                 unreached = True

@@ -52,7 +52,7 @@ _CLIENTS_REMEMBERED = 4096
 
 
 @dataclass(slots=True)
-class LineCounters:
+class UpstreamCounters:
     """What happened to the requests of a line.
 
     Attributes:
@@ -130,7 +130,7 @@ class LineStatus:
     name: str
     endpoint: str
     links: tuple[LinkStatus, ...]
-    counters: LineCounters
+    counters: UpstreamCounters
     lamps: StatusIndicators
 
 
@@ -199,7 +199,7 @@ class Line:
         self.settings = settings
         self.share_reads = share_reads
         self.takes_broadcasts = settings.endpoint.framing != "mbap" if broadcast is None else broadcast
-        self.counters = LineCounters()
+        self.counters = UpstreamCounters()
         self._connections = connections
         self._clock = clock
         self._links: list[AsyncLinkDriver] = []

@@ -9,8 +9,8 @@ from ...client.conversation import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ..server.overview import Row, overview
 from .assembly import GatewayConfiguration
-from .gateway import GatewayListener, GatewayPlan, LineSettings
-from .routes import ALL_UNITS, Action, Route, units_text
+from .gateway import GatewayListener, GatewayPlan, UpstreamSettings
+from .routes import ALL_UNITS, Route, RouteAction, units_text
 from .routing_table import PlacedRoute, worst_case
 
 RoutingRow = tuple[str, str, str, str, str, str]
@@ -58,7 +58,7 @@ def _front(front: GatewayListener, row: Row) -> Iterator[str]:
         yield "broadcasts get no answer"
 
 
-def _line(line: LineSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
+def _line(line: UpstreamSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
     endpoint, parameters = line.link.endpoint, line.link.parameters
     yield endpoint.url
     if line.link.line is not None and line.link.line.port is not None:
@@ -91,9 +91,9 @@ def _own_unit(plan: GatewayPlan) -> str:
 
 
 def _target(route: Route) -> str:
-    if route.action is Action.REFUSE:
+    if route.action is RouteAction.REFUSE:
         return f"refused: {route.code:02X} {exception_meaning(route.code).partition(':')[0]}"
-    return "dropped" if route.action is Action.DROP else route.line
+    return "dropped" if route.action is RouteAction.DROP else route.line
 
 
 def _details(route: Route, gap: float) -> Iterator[str]:

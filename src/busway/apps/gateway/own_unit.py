@@ -35,7 +35,7 @@ STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class StatusRegister:
     """One value of the map: where it lies (in a line's block, from its start), how wide it is, and what it says."""
 
     address: int
@@ -45,24 +45,24 @@ class Entry:
 
 
 REGISTERS: Final = (
-    Entry(0, 2, "uptime", "seconds since the start"),
-    Entry(2, 1, "fronts", "number of fronts"),
-    Entry(3, 1, "lines", "number of lines"),
-    Entry(4, 2, "connections", "clients connected now"),
-    Entry(6, 2, "requests", "requests received"),
-    Entry(8, 2, "no_route", "requests for which there was no route (0A)"),
+    StatusRegister(0, 2, "uptime", "seconds since the start"),
+    StatusRegister(2, 1, "fronts", "number of fronts"),
+    StatusRegister(3, 1, "lines", "number of lines"),
+    StatusRegister(4, 2, "connections", "clients connected now"),
+    StatusRegister(6, 2, "requests", "requests received"),
+    StatusRegister(8, 2, "no_route", "requests for which there was no route (0A)"),
 )
 LINE_REGISTERS: Final = (
-    Entry(0, 1, "state", "0 down, 1 backing off, 2 connecting, 3 suspect, 4 up: of its best connection"),
-    Entry(1, 1, "in_flight", "requests whose reply is awaited"),
-    Entry(2, 1, "queued", "requests that wait for their turn"),
-    Entry(3, 1, "suspended", "units that are not asked now, because they do not answer"),
-    Entry(4, 2, "forwarded", "requests handed to the line"),
-    Entry(6, 2, "answered", "requests answered by a device"),
-    Entry(8, 2, "exceptions", "requests that a device refused"),
-    Entry(10, 2, "no_answer", "requests answered 0B"),
-    Entry(12, 2, "no_path", "requests answered 0A"),
-    Entry(14, 2, "spared", "reads answered by another's, or from memory"),
+    StatusRegister(0, 1, "state", "0 down, 1 backing off, 2 connecting, 3 suspect, 4 up: of its best connection"),
+    StatusRegister(1, 1, "in_flight", "requests whose reply is awaited"),
+    StatusRegister(2, 1, "queued", "requests that wait for their turn"),
+    StatusRegister(3, 1, "suspended", "units that are not asked now, because they do not answer"),
+    StatusRegister(4, 2, "forwarded", "requests handed to the line"),
+    StatusRegister(6, 2, "answered", "requests answered by a device"),
+    StatusRegister(8, 2, "exceptions", "requests that a device refused"),
+    StatusRegister(10, 2, "no_answer", "requests answered 0B"),
+    StatusRegister(12, 2, "no_path", "requests answered 0A"),
+    StatusRegister(14, 2, "spared", "reads answered by another's, or from memory"),
 )
 
 Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
@@ -96,7 +96,7 @@ def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
     return device
 
 
-def _put(device: Device, start: int, entries: Sequence[Entry], values: Sequence[int]) -> None:
+def _put(device: Device, start: int, entries: Sequence[StatusRegister], values: Sequence[int]) -> None:
     for entry, value in zip(entries, values, strict=True):
         at = start + entry.address
         if entry.registers == 2:

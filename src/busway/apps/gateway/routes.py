@@ -25,7 +25,7 @@ ALL_UNITS = frozenset(range(256))
 SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 
 
-class Action(Enum):
+class RouteAction(Enum):
     """What becomes of a request that a route takes."""
 
     FORWARD = "forward"
@@ -82,7 +82,7 @@ class Route:
     max_registers: int | None = None
     max_bits: int | None = None
     split_writes: bool = False
-    action: Action = Action.FORWARD
+    action: RouteAction = RouteAction.FORWARD
     code: int = ExceptionCode.ILLEGAL_FUNCTION
     cache: float | None = None
     timeout: float | None = None
@@ -108,7 +108,7 @@ class Route:
                 raise ConfigError(f"unit {unit} would become {self.unit_behind(unit)}", key="unit_offset")
         if self.unit is not None and self.unit_offset:
             raise ConfigError("either a unit or an offset, not both", key="unit_offset")
-        if (self.action is Action.FORWARD) != bool(self.line):
+        if (self.action is RouteAction.FORWARD) != bool(self.line):
             raise ConfigError("a route leads to a line, or refuses, or drops", key="line")
 
     def unit_behind(self, unit: int) -> int:

@@ -23,9 +23,9 @@ from ...errors import ConfigError
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.naming import is_loopback
-from .gateway import LineSettings
+from .gateway import UpstreamSettings
 from .placed import PlacedRoute
-from .routes import ALL_UNITS, Action, AddressRange, Route, taken_before, units_text
+from .routes import ALL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
 from .ways_past import ways_past
 
 SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
@@ -69,7 +69,7 @@ class WorstCase:
 # The routes.
 
 
-def placed_routes(file: GatewayFile, lines: Mapping[str, LineSettings], judge: Judge) -> list[PlacedRoute]:
+def placed_routes(file: GatewayFile, lines: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
     """The routes of a file, without those that the judge refuses."""
     if not file.route:
         return [
@@ -90,11 +90,11 @@ def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
     return (*at, key) if key is not None and key in section.model_fields_set else at
 
 
-def _route(section: RouteSection, lines: Mapping[str, LineSettings]) -> Route:
+def _route(section: RouteSection, lines: Mapping[str, UpstreamSettings]) -> Route:
     line = None if section.line is None else lines[section.line]
     asked = section.asked_units()
     addresses = section.asked_addresses()
-    action = Action.FORWARD if line is not None else Action.DROP if section.drop else Action.REFUSE
+    action = RouteAction.FORWARD if line is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
     return Route(
         line=section.line or "",
         fronts=frozenset(section.listeners or ()),
@@ -115,7 +115,7 @@ def _route(section: RouteSection, lines: Mapping[str, LineSettings]) -> Route:
     )
 
 
-def _default_units(section: RouteSection, line: LineSettings | None) -> frozenset[int]:
+def _default_units(section: RouteSection, line: UpstreamSettings | None) -> frozenset[int]:
     """The units of a route that names none: those that its line can have."""
     if line is None:
         return ALL_UNITS
@@ -128,7 +128,7 @@ def _default_units(section: RouteSection, line: LineSettings | None) -> frozense
     return units
 
 
-def _units_behind(line: LineSettings) -> frozenset[int]:
+def _units_behind(line: UpstreamSettings) -> frozenset[int]:
     return ALL_UNITS if line.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 
@@ -139,7 +139,7 @@ def judge_routes(
     file: GatewayFile,
     routes: Sequence[PlacedRoute],
     fronts: Sequence[PlacedListener],
-    lines: Mapping[str, LineSettings],
+    lines: Mapping[str, UpstreamSettings],
     policy: Policy | None,
     judge: Judge,
 ) -> None:
@@ -187,10 +187,10 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
     for position, placed in enumerate(routes):
         route = placed.route
         is_rest = placed.section is None or placed.section.units is None
-        if is_rest and (route.action is Action.FORWARD or not (route.functions or route.addresses)):
+        if is_rest and (route.action is RouteAction.FORWARD or not (route.functions or route.addresses)):
             continue  # it is for what the others have left
         takers, left = taken_before(plain, position)
-        if left and takers and route.action is not Action.REFUSE:
+        if left and takers and route.action is not RouteAction.REFUSE:
             taken = units_text(placed.route.units - left)
             named = " and ".join(_titled(routes, one) for one in takers)
             yield placed.key("units"), f"{named} before it {'takes' if len(takers) == 1 else 'take'} units {taken}"
@@ -203,12 +203,12 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
     """
     for position, placed in enumerate(routes):
         refusal = placed.route
-        if refusal.action is not Action.REFUSE:
+        if refusal.action is not RouteAction.REFUSE:
             continue
         for earlier in routes[:position]:
             if earlier.route.covers(refusal):
                 break  # it is never reached, which is said already
-            part = "" if earlier.route.action is Action.REFUSE else _hidden_part(placed, earlier.route)
+            part = "" if earlier.route.action is RouteAction.REFUSE else _hidden_part(placed, earlier.route)
             if part:
                 yield (
                     placed.place,
@@ -250,7 +250,7 @@ def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
 
 
 def _impossible_units(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
 ) -> Faults:
     for placed in routes:
         route, section = placed.route, placed.section
@@ -291,7 +291,7 @@ def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
             yield placed.key("functions"), f"none of them reads or writes {route.addresses.table.label}s"
 
 
-def _gaps_on_networks(routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:
+def _gaps_on_networks(routes: Sequence[PlacedRoute], lines: Mapping[str, UpstreamSettings]) -> Faults:
     for placed in routes:
         if placed.gap and placed.route.line and lines[placed.route.line].link.line is None:
             yield placed.key("request_gap"), "is an option of the line where that is no serial one"
@@ -315,7 +315,7 @@ def _touches(code: int, addresses: AddressRange) -> bool:
 
 
 def _impatient_clients(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
 ) -> Faults:
     for front in fronts:
         if front.deadline is None or not front.is_chosen:
@@ -336,7 +336,7 @@ def _impatient_clients(
 
 
 def _lines_slower_than_the_default(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]
+    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
 ) -> Faults:
     """Lines whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
     deadline = next((one.deadline for one in fronts if one.deadline is not None and not one.is_chosen), None)
@@ -358,7 +358,7 @@ def _lines_slower_than_the_default(
             )
 
 
-def worst_case(line: LineSettings, route: Route, gap: float = 0.0) -> WorstCase:
+def worst_case(line: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
     """How long a request of a route may take on its line, once it has its turn; ``gap``: that of its unit, seconds."""
     parameters = line.link.parameters
     timeout = route.timeout or parameters.timeout
@@ -409,7 +409,7 @@ def _of_front(routes: Sequence[PlacedRoute], front: PlacedListener) -> list[Plac
     return [one for one in routes if not one.route.fronts or front.name in one.route.fronts]
 
 
-def _loops(file: GatewayFile, fronts: Sequence[PlacedListener], lines: Mapping[str, LineSettings]) -> Faults:
+def _loops(file: GatewayFile, fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]) -> Faults:
     """Lines that lead to the gateway itself, and ports that are wanted twice."""
     owners: dict[str, str] = {}
     for front in fronts:
@@ -445,14 +445,14 @@ def _bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _idle_lines(file: GatewayFile, routes: Sequence[PlacedRoute], lines: Mapping[str, LineSettings]) -> Faults:
+def _idle_lines(file: GatewayFile, routes: Sequence[PlacedRoute], lines: Mapping[str, UpstreamSettings]) -> Faults:
     used = {one.route.line for one in routes}
     for index, section in enumerate(file.line):
         if section.name in lines and section.name not in used:
             yield ("line", index, "name"), f"no route leads to {section.name!r}"
 
 
-def _same_servers(file: GatewayFile, lines: Mapping[str, LineSettings]) -> Faults:
+def _same_servers(file: GatewayFile, lines: Mapping[str, UpstreamSettings]) -> Faults:
     seen: dict[tuple[str, str, int | None], str] = {}
     for index, section in enumerate(file.line):
         line = lines.get(section.name)

@@ -9,14 +9,14 @@ from typing import Generic, Protocol, TypeVar
 Waiter = TypeVar("Waiter")
 
 
-class Timer(Protocol):
+class DeadlineTimer(Protocol):
     """What is called at its time."""
 
     def cancel(self) -> None:
         """It is not called any more."""
 
 
-CallAt = Callable[[float, Callable[[], None]], Timer]
+CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
 """Time and callback → the timer that calls it."""
 
 
@@ -36,7 +36,7 @@ class WaiterDeadlines(Generic[Waiter]):
         self._call_at = call_at
         self._over = over
         self._deadlines: list[tuple[float, Waiter]] = []
-        self._timer: Timer | None = None
+        self._timer: DeadlineTimer | None = None
 
     def add(self, waiter: Waiter, deadline: float) -> None:
         """One more waits, until ``deadline``."""

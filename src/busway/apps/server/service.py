@@ -38,7 +38,7 @@ _MANY_RULES: Final = 10_000
 _REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
 
 
-class Running(Protocol):
+class RunningServer(Protocol):
     """What runs: a server, or a gateway."""
 
     @property
@@ -73,7 +73,7 @@ class Running(Protocol):
         """Stop."""
 
 
-class Declared(Protocol):
+class DeclaredServer(Protocol):
     """What a file declares: a `Configuration`, or that of a gateway."""
 
     @property
@@ -100,14 +100,14 @@ class Declared(Protocol):
     def at_once(self) -> frozenset[str]:
         """Sections that hold at once when the file is read again."""
 
-    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Running:  # of several types
+    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
         """What it declares, not started yet."""
 
     async def let_follow(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Let what runs follow it, as far as it can without a new start; what changed. Raises `ModbusError`."""
 
 
-def declared_rules(configuration: Declared) -> AccessRules | None:
+def declared_rules(configuration: DeclaredServer) -> AccessRules | None:
     """The rules that stand in the configuration itself."""
     return configuration.access
 
@@ -130,7 +130,7 @@ class Wishes:
     """
 
     listen: Sequence[str] = ()
-    rules: Callable[[Declared], AccessRules | None] = declared_rules
+    rules: Callable[[DeclaredServer], AccessRules | None] = declared_rules
     addresses: AddressList | None = None
     allow_writes: bool = False
     audit: str | None = None
@@ -153,7 +153,7 @@ class _Reading:
         before: the rules in force.
     """
 
-    configuration: Declared
+    configuration: DeclaredServer
     rules: AccessRules | None
     are_other_rules: bool
     later: list[str]
@@ -183,9 +183,9 @@ class Service:
         ConfigError, LinkDown: something can not be, or can not be had; then nothing runs.
     """
 
-    server: Running
+    server: RunningServer
 
-    def __init__(self, read: Callable[[], Declared], wishes: Wishes | None = None) -> None:
+    def __init__(self, read: Callable[[], DeclaredServer], wishes: Wishes | None = None) -> None:
         self._read = read
         self._wishes = wishes or Wishes()
         self.configuration = read()
@@ -351,7 +351,7 @@ class Service:
         own = () if self._wishes.addresses is None else (self._wishes.addresses,)
         return own if rules is None else (*own, rules.addresses)
 
-    def _listeners(self, configuration: Declared) -> list[Listener]:
+    def _listeners(self, configuration: DeclaredServer) -> list[Listener]:
         """The listeners, each asking lists that can be replaced."""
         if self._wishes.listen:
             return [Listener(url) for url in self._wishes.listen]
@@ -364,7 +364,7 @@ class Service:
             found.append(one)
         return found
 
-    def _replace_lists(self, new: Declared) -> bool:
+    def _replace_lists(self, new: DeclaredServer) -> bool:
         changed = False
         for one in new.listeners:
             allow_list = self._allow_lists.get(str(one.endpoint))
@@ -374,7 +374,7 @@ class Service:
         return changed
 
 
-def _differences(old: Declared, new: Declared) -> list[str]:
+def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
     """The sections in which two configurations differ, without what holds at once."""
     found = []
     for name in type(old.file).model_fields:

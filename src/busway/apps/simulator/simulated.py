@@ -232,7 +232,7 @@ class SimulatedUnit:
 
 
 @dataclass(frozen=True, slots=True)
-class PointChange:
+class PointChanged:
     """A new value of a point.
 
     Attributes:

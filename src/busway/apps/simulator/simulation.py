@@ -33,7 +33,7 @@ from ...values.refusal import shown
 from .engine import Engine
 from .fault_sections import put_on
 from .includes import SimulationDeclaration, load_declaration
-from .simulated import SIMULATION, PointChange, SimulatedPoint, SimulatedUnit
+from .simulated import SIMULATION, PointChanged, SimulatedPoint, SimulatedUnit
 from .state import KeptPoint, KeptState, check_state, load_state, save_state
 from .wiring import wire
 from .writes import watch_writes
@@ -47,23 +47,23 @@ _log = logging.getLogger("busway.apps.simulator")
 SLICE: Final = 0.002
 """Seconds after which the engine lets requests be answered before it goes on."""
 
-Watcher = Callable[[list[PointChange]], object]
+Watcher = Callable[[list[PointChanged]], object]
 
 
-class Timer(Protocol):
+class SimulationTimer(Protocol):
     """Something that is to be done."""
 
     def cancel(self) -> None:
         """Do it no more."""
 
 
-class Clock(Protocol):
+class SimulationClock(Protocol):
     """What tells the time and does things at it; `busway.testing.FakeClock` is one."""
 
     def now(self) -> float:
         """Seconds, monotonic."""
 
-    def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
+    def call_at(self, when: float, callback: Callable[[], object]) -> SimulationTimer:
         """Call ``callback`` once, when ``now()`` has reached ``when``."""
 
 
@@ -103,7 +103,7 @@ class Simulation:
         self,
         file: str | os.PathLike[str] | SimulationDeclaration,
         *,
-        clock: Clock | None = None,
+        clock: SimulationClock | None = None,
         seed: int | None = None,
         speed: float = 1.0,
     ) -> None:
@@ -125,7 +125,7 @@ class Simulation:
         self._clock = clock
         self._time = 0.0
         self._origin: tuple[float, float] | None = None if clock is None else (clock.now(), 0.0)
-        self._timer: Timer | None = None
+        self._timer: SimulationTimer | None = None
         self._thread: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._engine = Engine(wired.driven, self._followed)
@@ -414,7 +414,9 @@ class Simulation:
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
         """The engine has given points new values."""
         if self._watchers:
-            self._tell([PointChange(point, point.section.physical(point.stored), time, SIMULATION) for point in points])
+            self._tell(
+                [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
+            )
 
     def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
         """Modbus has written points; the device's lock is held."""
@@ -422,7 +424,7 @@ class Simulation:
             point.look()
         self._tell(self._held(points, peer))
 
-    def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChange]:
+    def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
         """Points have values that somebody set."""
         time = self.time
         changes = []
@@ -431,7 +433,7 @@ class Simulation:
             point.last_writer = who
             self._engine.hold(point, time)
             if self._watchers:
-                changes.append(PointChange(point, point.value, time, who))
+                changes.append(PointChanged(point, point.value, time, who))
         if self._loop is not None:
             # A hold may end before whatever was due next.
             if threading.get_ident() == self._thread:
@@ -441,7 +443,7 @@ class Simulation:
                 self._loop.call_soon_threadsafe(self._arm)
         return changes
 
-    def _tell(self, changes: list[PointChange]) -> None:
+    def _tell(self, changes: list[PointChanged]) -> None:
         if not changes:
             return
         for watcher in self._watchers:

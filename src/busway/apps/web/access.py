@@ -36,7 +36,7 @@ _CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 
 
 @dataclass(frozen=True, slots=True)
-class AccessRules:
+class PageAccessRules:
     """What holds for one listener.
 
     Attributes:
@@ -56,7 +56,7 @@ class Refused(Exception):
         self.status = status
 
 
-class Access:
+class PageAccess:
     """Lets through to ``inner`` what may pass.
 
     Args:
@@ -65,7 +65,7 @@ class Access:
         is_open: whether a path needs no token.
     """
 
-    def __init__(self, inner: Application, rules: AccessRules, is_open: Callable[[str], bool]) -> None:
+    def __init__(self, inner: Application, rules: PageAccessRules, is_open: Callable[[str], bool]) -> None:
         self._inner = inner
         self._rules = rules
         self._is_open = is_open

@@ -20,21 +20,21 @@ from .faults import all_fault_profiles, all_faults, fault_named, put_on
 from .messages import (
     Answer,
     Connections,
-    Counters,
+    CountersMessage,
     FaultAnswer,
-    Faults,
-    Lines,
+    FaultsMessage,
+    LinesMessage,
     NewFault,
     NewValue,
     NewValues,
     Nothing,
     PointAnswer,
-    Points,
+    PointsMessage,
     PointsQuery,
     SimulationAnswer,
     SimulationChange,
     Switch,
-    Traffic,
+    TrafficMessage,
     TrafficQuery,
     UnitAnswer,
     Units,
@@ -43,8 +43,8 @@ from .messages import (
     given_value,
     plain_value,
 )
-from .operations import Call, Operation, Problem
-from .subject import Board, Point, Served, Subject
+from .operations import Operation, OperationCall, Problem
+from .subject import Board, PageSubject, Point, ServedUnits
 from .traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
@@ -67,7 +67,7 @@ class Api:
         places: the number of each point by its key.
     """
 
-    subject: Subject
+    subject: PageSubject
     traffic: TrafficTail
     name: str = "simulation"
     order: list[Point] = field(init=False)
@@ -78,11 +78,11 @@ class Api:
         self.places = {point.key: index for index, point in enumerate(self.order)}
 
     @property
-    def server(self) -> Served:
+    def server(self) -> ServedUnits:
         """What answers by Modbus."""
         served = self.subject.server
         inner = getattr(served, "server", served)  # a service has its server as a part
-        return cast("Served", inner)
+        return cast("ServedUnits", inner)
 
     # What can be asked.
 
@@ -102,7 +102,9 @@ class Api:
                 body=SimulationChange,
             ),
             Operation("GET", "/api/units", "list_units", "The units", Units, self.list_units),
-            Operation("GET", "/api/points", "list_points", "Points", Points, self.list_points, query=PointsQuery),
+            Operation(
+                "GET", "/api/points", "list_points", "The points", PointsMessage, self.list_points, query=PointsQuery
+            ),
             Operation("GET", "/api/values", "get_values", "All values by key", Values, self.get_values),
             Operation("POST", "/api/values", "set_values", "Set many values", Written, self.set_values, body=NewValues),
             Operation(
@@ -129,7 +131,14 @@ class Api:
                 rest="name",
                 failures=_NO_POINT,
             ),
-            Operation("GET", "/api/faults", "list_faults", "Faults, and what can be put on", Faults, self.list_faults),
+            Operation(
+                "GET",
+                "/api/faults",
+                "list_faults",
+                "Faults, and what can be put on",
+                FaultsMessage,
+                self.list_faults,
+            ),
             Operation(
                 "POST",
                 "/api/faults",
@@ -162,19 +171,25 @@ class Api:
                 failures=_NO_FAULT,
             ),
             Operation("GET", "/api/connections", "list_connections", "Connections", Connections, self.list_connections),
-            Operation("GET", "/api/lines", "list_lines", "Listeners and their lamps", Lines, self.list_lines),
-            Operation("GET", "/api/counters", "get_counters", "Counters", Counters, self.get_counters),
+            Operation("GET", "/api/lines", "list_lines", "Listeners and their lamps", LinesMessage, self.list_lines),
+            Operation("GET", "/api/counters", "get_counters", "The counters", CountersMessage, self.get_counters),
             Operation(
                 "POST", "/api/counters/reset", "reset_counters", "Set them to zero", Nothing, self.reset_counters
             ),
             Operation(
-                "GET", "/api/traffic", "list_traffic", "The last frames", Traffic, self.list_traffic, query=TrafficQuery
+                "GET",
+                "/api/traffic",
+                "list_traffic",
+                "The last frames",
+                TrafficMessage,
+                self.list_traffic,
+                query=TrafficQuery,
             ),
         ]
 
     # The simulation.
 
-    async def get_simulation(self, call: Call) -> Answer:
+    async def get_simulation(self, call: OperationCall) -> Answer:
         """How it is."""
         return self.simulation()
 
@@ -195,7 +210,7 @@ class Api:
             paused=subject.is_paused,
         )
 
-    async def change_simulation(self, call: Call) -> Answer:
+    async def change_simulation(self, call: OperationCall) -> Answer:
         """Change speed and pause."""
         wanted: SimulationChange = call.body
         subject = self.subject
@@ -210,7 +225,7 @@ class Api:
 
     # Units and points.
 
-    async def list_units(self, call: Call) -> Answer:
+    async def list_units(self, call: OperationCall) -> Answer:
         """The units."""
         return Units(
             units=[
@@ -219,11 +234,11 @@ class Api:
             ]
         )
 
-    async def list_points(self, call: Call) -> Answer:
+    async def list_points(self, call: OperationCall) -> Answer:
         """Points that fit the filters."""
         query: PointsQuery = call.query
         found = list(self._chosen(query))
-        return Points(
+        return PointsMessage(
             points=[self.shown(index) for index in found[query.skip : query.skip + query.limit]], total=len(found)
         )
 
@@ -263,34 +278,34 @@ class Api:
             last_writer=point.last_writer,
         )
 
-    def _place(self, call: Call) -> int:
+    def _place(self, call: OperationCall) -> int:
         key = f"{call.path['unit']}/{call.path['name']}"
         place = self.places.get(key)
         if place is None:
             raise Problem(HTTPStatus.NOT_FOUND, f"there is no point {shown(key)}")
         return place
 
-    async def get_point(self, call: Call) -> Answer:
+    async def get_point(self, call: OperationCall) -> Answer:
         """A point."""
         return self.shown(self._place(call))
 
-    async def set_point(self, call: Call) -> Answer:
+    async def set_point(self, call: OperationCall) -> Answer:
         """Set it."""
         place = self._place(call)
         self.subject.set(self.order[place].key, given_value(call.body.value), WHO)
         return self.shown(place)
 
-    async def release_point(self, call: Call) -> Answer:
+    async def release_point(self, call: OperationCall) -> Answer:
         """Let it go on."""
         place = self._place(call)
         self.subject.release(self.order[place].key)
         return self.shown(place)
 
-    async def get_values(self, call: Call) -> Answer:
+    async def get_values(self, call: OperationCall) -> Answer:
         """All values."""
         return Values(values={point.key: plain_value(point.value) for point in self.order})
 
-    async def set_values(self, call: Call) -> Answer:
+    async def set_values(self, call: OperationCall) -> Answer:
         """Set many."""
         refused: dict[str, str] = {}
         for key, value in call.body.values.items():
@@ -314,26 +329,26 @@ class Api:
         """All that were put on."""
         return all_faults(self.board)
 
-    async def list_faults(self, call: Call) -> Answer:
-        """Faults and personalities."""
-        return Faults(faults=self.faults(), personalities=all_fault_profiles(self.board))
+    async def list_faults(self, call: OperationCall) -> Answer:
+        """Faults and fault profiles."""
+        return FaultsMessage(faults=self.faults(), personalities=all_fault_profiles(self.board))
 
-    async def add_fault(self, call: Call) -> Answer:
+    async def add_fault(self, call: OperationCall) -> Answer:
         """Put one on."""
         return put_on(self.board, call.body)
 
-    async def switch_fault(self, call: Call) -> Answer:
+    async def switch_fault(self, call: OperationCall) -> Answer:
         """Switch one."""
         name = self._fault(call)
         self.board.switch(name, on=call.body.on)
         return fault_named(self.board, name)
 
-    async def remove_fault(self, call: Call) -> Answer:
+    async def remove_fault(self, call: OperationCall) -> Answer:
         """Take one off."""
         self.board.remove(self._fault(call))
         return Nothing()
 
-    def _fault(self, call: Call) -> str:
+    def _fault(self, call: OperationCall) -> str:
         name = call.path["name"]
         if not any(one.name == name for one in self.board.list()):
             raise Problem(HTTPStatus.NOT_FOUND, f"there is no fault {shown(name)}")
@@ -341,19 +356,19 @@ class Api:
 
     # The server.
 
-    async def list_connections(self, call: Call) -> Answer:
+    async def list_connections(self, call: OperationCall) -> Answer:
         """Connections."""
         return Connections(connections=plain(self.server.status().connections))
 
-    async def list_lines(self, call: Call) -> Answer:
+    async def list_lines(self, call: OperationCall) -> Answer:
         """Listeners."""
-        return Lines(lines=plain(self.server.status().listeners))
+        return LinesMessage(lines=plain(self.server.status().listeners))
 
-    async def get_counters(self, call: Call) -> Answer:
-        """Counters."""
-        return Counters(counters=plain(self.server.status().counters))
+    async def get_counters(self, call: OperationCall) -> Answer:
+        """The counters."""
+        return CountersMessage(counters=plain(self.server.status().counters))
 
-    async def reset_counters(self, call: Call) -> Answer:
+    async def reset_counters(self, call: OperationCall) -> Answer:
         """Set them to zero."""
         self.server.reset_counters()
         return Nothing()
@@ -371,11 +386,13 @@ class Api:
 
     # Traffic.
 
-    async def list_traffic(self, call: Call) -> Answer:
+    async def list_traffic(self, call: OperationCall) -> Answer:
         """Frames."""
         query: TrafficQuery = call.query
         tail = self.traffic
         after = 0 if query.after is None else query.after
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]
         first = frames[0].number if frames else tail.last + 1
-        return Traffic(frames=frames, last=tail.last, lost=max(first - after - 1, 0) if query.after is not None else 0)
+        return TrafficMessage(
+            frames=frames, last=tail.last, lost=max(first - after - 1, 0) if query.after is not None else 0
+        )

@@ -34,12 +34,12 @@ from ...observe.http import bind_tcp, bound_name, parse_host_port
 from ...options.endpoints import parse_endpoint
 from ...version import __version__
 from ..control.addresses import is_loopback
-from .access import Access, AccessRules, Application, Message, Receive, Refused, Scope, Send
+from .access import Application, Message, PageAccess, PageAccessRules, Receive, Refused, Scope, Send
 from .api import Api
 from .connections import Doors, Throttle
 from .operations import failed, openapi
 from .stream import Streams
-from .subject import Subject
+from .subject import PageSubject
 from .traffic import Traffic
 
 _errors = logging.getLogger("busway.apps.web.errors")
@@ -114,7 +114,7 @@ class ControlPage:
 
     def __init__(
         self,
-        subject: Subject,
+        subject: PageSubject,
         at: str = DEFAULT_ADDRESS,
         *,
         token: str | None = None,
@@ -157,7 +157,7 @@ class ControlPage:
             )
             self.url = f"http://{_reachable_name(bound)}/"
             self.traffic.start()
-            server = self._server = _Server(_configured(self.application(AccessRules(self.token, local))))
+            server = self._server = _Server(_configured(self.application(PageAccessRules(self.token, local))))
             self._task = asyncio.create_task(server.serve([bound]))
             await server.answering.wait()
         except BaseException:
@@ -173,7 +173,7 @@ class ControlPage:
         self.traffic.stop()
         self.url = ""
 
-    def application(self, rules: AccessRules) -> Application:
+    def application(self, rules: PageAccessRules) -> Application:
         """The whole as an ASGI application, with these rules of access."""
         page = _page()
         operations = self.api.operations()
@@ -207,7 +207,7 @@ class ControlPage:
             ],
             exception_handlers={HTTPException: _not_here, Refused: _refused, Exception: _failed},
         )
-        return _with_headers(Access(inner, rules, lambda path: path in page))
+        return _with_headers(PageAccess(inner, rules, lambda path: path in page))
 
     def _ports(self) -> set[int]:
         endpoints = [parse_endpoint(url) for url in self.api.server.endpoints]

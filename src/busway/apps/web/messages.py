@@ -72,7 +72,7 @@ class PointAnswer(Answer):
     last_writer: str = ""
 
 
-class Points(Answer):
+class PointsMessage(Answer):
     """Points, in the order of the file."""
 
     points: list[PointAnswer]
@@ -162,7 +162,7 @@ class FaultAnswer(Answer):
     selection: dict[str, Any] = Field(default_factory=dict, description="what it is chosen by")
 
 
-class Faults(Answer):
+class FaultsMessage(Answer):
     """Faults that were put on, and those that can be."""
 
     faults: list[FaultAnswer]
@@ -209,13 +209,13 @@ class Connections(Answer):
     connections: list[dict[str, Any]] = Field(description="as `busway status` shows them")
 
 
-class Lines(Answer):
+class LinesMessage(Answer):
     """Listeners, with their lamps and diagnostic counters."""
 
     lines: list[dict[str, Any]]
 
 
-class Counters(Answer):
+class CountersMessage(Answer):
     """What has happened since the start or the last reset."""
 
     counters: dict[str, Any]
@@ -252,7 +252,7 @@ class FrameAnswer(Answer):
     seconds: float | None = Field(None, description="of a reply: since its request")
 
 
-class Traffic(Answer):
+class TrafficMessage(Answer):
     """Frames, the oldest first."""
 
     frames: list[FrameAnswer]

@@ -40,7 +40,7 @@ class Problem(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class OperationCall:
     """A request to a resource.
 
     Attributes:
@@ -76,7 +76,7 @@ class Operation:
     name: str
     summary: str
     answer: type[Answer]
-    handle: Callable[[Call], Awaitable[Answer]]
+    handle: Callable[[OperationCall], Awaitable[Answer]]
     body: type[Asked] | None = None
     query: type[Asked] | None = None
     status: HTTPStatus = HTTPStatus.OK
@@ -95,7 +95,7 @@ class Operation:
 
     async def _answer(self, request: Request) -> Response:
         try:
-            call = Call(
+            call = OperationCall(
                 {name: str(value) for name, value in request.path_params.items()},
                 _checked(self.query, dict(request.query_params)),
                 None if self.body is None else _checked(self.body, _parsed(await request.body())),

@@ -57,7 +57,7 @@ class Point(Protocol):
     def last_writer(self) -> str: ...
 
 
-class Unit(Protocol):
+class PageUnit(Protocol):
     """A simulated device."""
 
     @property
@@ -76,7 +76,7 @@ class PointChange(Protocol):
         """``UNIT/NAME``."""
 
 
-class Served(Protocol):
+class ServedUnits(Protocol):
     """The server in front of the units."""
 
     @property
@@ -124,11 +124,11 @@ class Board(Protocol):
     def watch(self, changed: Callable[[], None]) -> Callable[[], None]: ...
 
 
-class Subject(Protocol):
+class PageSubject(Protocol):
     """A simulation."""
 
     @property
-    def units(self) -> Mapping[int, Any]:  # Any: `Unit`
+    def units(self) -> Mapping[int, Any]:  # Any: `PageUnit`
         """The units by number."""
 
     @property
@@ -136,7 +136,7 @@ class Subject(Protocol):
         """The points by key."""
 
     @property
-    def server(self) -> Served:
+    def server(self) -> ServedUnits:
         """What answers by Modbus."""
 
     @property

@@ -33,7 +33,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from ...values.refusal import shown
-from .schema import Faults, Section, faults_of
+from .schema import FileProblems, Section, faults_of
 
 FASTEST: Final = 0.01
 """Seconds between two changes, at least: below, the timers of a system are no longer exact."""
@@ -127,7 +127,7 @@ class RandomWalkSection(BehaviourSection):
     @model_validator(mode="after")
     def _check(self) -> "RandomWalkSection":
         if self.low is not None and self.high is not None and not self.low < self.high:
-            raise Faults([(("high",), f"must be above low, {self.low:g}, not {self.high:g}")])
+            raise FileProblems([(("high",), f"must be above low, {self.low:g}, not {self.high:g}")])
         return self
 
 
@@ -209,11 +209,11 @@ def _as_behaviour(value: object) -> object:
     if section is None:
         there = ", ".join(KINDS)
         said = f"must be one of {there}, not {shown(kind)}" if "kind" in value else f"is missing; there are {there}"
-        raise Faults([(("kind",), said)])
+        raise FileProblems([(("kind",), said)])
     try:
         return section.model_validate(value)
     except ValidationError as error:
-        raise Faults([fault for each in error.errors() for fault in faults_of(each, section)]) from None
+        raise FileProblems([fault for each in error.errors() for fault in faults_of(each, section)]) from None
 
 
 DeclaredBehaviour = Annotated[

@@ -42,7 +42,7 @@ from ...values.refusal import shown
 from .lines import Path
 from .listeners import OF_CLIENTS, ListenerKeys, Url
 from .options import OptionSection, with_options_of
-from .schema import Faults, Section, parse_file
+from .schema import FileProblems, Section, parse_file
 
 Result = TypeVar("Result")
 
@@ -270,24 +270,28 @@ class PointSection(Section):
         place = checked("address", lambda: self.place)
         if place.table is Table.COILS or place.table is Table.DISCRETE_INPUTS or place.bit is not None:
             if self.type is not None:
-                raise Faults([(("type",), f"{place} is one bit and has no type")])
+                raise FileProblems([(("type",), f"{place} is one bit and has no type")])
             if self.scale != 1.0:
-                raise Faults([(("scale",), f"{place} is one bit and has no scale")])
+                raise FileProblems([(("scale",), f"{place} is one bit and has no scale")])
         else:
             form = checked("type", lambda: value_type(self.type or "uint16"))
             form = checked("order", lambda: value_type(self.type or "uint16", self.order))
             if form.name.startswith("bit:"):
-                raise Faults([(("type",), f"one bit is written with its address, {place}.{form.name[4:]}")])
+                raise FileProblems([(("type",), f"one bit is written with its address, {place}.{form.name[4:]}")])
             if self.scale != 1.0 and not form.name.startswith(("int", "uint", "float", "bcd")):
-                raise Faults([(("scale",), f"{form.name} is no number and has no scale")])
+                raise FileProblems([(("scale",), f"{form.name} is no number and has no scale")])
             if not self.scale or self.scale != self.scale or abs(self.scale) == float("inf"):
-                raise Faults([(("scale",), f"must be a number other than 0, not {self.scale:g}")])
+                raise FileProblems([(("scale",), f"must be a number other than 0, not {self.scale:g}")])
             if place.offset + form.registers > TABLE_SIZE:
-                raise Faults([(("address",), f"{form.registers} registers from {place} on end beyond the last one")])
+                raise FileProblems(
+                    [(("address",), f"{form.registers} registers from {place} on end beyond the last one")]
+                )
         if self.access == "read-write" and not self.table.is_writable:
-            raise Faults([(("access",), f"Modbus can not write {self.table.label}s")])
+            raise FileProblems([(("access",), f"Modbus can not write {self.table.label}s")])
         if self.access == "read" and place.bit is not None:
-            raise Faults([(("access",), f"{place} can be written as its register can; give that a range in read_only")])
+            raise FileProblems(
+                [(("access",), f"{place} can be written as its register can; give that a range in read_only")]
+            )
         if self.value is not None:
             checked("value", lambda: self.raw(self.value))
         return self
@@ -345,7 +349,7 @@ class UnitSection(Section):
             *_repeated("fifo", "address", [each.place.offset for each in self.fifo]),
         ]
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def _table_faults(self) -> Iterator[tuple[Path, str]]:
@@ -402,7 +406,7 @@ class DeviceFile(Section):
     def _check_units(self) -> "DeviceFile":
         faults = list(self._unit_faults())
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def _unit_faults(self) -> Iterator[tuple[Path, str]]:
@@ -441,4 +445,4 @@ def checked(key: str, make: Callable[[], Result]) -> Result:
     try:
         return make()
     except (InvalidRequest, ConfigError) as error:
-        raise Faults([((key,), error.message)]) from None
+        raise FileProblems([((key,), error.message)]) from None

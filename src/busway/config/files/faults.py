@@ -28,7 +28,7 @@ from ...errors import ConfigError
 from ...values.refusal import shown
 from .lines import Path
 from .policy import Numbers
-from .schema import Faults, Section, Source
+from .schema import FileProblems, Section, Source
 
 _MOST_SECONDS: Final = 366 * 86_400.0
 _OFFSETS: Final = re.compile(r"\s*[0-9]{1,4}\s*((\.\.|…|-)\s*[0-9]{1,5}\s*)?")
@@ -58,7 +58,7 @@ class ScheduleSection(Section):
     @model_validator(mode="after")
     def _check(self) -> "ScheduleSection":
         if self.every is not None and (self.for_ is None or self.every < self.for_):
-            raise Faults([(("every",), "must be at least as long as for, which it needs")])
+            raise FileProblems([(("every",), "must be at least as long as for, which it needs")])
         return self
 
 
@@ -84,7 +84,7 @@ class FaultSection(Section):
             except ConfigError as error:
                 faults.append(((key,), error.message))
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def chosen_units(self) -> frozenset[int] | None:

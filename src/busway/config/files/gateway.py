@@ -41,7 +41,7 @@ from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import CountOrNone, SecondsOrNone, with_options_of
-from .schema import Faults, Section, Source, read_source
+from .schema import FileProblems, Section, Source, read_source
 from .system import LINK_KINDS, LinkKeys, SystemFile
 
 NOT_OF_LINES: Final = {
@@ -122,7 +122,7 @@ class RouteSection(Section):
     def _check(self) -> "RouteSection":
         faults = list(self._faults())
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def _faults(self) -> Iterator[tuple[Path, str]]:

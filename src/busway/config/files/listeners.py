@@ -15,7 +15,7 @@ from ...transport.tls.parameters import OF_CLIENTS as ONLY_LINKS
 from ...transport.tls.parameters import TlsParameters
 from .lines import Path
 from .options import CountOrNone, OptionSection, SecondsOrNone, TextOrNone, with_options_of
-from .schema import Faults, Section
+from .schema import FileProblems, Section
 
 OF_CLIENTS: Final = frozenset({"connect_timeout", "local_address"})
 """Options of sockets that only one who connects needs."""
@@ -80,7 +80,7 @@ class ListenerSection(ListenerKeys, OptionSection):
                 elif carrier != "tls" and name in option_names(TlsParameters):
                     faults.append(((name,), "is for tls:// listeners"))
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
 

@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from ...errors import ConfigError
 from ...options.text import NONE, build_parameters, option_names
-from .schema import Faults, Section
+from .schema import FileProblems, Section
 
 Kind = TypeVar("Kind", bound="OptionSection")
 
@@ -61,7 +61,7 @@ def build(kind: type[Any], options: Mapping[str, Any]) -> None:
     try:
         build_parameters(kind, options)
     except ConfigError as error:
-        raise Faults([((error.key,) if error.key else (), error.message)]) from None
+        raise FileProblems([((error.key,) if error.key else (), error.message)]) from None
 
 
 def with_options_of(*kinds: type[Any], without: frozenset[str] = frozenset()) -> Callable[[type[Kind]], type[Kind]]:

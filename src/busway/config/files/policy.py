@@ -27,7 +27,7 @@ from ...access.rules import AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...values.refusal import shown
 from .lines import Path
-from .schema import Faults, Section, parse_file
+from .schema import FileProblems, Section, parse_file
 
 
 def _as_numbers(value: object) -> object:
@@ -109,7 +109,7 @@ class RuleSection(Section):
             self.rule()
         except ConfigError as error:
             path: Path = (error.key,) if error.key else ()
-            raise Faults([(path, error.message)]) from None
+            raise FileProblems([(path, error.message)]) from None
         return self
 
     def rule(self) -> Rule:
@@ -149,7 +149,9 @@ class PolicySection(Section):
             return {"default": value}
         rules = value.get("rule") if isinstance(value, dict) else None
         if isinstance(rules, list) and len(rules) > MOST_RULES:
-            raise Faults([(("rule", MOST_RULES), f"there are {len(rules)} rules, and {MOST_RULES} are the limit")])
+            raise FileProblems(
+                [(("rule", MOST_RULES), f"there are {len(rules)} rules, and {MOST_RULES} are the limit")]
+            )
         return value
 
     @model_validator(mode="after")
@@ -170,7 +172,7 @@ class PolicySection(Section):
             except ConfigError as error:
                 faults.append((("rule",), error.message))
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def policy(self) -> Policy:

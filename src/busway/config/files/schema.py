@@ -28,7 +28,7 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True)
 
 
-class Faults(ValueError):
+class FileProblems(ValueError):
     """What a validator finds wrong inside its section: for each, the path from the section and a sentence.
 
     pydantic gives an error of a whole section the section's place; this carries the places inside.
@@ -139,7 +139,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
     """One of pydantic's errors (a mapping of its own kind, hence Any) as places in the section, and sentences."""
     path: Path = tuple(error["loc"])
     raised = error.get("ctx", {}).get("error")
-    if isinstance(raised, Faults):
+    if isinstance(raised, FileProblems):
         for inner, sentence in raised.faults:
             yield (*path, *inner), sentence
     else:

@@ -45,7 +45,7 @@ from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import PointSection, UnitSection, Whole, checked
 from .faults import FaultSection
 from .lines import Path
-from .schema import Faults, Section, json_schema
+from .schema import FileProblems, Section, json_schema
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"
@@ -126,7 +126,7 @@ class SimulatedPointSection(PointSection):
     def _check_simulated(self) -> "SimulatedPointSection":
         faults = [*self._range_faults(), *self._behaviour_faults()]
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def _range_faults(self) -> Iterator[tuple[Path, str]]:

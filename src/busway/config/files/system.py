@@ -56,7 +56,7 @@ from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, TextOrNone, with_options_of
 from .policy import ActionWord, PolicySection
-from .schema import Faults, Section, Source, read_source
+from .schema import FileProblems, Section, Source, read_source
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file does not say."""
@@ -163,7 +163,7 @@ class ClientSection(LinkKeys):
                 faults.append((("link", index, "name"), f"{link.name!r} is there already: link[{seen[link.name]}]"))
             seen.setdefault(link.name, index)
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
 
@@ -222,7 +222,7 @@ class SystemFile(DeviceFile):
     def _check_whole(self) -> "SystemFile":
         faults = list(self._whole_faults())
         if faults:
-            raise Faults(faults)
+            raise FileProblems(faults)
         return self
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:

@@ -32,7 +32,7 @@ _MAKERS: Final = frozenset({"asyncio.base_events", "uvloop.loop"})
 """Where the loops say how connections are made whose descriptors can be watched like any other."""
 
 
-class Member(Protocol):
+class Watcher(Protocol):
     """Who waits at a descriptor."""
 
     def ready(self, events: int, /) -> None:
@@ -51,13 +51,13 @@ class EpollSet:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
-        self._watched: dict[int, Member] = {}
+        self._watched: dict[int, Watcher] = {}
         self._epoll: select.epoll | None = None
 
     def __len__(self) -> int:
         return len(self._watched)
 
-    def watch(self, descriptor: int, events: int, member: Member) -> None:
+    def watch(self, descriptor: int, events: int, member: Watcher) -> None:
         """Call ``member`` while ``descriptor`` is ready for one of ``events``; it was not watched before.
 
         Raises:

@@ -17,7 +17,7 @@ from .device import OpenDevice, descriptor_of, opening_arguments
 from .errors import opening_failed, port_lost
 from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
-from .rs485 import Direction
+from .rs485 import DriverDirection
 from .settings import SerialSettings
 from .waiting import wait_ready
 
@@ -160,7 +160,7 @@ class BlockingSerialPort:
             LinkDown: the port vanished; bytes may have gone out.
         """
         opened = self._opened()
-        by_hand = self._device.direction is Direction.RTS
+        by_hand = self._device.direction is DriverDirection.RTS
         try:
             if by_hand:
                 self._device.turn_to_sending()

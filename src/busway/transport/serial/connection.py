@@ -20,7 +20,7 @@ from .device import OpenDevice, descriptor_of, opening_arguments
 from .errors import opening_failed, port_lost
 from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
-from .rs485 import Direction
+from .rs485 import DriverDirection
 from .settings import SerialSettings
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ class SerialConnection:
         self._transport = transport
         self._device = device
         self._told = False
-        if device.direction is Direction.RTS:
+        if device.direction is DriverDirection.RTS:
             self._sender = _SenderByRts(self._loop, transport, device, self.settings, self._gone)
 
     def _arrived(self, data: bytes) -> None:

@@ -8,11 +8,11 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from .counters import LineCounters, read_counters
-from .emission import Emission, characters_held
+from .emission import CharacterClock, characters_held
 from .ioctl import Ioctl, system_ioctl
 from .lock import admit_others, refuse_others
 from .marks import MarkDecoder, Received, switch_marks_on
-from .rs485 import Direction, set_rts, settle_direction
+from .rs485 import DriverDirection, set_rts, settle_direction
 from .settings import Parity, Rs485, SerialSettings
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ class OpenDevice:
         self._settings = settings
         self._ioctl = ioctl
         self._marks: MarkDecoder | None = None
-        self.direction = Direction.NOBODY
-        self.emission = Emission(settings.character_time)
+        self.direction = DriverDirection.NOBODY
+        self.emission = CharacterClock(settings.character_time)
         if descriptor is None:
             return
         if settings.exclusive:

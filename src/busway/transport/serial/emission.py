@@ -13,7 +13,7 @@ TIOCSERGETLSR = 0x5459
 TRANSMITTER_EMPTY = 0x01
 
 
-class Emission:
+class CharacterClock:
     """The characters on their way out of one port.
 
     Attributes:

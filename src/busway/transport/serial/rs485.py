@@ -27,7 +27,7 @@ _LAYOUT = struct.Struct("III20x")
 """Flags, milliseconds before and after sending, and what the kernel keeps for itself."""
 
 
-class Direction(Enum):
+class DriverDirection(Enum):
     """Who switches, once the port is open."""
 
     NOBODY = "nobody"
@@ -35,20 +35,20 @@ class Direction(Enum):
     RTS = "rts"
 
 
-def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> Direction:
+def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
     """Set up the direction control that the settings ask for, and tell which it became.
 
     Raises:
         ConfigError: the kernel's mode is asked for and this port does not have it.
     """
     if settings.rs485 is Rs485.OFF:
-        return Direction.NOBODY
+        return DriverDirection.NOBODY
     if settings.rs485 is not Rs485.RTS and _kernel_mode(descriptor, settings, ioctl):
-        return Direction.KERNEL
+        return DriverDirection.KERNEL
     if settings.rs485 is Rs485.KERNEL:
         raise ConfigError("the driver of this port has no RS-485 mode; rs485=rts switches by the RTS wire", key="rs485")
     set_rts(descriptor, settings.rts_after_send, ioctl)
-    return Direction.RTS
+    return DriverDirection.RTS
 
 
 def _kernel_mode(descriptor: int, settings: SerialSettings, ioctl: Ioctl) -> bool:
