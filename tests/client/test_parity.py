@@ -59,7 +59,7 @@ def _plain(function: Any) -> str:
     """What a function gives, once it is awaited, in the words of the blocking interface."""
     annotation = inspect.signature(function).return_annotation
     given = annotation.__name__ if isinstance(annotation, type) else str(annotation)
-    return given.replace("AsyncUnit", "Unit").replace("AsyncLink", "Link")
+    return given.replace("AsyncUnit", "BlockingUnit").replace("AsyncLink", "BlockingLink")
 
 
 @pytest.mark.parametrize(("asynchronous", "blocking"), PAIRS, ids=["Unit", "Link"])

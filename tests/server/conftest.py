@@ -10,5 +10,5 @@ def road(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str
     """Both ways for connections to wait; the second one is for event loops and systems without an epoll object."""
     name: str = request.param
     if name == "by the loop's transports":
-        monkeypatch.setattr(busway.server.opening, "crowd_for", lambda loop: None)
+        monkeypatch.setattr(busway.server.opening, "epoll_set_for", lambda loop: None)
     return name

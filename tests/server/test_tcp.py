@@ -60,7 +60,7 @@ def test_all_listeners_of_a_server_and_their_connections_wait_in_one_place(
     loop: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[EpollSet] = []
-    monkeypatch.setattr("busway.server.opening.crowd_for", lambda loop: made.append(EpollSet(loop)) or made[-1])
+    monkeypatch.setattr("busway.server.opening.epoll_set_for", lambda loop: made.append(EpollSet(loop)) or made[-1])
 
     async def live(server: busway.Server) -> None:
         async with server:

@@ -45,7 +45,7 @@ class ServiceUnit:
         """The unit file."""
         return "\n".join(
             (
-                "[BlockingUnit]",
+                "[Unit]",
                 "Description=Modbus gateway (busway)",
                 "Wants=network-online.target",
                 "After=network-online.target",

@@ -518,6 +518,6 @@ async def test_transport_that_nobody_closed_is_named_when_it_is_collected() -> N
     with theirs:
         stream = EpollStream(EpollSet(asyncio.get_running_loop()), ours, Recorder(), "a peer")
         assert "open" in repr(stream)
-        with pytest.warns(ResourceWarning, match="unclosed transport <CrowdStream open"):
+        with pytest.warns(ResourceWarning, match="unclosed transport <EpollStream open"):
             del stream  # nothing else holds it
         assert theirs.recv(1) == b""

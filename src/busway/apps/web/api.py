@@ -103,7 +103,7 @@ class Api:
             ),
             Operation("GET", "/api/units", "list_units", "The units", Units, self.list_units),
             Operation(
-                "GET", "/api/points", "list_points", "The points", PointsMessage, self.list_points, query=PointsQuery
+                "GET", "/api/points", "list_points", "Points", PointsMessage, self.list_points, query=PointsQuery
             ),
             Operation("GET", "/api/values", "get_values", "All values by key", Values, self.get_values),
             Operation("POST", "/api/values", "set_values", "Set many values", Written, self.set_values, body=NewValues),
@@ -172,7 +172,7 @@ class Api:
             ),
             Operation("GET", "/api/connections", "list_connections", "Connections", Connections, self.list_connections),
             Operation("GET", "/api/lines", "list_lines", "Listeners and their lamps", LinesMessage, self.list_lines),
-            Operation("GET", "/api/counters", "get_counters", "The counters", CountersMessage, self.get_counters),
+            Operation("GET", "/api/counters", "get_counters", "Counters", CountersMessage, self.get_counters),
             Operation(
                 "POST", "/api/counters/reset", "reset_counters", "Set them to zero", Nothing, self.reset_counters
             ),
