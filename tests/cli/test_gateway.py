@@ -388,6 +388,9 @@ def test_metrics_tell_of_fronts_and_lines_and_count_the_requests_of_all_fronts()
         assert 'busway_line_answered_total{line="line"} 4.0' in text
         assert 'busway_line_connections{line="line",state="up"} 1.0' in text
         assert 'busway_line_queued{line="line"} 0.0' in text
+        assert 'busway_line_late_replies_total{line="line"} 0.0' in text
+        assert 'busway_line_markers_total{line="line"} 0.0' in text
+        assert 'busway_line_units_in_doubt{line="line"} 0.0' in text
         assert f'busway_front_no_route_total{{front="{LOOPBACK}"}} 0.0' in text
         assert 'busway_requests_total{exception="none",function="6",peer_class="other",unit="1"} 2.0' in text
 

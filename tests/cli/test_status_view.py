@@ -134,6 +134,14 @@ def test_why_a_line_cannot_be_reached_is_shown_with_its_lamp_and_the_next_attemp
     )
 
 
+def test_units_that_owe_replies_are_shown_in_a_section_of_their_own() -> None:
+    *_, doubtful = sections_of(told(lines=[line_told(in_doubt=[3])]))
+    assert (doubtful.title, doubtful.rows) == (
+        "in doubt",
+        [["hall", "unit 3", "owes a reply", "is asked behind a marker"]],
+    )
+
+
 def test_the_fronts_of_a_gateway_are_shown_as_servers_and_its_lines_as_a_table() -> None:
     server = {"supported_connections": 5, "connections": [{"peer": "10.0.0.9:1"}]}
     front = {"name": "office", "server": server, "counters": {"no_route": 3, "own": 0}}

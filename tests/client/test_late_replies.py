@@ -5,6 +5,7 @@ The unit answers in 30 ms, takes 1.2 s once, longer than the timeout of 1 s, and
 
 import asyncio
 import contextlib
+import logging
 import time
 from collections.abc import AsyncIterator, Iterator
 
@@ -155,3 +156,26 @@ async def test_client_of_a_gateway_never_gets_registers_that_it_is_denied(over_a
         for found in (of_permitted, of_denied):
             assert [(address, value) for address, value in found if value != address] == []
             assert len(found) > 5
+
+
+async def test_late_reply_shows_in_status_and_trace_and_in_the_next_error_of_its_unit(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with LateUnit("rtu+tcp", hiccups=(2, 4)) as slow:
+        async with busway.open(slow.url, timeout=0.5, retries=0, shared=False) as link:
+            unit = link.unit(1)
+            await unit.read_holding_registers(0, count=2)
+            busway.TRACE.set(busway.TraceLevel.MESSAGE)
+            try:
+                with caplog.at_level(logging.DEBUG, "busway.trace"), pytest.raises(busway.NoReply):
+                    await unit.read_holding_registers(1, count=2)
+                (status,) = [one for one in busway.local_connections() if one.endpoint == slow.url.split("?")[0]]
+                assert status.in_doubt == (1,)
+                with caplog.at_level(logging.DEBUG, "busway.trace"):
+                    await unit.read_holding_registers(2, count=2)
+            finally:
+                busway.TRACE.set(busway.TraceLevel.OFF)
+            (status,) = [one for one in busway.local_connections() if one.endpoint == slow.url.split("?")[0]]
+            assert (status.late_replies, status.in_doubt) == (1, ())
+            assert any("a reply that was owed came after 1." in line for line in caplog.messages)
+            assert link.counters.late_replies == 1

@@ -131,7 +131,7 @@ def line_sections(lines: Sequence[JsonObject]) -> list[StatusSection]:
     """The lines of a gateway: how they are, what became of requests, why one is down, and which units are not asked."""
     if not lines:
         return []
-    rows, down, suspended = [], [], []
+    rows, down, suspended, doubtful = [], [], [], []
     for line in lines:
         links = line.get("links") or ()
         states = [link["state"] for link in links]
@@ -152,11 +152,15 @@ def line_sections(lines: Sequence[JsonObject]) -> list[StatusSection]:
             for unit in link.get("suspended") or ():
                 when = _when(unit["next_probe"])
                 suspended.append([line["name"], f"unit {unit['unit']}", "does not answer", f"asked again {when}"])
+            for number in link.get("in_doubt") or ():
+                doubtful.append([line["name"], f"unit {number}", "owes a reply", "is asked behind a marker"])
     sections = [_table(rows, _LINE_COLUMNS, "")]
     if down:
         sections.append(StatusSection("cannot be reached", (), down))
     if suspended:
         sections.append(StatusSection("not asked now", (), suspended))
+    if doubtful:
+        sections.append(StatusSection("in doubt", (), doubtful))
     return sections
 
 

@@ -105,6 +105,7 @@ class LinkStatus:
         suspended: units that are not asked now.
         reason: why it cannot be reached; empty while it can be, and before the first attempt.
         next_attempt: seconds until it is tried again at the earliest; None where the next request tries it.
+        in_doubt: units that owe replies, on links without transaction numbers.
     """
 
     state: str
@@ -114,6 +115,7 @@ class LinkStatus:
     suspended: tuple[SuspendedUnit, ...] = ()
     reason: str = ""
     next_attempt: float | None = None
+    in_doubt: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,6 +308,7 @@ class Line:
                 _suspended(link),
                 link.down_because,
                 link.next_attempt,
+                _in_doubt(link),
             )
             for link in self._links
         )
@@ -532,6 +535,12 @@ def _lamps(links: Sequence[LinkStatus]) -> StatusIndicators:
         StatusIndicator.FLASHING if is_faulty else StatusIndicator.OFF,
         StatusIndicator.OFF if is_faulty else StatusIndicator.ON,
     )
+
+
+def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
+    """The units that owe replies."""
+    session = link.session
+    return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:

@@ -272,6 +272,11 @@ def line_families(lines: Iterable[Any]) -> Iterator[Family]:
     yield from _counters_of("line", lines, "Requests of the line")
     queued = GaugeMetricFamily("busway_line_queued", "Requests that wait for their turn.", labels=("line",))
     flying = GaugeMetricFamily("busway_line_in_flight", "Requests whose reply is awaited.", labels=("line",))
+    late = CounterMetricFamily("busway_line_late_replies", "Replies that came too late; dropped.", labels=("line",))
+    markers = CounterMetricFamily(
+        "busway_line_markers", "Requests of the gateway's own, to units that owe replies.", labels=("line",)
+    )
+    doubt = GaugeMetricFamily("busway_line_units_in_doubt", "Units that owe replies.", labels=("line",))
     silent = GaugeMetricFamily("busway_line_suspended_units", "Units that are not asked now.", labels=("line",))
     states = GaugeMetricFamily(
         "busway_line_connections", "Connections of the line, by their state.", labels=("line", "state")
@@ -279,10 +284,13 @@ def line_families(lines: Iterable[Any]) -> Iterator[Family]:
     for one in lines:
         queued.add_metric((one.name,), sum(link.queued for link in one.links))
         flying.add_metric((one.name,), sum(link.in_flight for link in one.links))
+        late.add_metric((one.name,), sum(link.counters.late_replies for link in one.links))
+        markers.add_metric((one.name,), sum(link.counters.markers for link in one.links))
+        doubt.add_metric((one.name,), sum(len(link.in_doubt) for link in one.links))
         silent.add_metric((one.name,), sum(len(link.suspended) for link in one.links))
         for state, count in Counter(link.state for link in one.links).items():
             states.add_metric((one.name, state), count)
-    yield from (queued, flying, silent, states)
+    yield from (queued, flying, late, markers, doubt, silent, states)
 
 
 def _counters_of(label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
