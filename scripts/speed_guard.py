@@ -9,6 +9,7 @@ Knows the file and how the counting program of `bench/` is run; what is counted 
 2. A figure that has become smaller is off too: the file says what is true, so that the next change is held against it.
 """
 
+import argparse
 import json
 import os
 import subprocess
@@ -82,7 +83,9 @@ def interpreters() -> dict[str, str]:
 
 
 def main() -> None:
-    if "--check" in sys.argv[1:]:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="compare on this Python alone, and write nothing")
+    if parser.parse_args().check:
         version = "{}.{}".format(*sys.version_info[:2])
         found = differences(counted(sys.executable), kept().get(version, {}))
         raise SystemExit("\n".join(found) or None)

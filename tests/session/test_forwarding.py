@@ -43,6 +43,9 @@ class Way:
         self.asked += [(asker, read) for read in reads]
         asker.works[self] = None
 
+    def owed(self, asker: ForwardedReads) -> list[ForwardedRead]:
+        return [read for one, read in self.asked if one is asker]
+
     def asker_gone(self, asker: ForwardedReads) -> None:
         self.gone.append(asker)
 

@@ -63,3 +63,15 @@ def test_script_without_figures_and_figures_without_script_are_named(guard: Modu
 
 def test_file_is_what_the_script_writes(guard: ModuleType) -> None:
     assert guard.FILE.read_text(encoding="utf-8") == guard.text(guard.kept())
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--chekc"]])
+def test_file_is_not_written_by_who_asks_for_help_or_mistypes_an_option(
+    guard: ModuleType, arguments: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(guard, "FILE", tmp_path / "figures.toml")
+    monkeypatch.setattr(guard, "interpreters", dict)
+    monkeypatch.setattr(sys, "argv", ["speed_guard.py", *arguments])
+    with pytest.raises(SystemExit):
+        guard.main()
+    assert not guard.FILE.exists()

@@ -79,13 +79,12 @@ class ReadPlan:
     finding it checks protocol, length, unit, function, address and count at once: 0.4 µs, where an answer takes 1.0.
     """
 
-    __slots__ = ("block", "head", "start", "stop")
+    __slots__ = ("block", "head", "part")
 
     def __init__(self, head: bytes, block: Block, start: int, stop: int) -> None:
         self.head = head
         self.block = block
-        self.start = start
-        self.stop = stop
+        self.part = slice(start, stop)  # made once: two look-ups less for each answer
 
 
 def plan_read(unit: int, pdu: bytes, limit: int, block: Block) -> ReadPlan | None:

@@ -121,8 +121,13 @@ class FramedSession:
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
         """Work through the first ``size`` bytes of ``buffer``; the frames to send, in order."""
-        self.put_off(buffer, size)
-        return self.go_on()
+        if self.rest or size > SHARE_OF_BYTES:
+            self.put_off(buffer, size)
+            return self.go_on()
+        self.spent = size // 16
+        emissions = self._session.receive(bytes(memoryview(buffer)[:size]), time.monotonic())
+        self._rearm()
+        return [one.frame for one in emissions]
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
         """Take the first ``size`` bytes of ``buffer``, and work through none of them before `go_on`."""
@@ -151,7 +156,8 @@ class FramedSession:
         self._deliver(emission.frame)
 
     def _rearm(self) -> None:
-        self._stop_timer()
+        if self._timer is not None:
+            self._stop_timer()
         deadline = self._session.deadline()
         if deadline is not None:
             self._timer = self._loop.call_later(max(deadline - time.monotonic(), 0.0), self._on_timer)

@@ -86,6 +86,8 @@ class Turns:
     def _next_turn(self) -> None:
         """A turn of the loop begins: let those who wait work, as far as its time goes."""
         self._is_due = False
+        if not self.is_crowded:
+            return  # nobody waits
         began = seconds()
         self._work(self._preferred, None)
         self._work(self._modest, began + _QUEUE_SECONDS)

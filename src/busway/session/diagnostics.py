@@ -362,7 +362,8 @@ class CommunicationState:
         line.heard.messages += 1
         line.requests += 1
         self.own.server_message_count += 1
-        self._log.appendleft(_RECEIVED_MUTED if self.unit in line.listen_only_units else _RECEIVED)
+        muted = line.listen_only_units
+        self._log.appendleft(_RECEIVED_MUTED if muted and self.unit in muted else _RECEIVED)
 
     def received_broadcast(self) -> None:
         """A broadcast came in, which the line has counted."""
@@ -384,7 +385,10 @@ class CommunicationState:
             event |= _SEND_EVENT_OF_EXCEPTION.get(exception, 0)
         elif counts:
             self._event_count += 1
-        self._finish(event)
+        if line.listen_only_units or self._restart_clears_log is not None:
+            self._finish(event)
+        else:
+            self._log.appendleft(event)
 
     def failed(self, exception: int) -> None:
         """A request, perhaps a broadcast, ended with an exception code."""

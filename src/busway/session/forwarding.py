@@ -11,8 +11,7 @@ Knows how a read and its answer look on TCP, and the slots of a connection; know
 4. What goes this road gets the same answers, and is counted as, what goes the long one.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from operator import itemgetter
 from struct import Struct
@@ -51,6 +50,9 @@ class UpstreamReads(Protocol):
 
 class AskedUpstream(Protocol):
     """Something that is asked for a connection."""
+
+    def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardedRead]":
+        """Reads of a client that have not been answered."""
 
     def asker_gone(self, asker: "ForwardedReads") -> None:
         """The client has gone: nobody waits for its reads any more."""
@@ -148,8 +150,6 @@ class ForwardedReads:
     """
 
     __slots__ = (
-        "_answered",
-        "_asked",
         "_deliver",
         "_diagnostics",
         "_is_open",
@@ -177,8 +177,6 @@ class ForwardedReads:
         self._deliver = deliver
         self._is_open = True
         self._ready: list[bytes] = []
-        self._asked: Counter[int] = Counter()  # by unit, as are those that were answered
-        self._answered: Counter[int] = Counter()
         self.waiting = 0
         self.works: dict[AskedUpstream, None] = {}
 
@@ -188,26 +186,23 @@ class ForwardedReads:
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
             return at
-        known = self.plans.known
         fields = _shape(count).unpack_from(buffer, at)
+        keys = fields[1::2]
         try:
             # No step of Python for a single read: a fifth less than the plain loop in `_known_ones`.
-            reads = list(zip(fields[0::2], map(known.__getitem__, fields[1::2]), strict=True))
+            reads = list(zip(fields[0::2], map(self.plans.known.__getitem__, keys), strict=True))
         except KeyError:
             reads = list(self._known_ones(fields))
             count = len(reads)
             if not count:
                 return at
+            keys = keys[:count]
         slots.used += count
         self.waiting += count
         if count == 1:  # `Counter.update` takes 0.7 µs for one
-            unit = fields[1][_UNIT_ASKED]
-            self._diagnostics.arrived[unit] += 1
-            self._asked[unit] += 1
+            self._diagnostics.arrived[keys[0][_UNIT_ASKED]] += 1
         else:
-            units = bytes(map(_unit_asked, fields[1 : 2 * count : 2]))
-            self._diagnostics.arrived.update(units)
-            self._asked.update(units)
+            self._diagnostics.arrived.update(map(_unit_asked, keys))
         way = self.plans.sole_way
         if way is not None:
             way.ask(self, reads)
@@ -239,13 +234,9 @@ class ForwardedReads:
             self._slots.used -= count
             adus = [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
             if count == 1:
-                unit = adus[0][_UNIT_ANSWERED]
-                self._diagnostics.departed[unit] += 1
-                self._answered[unit] += 1
+                self._diagnostics.departed[adus[0][_UNIT_ANSWERED]] += 1
             else:
-                units = bytes(map(_unit_answered, adus))
-                self._diagnostics.departed.update(units)
-                self._answered.update(units)
+                self._diagnostics.departed.update(map(_unit_answered, adus))
             self._ready += adus
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
@@ -253,9 +244,7 @@ class ForwardedReads:
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
-            unit = read[1].head[_UNIT_ASKED]
-            self._answered[unit] += 1
-            self._diagnostics.of(unit).answered(exception=code)
+            self._diagnostics.of(read[1].head[_UNIT_ASKED]).answered(exception=code)
             self._ready.append(read[0] + read[1].refusal(code))
 
     def send(self) -> None:
@@ -270,11 +259,11 @@ class ForwardedReads:
         """The connection has ended: what still waits gets no answer, and its slots are free."""
         self._is_open = False
         self._slots.used -= self.waiting
-        for unit in (self._asked - self._answered).elements():
-            self._diagnostics.of(unit).kept_silent()
         self.waiting = 0
         works, self.works = self.works, {}
         for work in works:
+            for _, plan in work.owed(self):
+                self._diagnostics.of(plan.head[_UNIT_ASKED]).kept_silent()
             work.asker_gone(self)
 
 

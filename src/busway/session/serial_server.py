@@ -54,11 +54,7 @@ class _Answer:
 
     def left(self) -> None:
         """Count it."""
-        diagnostics = self.context.diagnostics
-        if isinstance(self.reply, ExceptionResponse):
-            diagnostics.answered(exception=self.reply.exception)
-        else:
-            diagnostics.answered(counts=self.context.function not in _POLLS)
+        _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
         """Count its request as one without an answer; an exception is counted all the same, as that of a broadcast."""
@@ -66,6 +62,13 @@ class _Answer:
         if isinstance(self.reply, ExceptionResponse):
             diagnostics.failed(self.reply.exception)
         diagnostics.kept_silent(write_failed=write_failed)
+
+
+def _count_answer(context: RequestContext, reply: Message) -> None:
+    if isinstance(reply, ExceptionResponse):
+        context.diagnostics.answered(exception=reply.exception)
+    else:
+        context.diagnostics.answered(counts=context.function not in _POLLS)
 
 
 class SerialServerSession:
@@ -260,11 +263,11 @@ class SerialServerSession:
 
     def _outcome(self, context: RequestContext, pdu: bytes) -> Outcome:
         diagnostics = context.diagnostics
-        if diagnostics.listen_only and context.function != FunctionCode.DIAGNOSTICS:
+        was_listen_only = diagnostics.listen_only
+        if was_listen_only and context.function != FunctionCode.DIAGNOSTICS:
             return Deferral.SILENCE
         if context.function == 0:
             return ExceptionResponse(0, ExceptionCode.ILLEGAL_FUNCTION)
-        was_listen_only = diagnostics.listen_only
         outcome = self._ask(context, pdu)
         if was_listen_only or diagnostics.listen_only:
             # 08/04 and the 08/01 that ends it are not answered; nothing else of 08 is, in between.
@@ -346,11 +349,10 @@ class SerialServerSession:
             context.abandon()
 
     def _answer(self, context: RequestContext, reply: Message) -> FrameToSend:
-        answer = _Answer(context, reply)
         if self._sends_at_once:
-            answer.left()
+            _count_answer(context, reply)
         else:
-            self._leaving = answer
+            self._leaving = _Answer(context, reply)
         frame = self._framing.encode(context.unit, reply.encode())
         if context.function == FunctionCode.DIAGNOSTICS:
             self._framing.delimit_by(self._diagnostics.ascii_delimiter)

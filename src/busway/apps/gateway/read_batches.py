@@ -11,6 +11,7 @@ Knows lines, demands and who asked; knows no route.
 4. A client that goes away takes those of its reads with it that nobody else waits for.
 """
 
+from collections.abc import Iterator, MutableMapping, Sequence
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +78,15 @@ class ReadBatch(Call):
         reads: what was asked, in the order of ``requests``.
         told: positions that were answered one by one; empty where all are answered together.
         joined: others who wait for a read, by its position.
+        deadlines: of those who wait, where several do.
+        keys: what its reads are found by, where they may be shared.
+        shared: where they are found.
     """
+
+    # What most never set is shared until it is, as in `Demand`.
+    deadlines: WaiterDeadlines[tuple[ForwardedReads, ForwardedRead | None]] | None = None
+    keys: Sequence[Key] = ()
+    shared: MutableMapping[Key, Any] | None = None  # Any: see `Memory`
 
     def __init__(
         self,
@@ -101,9 +110,6 @@ class ReadBatch(Call):
         self.reads = reads
         self.told: set[int] = set()
         self.joined: dict[int, list[tuple[ForwardedReads, ForwardedRead]]] = {}
-        self.deadlines: WaiterDeadlines[tuple[ForwardedReads, ForwardedRead | None]] | None = None  # where several wait
-        self.keys: list[Key] = []  # what its reads are found by, where they may be shared
-        self.shared: dict[Key, Any] = {}  # Any: see `Memory`; where they are found
 
     def done(self) -> bool:
         """Never: `set_result` is called once."""
@@ -112,6 +118,12 @@ class ReadBatch(Call):
     def set_result(self, result: None) -> None:
         """All outcomes are there."""
         self.bunches.tell(self)
+
+    def owed(self, asker: ForwardedReads) -> Iterator[ForwardedRead]:
+        """Reads of a client that have not been answered."""
+        for position in range(len(self.reads)):
+            if position not in self.told:
+                yield from (read for waiter, read in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardedReads) -> None:
         """A client has gone."""
@@ -160,10 +172,12 @@ class ReadBatches:
 
     def _ask(self, way: ReadTarget, link: AsyncLinkDriver, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         error = self._begin(way, link, asker, reads)
+        if error is None:
+            return
         if isinstance(error, Overloaded) and len(reads) > 1:  # some of them may have room
             for read in reads:
                 self._ask(way, link, asker, [read])
-        elif error is not None:
+        else:
             for read in reads:
                 self._refuse(asker, [read], self.line.refused(error))
 
@@ -345,14 +359,16 @@ class ReadBatches:
         if batch.deadlines is not None:
             batch.deadlines.close()
         shared = batch.shared
-        for key in batch.keys:
-            if shared.get(key) is batch:
-                del shared[key]
+        if shared is not None:
+            for key in batch.keys:
+                if shared.get(key) is batch:
+                    del shared[key]
         if batch.asker is not None:
             batch.asker.works.pop(batch, None)
-        for others in batch.joined.values():
-            for asker, _ in others:
-                asker.works.pop(batch, None)
+        if batch.joined:
+            for others in batch.joined.values():
+                for asker, _ in others:
+                    asker.works.pop(batch, None)
         batch.owner = None  # it is its own owner: else only the collector of garbage would free it
 
     def _left(self, batch: ReadBatch, position: int) -> None:
