@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from skins import SKINS, Skin
+from client_kinds import CLIENT_KINDS, ClientKind
 
 import busway
 from busway import InvalidRequest
@@ -22,13 +22,13 @@ def nobody() -> Iterator[str]:
         yield f"tcp://127.0.0.1:{holder.getsockname()[1]}"
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest) -> Skin:
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest) -> ClientKind:
     return request.param
 
 
-def test_a_client_refuses_what_is_no_state_before_anything_is_sent(skin: Skin, nobody: str) -> None:
-    with skin.link(nobody) as link:
+def test_a_client_refuses_what_is_no_state_before_anything_is_sent(via: ClientKind, nobody: str) -> None:
+    with via.link(nobody) as link:
         unit = link.unit(1)
         for value in NO_STATES:
             with pytest.raises(InvalidRequest, match="True or False"):
@@ -44,8 +44,8 @@ def test_a_client_refuses_what_is_no_state_before_anything_is_sent(skin: Skin, n
 
 
 @pytest.mark.parametrize("values", ["on", "10", None, 5, True])
-def test_one_value_is_no_sequence_of_states(skin: Skin, nobody: str, values: Any) -> None:
-    with skin.link(nobody) as link, pytest.raises(InvalidRequest, match="sequence of True and False"):
+def test_one_value_is_no_sequence_of_states(via: ClientKind, nobody: str, values: Any) -> None:
+    with via.link(nobody) as link, pytest.raises(InvalidRequest, match="sequence of True and False"):
         link.unit(1).write_multiple_coils(0, values)
 
 
@@ -104,11 +104,11 @@ class _Number:
 @pytest.mark.parametrize(
     ("on", "off"), [(True, False), (1, 0), (_Boolean(True), _Boolean(False)), (_Number(1), _Number(0))]
 )
-def test_booleans_and_the_numbers_1_and_0_are_states_by_every_way_in(skin: Skin, on: Any, off: Any) -> None:
+def test_booleans_and_the_numbers_1_and_0_are_states_by_every_way_in(via: ClientKind, on: Any, off: Any) -> None:
     device = busway.Device(coils=4, holding_registers=1)
     with (
         busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device}) as server,
-        skin.link(server.endpoints[0]) as link,
+        via.link(server.endpoints[0]) as link,
     ):
         unit = link.unit(1)
         unit.write_single_coil(0, on)

@@ -5,8 +5,8 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from client_kinds import CLIENT_KINDS, ClientKind
 from handlers import ScriptedHandler, later, registers
-from skins import SKINS, Skin
 from waiting import until
 
 import busway
@@ -17,9 +17,9 @@ AMPLE = 5.0
 ANY_PORT = "tcp://127.0.0.1:0"
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest) -> Skin:
-    found: Skin = request.param
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest) -> ClientKind:
+    found: ClientKind = request.param
     return found
 
 
@@ -37,8 +37,8 @@ def test_a_connection_is_held_for_ever_unless_somebody_says_otherwise() -> None:
 
 
 @pytest.mark.clause("T6", "T7")
-def test_held_per_request_a_connection_ends_with_each_call_and_that_is_no_loss(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, hold="request", timeout=AMPLE) as link:
+def test_held_per_request_a_connection_ends_with_each_call_and_that_is_no_loss(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, hold="request", timeout=AMPLE) as link:
         for number in (1, 2, 3):
             assert link.unit(1).read_holding_registers(number, count=1) == [number]
             link.breathe()
@@ -48,9 +48,9 @@ def test_held_per_request_a_connection_ends_with_each_call_and_that_is_no_loss(s
 
 
 @pytest.mark.clause("T6")
-def test_a_batch_is_one_use_of_a_connection(skin: Skin) -> None:
+def test_a_batch_is_one_use_of_a_connection(via: ClientKind) -> None:
     requests = [busway.ReadHoldingRegisters(address, 1) for address in range(20)]
-    with faulty_server(known_device()) as server, skin.link(f"{server.endpoint}?hold=request") as link:
+    with faulty_server(known_device()) as server, via.link(f"{server.endpoint}?hold=request") as link:
         assert len(link.unit(1).execute_many(requests)) == 20
         assert link.unit(1).read("4x1", count=300, split=True) == list(range(300))
         assert server.accepted == 2
@@ -58,11 +58,11 @@ def test_a_batch_is_one_use_of_a_connection(skin: Skin) -> None:
 
 @pytest.mark.clause("T8")
 @pytest.mark.parametrize("starve", [False, True])
-def test_two_programs_share_a_device_that_takes_one_client(skin: Skin, starve: bool) -> None:
+def test_two_programs_share_a_device_that_takes_one_client(via: ClientKind, starve: bool) -> None:
     with (
         faulty_server(known_device(), "single-client", starve=starve) as server,
-        skin.link(server.endpoint, shared=False, hold="request", timeout=AMPLE) as ours,
-        skin.link(server.endpoint, shared=False, hold="request", timeout=AMPLE) as theirs,
+        via.link(server.endpoint, shared=False, hold="request", timeout=AMPLE) as ours,
+        via.link(server.endpoint, shared=False, hold="request", timeout=AMPLE) as theirs,
     ):
         for address in range(5):
             for link in (ours, theirs):
@@ -72,10 +72,10 @@ def test_two_programs_share_a_device_that_takes_one_client(skin: Skin, starve: b
         assert server.accepted == 10
 
 
-def test_a_timeout_also_ends_a_connection_that_is_held_per_request(skin: Skin) -> None:
+def test_a_timeout_also_ends_a_connection_that_is_held_per_request(via: ClientKind) -> None:
     with (
         faulty_server(known_device(), "wedged") as server,
-        skin.link(server.endpoint, hold="request", timeout=0.03, retries=0) as link,
+        via.link(server.endpoint, hold="request", timeout=0.03, retries=0) as link,
     ):
         for _ in range(3):
             with pytest.raises(busway.NoReply):
@@ -87,8 +87,8 @@ def test_a_timeout_also_ends_a_connection_that_is_held_per_request(skin: Skin) -
 
 
 @pytest.mark.clause("T5")
-def test_a_connection_that_is_made_by_name_waits_for_its_first_request(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, hold="request") as link:
+def test_a_connection_that_is_made_by_name_waits_for_its_first_request(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, hold="request") as link:
         link.connect()
         link.breathe()
         server.wait_until(lambda: server.accepted == 1)
@@ -165,12 +165,12 @@ def test_threads_that_ask_together_each_get_their_data() -> None:
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "udp", "rtu+udp"])
 def test_it_holds_whatever_the_framing_and_a_broadcast_leaves_before_its_connection_ends(
-    skin: Skin, scheme: str
+    via: ClientKind, scheme: str
 ) -> None:
     device = busway.Device(holding_registers=10)
     with (
         busway.serve_in_thread(f"{scheme}://127.0.0.1:0", units={1: device}) as server,
-        skin.link(server.endpoints[0], hold="request", timeout=AMPLE) as link,
+        via.link(server.endpoints[0], hold="request", timeout=AMPLE) as link,
     ):
         for value in (7, 8):
             link.unit(1 if scheme == "udp" else 0).write_single_register(0, value)

@@ -4,7 +4,7 @@ import asyncio
 import threading
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor, address_of, later, registers
+from handlers import HeldReplies, ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
@@ -171,7 +171,7 @@ async def test_cancelled_request_in_the_queue_is_never_sent() -> None:
 
 
 async def test_cancelled_batch_sends_no_more_and_later_calls_get_their_own_data() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with (
         busway.serve(ANY_PORT, handler=handler) as server,

@@ -5,8 +5,8 @@ import socket
 import time
 
 import pytest
+from client_kinds import CLIENT_KINDS, ClientKind
 from handles import open_handles
-from skins import SKINS, Skin
 
 import busway
 from busway.testing import FakeClock, Schedule, faulty_server, known_device
@@ -15,11 +15,11 @@ AMPLE = 5.0
 SHORT = 0.06
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Skin:
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ClientKind:
     # A blocking link looks whether its peer has closed only after a pause: here, always.
     monkeypatch.setattr("busway.client.blocking_link._IDLE_SECONDS", 0.0)
-    found: Skin = request.param
+    found: ClientKind = request.param
     return found
 
 
@@ -34,8 +34,8 @@ def _free_port() -> int:
 
 
 @pytest.mark.clause("T6")
-def test_link_connects_at_the_first_need_and_stays_connected_between_requests(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint) as link:
+def test_link_connects_at_the_first_need_and_stays_connected_between_requests(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint) as link:
         assert (link.state, link.real.is_connected, server.accepted) == ("down", False, 0)
         for address in (1, 2, 3):
             assert link.unit(1).read_holding_registers(address, count=1) == [address]
@@ -44,9 +44,9 @@ def test_link_connects_at_the_first_need_and_stays_connected_between_requests(sk
 
 
 @pytest.mark.clause("T17")
-def test_connection_is_closed_when_the_link_is(skin: Skin) -> None:
+def test_connection_is_closed_when_the_link_is(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
-        with skin.link(server.endpoint) as link:
+        with via.link(server.endpoint) as link:
             link.connect()
             link.connect()
             server.wait_until(lambda: server.connections == 1)
@@ -55,9 +55,9 @@ def test_connection_is_closed_when_the_link_is(skin: Skin) -> None:
 
 
 @pytest.mark.clause("T37")
-def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(skin: Skin) -> None:
+def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(via: ClientKind) -> None:
     port = _free_port()
-    with skin.link(f"tcp://127.0.0.1:{port}") as link:
+    with via.link(f"tcp://127.0.0.1:{port}") as link:
         with pytest.raises(busway.LinkDown) as caught:
             link.unit(9).write_single_register(7, 1)
         error = caught.value
@@ -69,9 +69,9 @@ def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(skin:
             link.connect()
 
 
-def test_peer_that_is_down_fails_the_next_calls_fast_and_is_found_when_it_comes_back(skin: Skin) -> None:
+def test_peer_that_is_down_fails_the_next_calls_fast_and_is_found_when_it_comes_back(via: ClientKind) -> None:
     port = _free_port()
-    with skin.link(f"tcp://127.0.0.1:{port}") as link:
+    with via.link(f"tcp://127.0.0.1:{port}") as link:
         unit = link.unit(1)
         with pytest.raises(busway.LinkDown):
             unit.read_holding_registers(0, count=1)
@@ -93,10 +93,10 @@ def _until_it_answers(unit: object) -> list[int]:
             assert time.monotonic() < end
 
 
-def test_peer_that_accepts_and_closes_is_given_longer_and_longer_pauses(skin: Skin) -> None:
+def test_peer_that_accepts_and_closes_is_given_longer_and_longer_pauses(via: ClientKind) -> None:
     with (
         faulty_server(known_device(), "close-if-silent", seconds=0.0) as server,
-        skin.link(server.endpoint, deadline=0.5, retries=100) as link,
+        via.link(server.endpoint, deadline=0.5, retries=100) as link,
     ):
         with pytest.raises(busway.NoReply, match="deadline"):
             link.unit(1).read_holding_registers(0, count=1)
@@ -106,8 +106,8 @@ def test_peer_that_accepts_and_closes_is_given_longer_and_longer_pauses(skin: Sk
 
 @pytest.mark.clause("T7")
 @pytest.mark.clause("T37")
-def test_connection_that_is_lost_costs_a_read_a_repetition_and_a_write_its_certainty(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, timeout=AMPLE, retries=1) as link:
+def test_connection_that_is_lost_costs_a_read_a_repetition_and_a_write_its_certainty(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, timeout=AMPLE, retries=1) as link:
         unit = link.unit(1)
         unit.read_holding_registers(0, count=1)
         drop = server.add("execute-then-drop")  # takes effect on writes only
@@ -126,8 +126,8 @@ def test_connection_that_is_lost_costs_a_read_a_repetition_and_a_write_its_certa
 
 @pytest.mark.clause("T26")
 @pytest.mark.real_time
-def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(skin: Skin) -> None:
-    with faulty_server(known_device(), "wedged") as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(via: ClientKind) -> None:
+    with faulty_server(known_device(), "wedged") as server, via.link(server.endpoint, timeout=AMPLE) as link:
         begin = time.monotonic()
         with pytest.raises(busway.NoReply) as caught:
             link.unit(1).read_holding_registers(0, count=1, timeout=0.03, retries=2)
@@ -141,8 +141,8 @@ def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(skin: Skin)
 
 @pytest.mark.clause("T26")
 @pytest.mark.real_time
-def test_deadline_ends_a_call_whatever_its_retries(skin: Skin) -> None:
-    with faulty_server(known_device(), "wedged") as server, skin.link(server.endpoint, retries=50) as link:
+def test_deadline_ends_a_call_whatever_its_retries(via: ClientKind) -> None:
+    with faulty_server(known_device(), "wedged") as server, via.link(server.endpoint, retries=50) as link:
         begin = time.monotonic()
         with pytest.raises(busway.NoReply):
             link.unit(1).read_holding_registers(0, count=1, timeout=0.04, deadline=0.1)
@@ -150,10 +150,10 @@ def test_deadline_ends_a_call_whatever_its_retries(skin: Skin) -> None:
         assert 2 <= len(server.requests) <= 3
 
 
-def test_timeout_of_one_request_among_many_fails_it_alone(skin: Skin) -> None:
+def test_timeout_of_one_request_among_many_fails_it_alone(via: ClientKind) -> None:
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint, timeout=SHORT, retries=0, max_transactions=4) as link,
+        via.link(server.endpoint, timeout=SHORT, retries=0, max_transactions=4) as link,
     ):
         server.add("wedged", addresses=range(3, 4))
         requests = [busway.ReadHoldingRegisters(address, 1) for address in range(8)]
@@ -174,7 +174,7 @@ def test_timeout_of_one_request_among_many_fails_it_alone(skin: Skin) -> None:
             link.unit(1).execute_many(requests)
 
 
-def test_write_is_never_repeated_unless_the_link_or_the_caller_says_so(skin: Skin) -> None:
+def test_write_is_never_repeated_unless_the_link_or_the_caller_says_so(via: ClientKind) -> None:
     for options, call, sent in (
         ({"retries": 3}, {}, 1),
         ({"write_retries": 2}, {}, 3),
@@ -182,7 +182,7 @@ def test_write_is_never_repeated_unless_the_link_or_the_caller_says_so(skin: Ski
     ):
         with (
             faulty_server(known_device(), "wedged") as server,
-            skin.link(server.endpoint, timeout=0.03, **options) as link,
+            via.link(server.endpoint, timeout=0.03, **options) as link,
         ):
             with pytest.raises(busway.WriteOutcomeUnknown):
                 link.unit(1).write_single_register(0, 1, **call)
@@ -192,13 +192,11 @@ def test_write_is_never_repeated_unless_the_link_or_the_caller_says_so(skin: Ski
 @pytest.mark.clause("T9")
 @pytest.mark.clause("T23")
 @pytest.mark.parametrize("limit", [1, 3, 16])
-def test_no_more_requests_are_in_flight_than_the_limit_says(skin: Skin, limit: int) -> None:
+def test_no_more_requests_are_in_flight_than_the_limit_says(via: ClientKind, limit: int) -> None:
     clock = FakeClock()
     with (
         faulty_server(known_device(), "late", clock=clock, delay=1.0) as server,
-        skin.link(
-            server.endpoint, timeout=SHORT, retries=0, max_transactions=limit, recycle_after_timeouts=100
-        ) as link,
+        via.link(server.endpoint, timeout=SHORT, retries=0, max_transactions=limit, recycle_after_timeouts=100) as link,
     ):
         requests = [busway.ReadHoldingRegisters(address, 1) for address in range(limit + 1)]
         outcomes = link.unit(1).execute_many(requests, return_errors=True, deadline=SHORT / 2)
@@ -211,8 +209,8 @@ def test_no_more_requests_are_in_flight_than_the_limit_says(skin: Skin, limit: i
 # --- arguments -----------------------------------------------------------------------------------
 
 
-def test_arguments_out_of_range_cost_an_error_and_send_nothing(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint) as link:
+def test_arguments_out_of_range_cost_an_error_and_send_nothing(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint) as link:
         unit = link.unit(1)
         for call in (
             lambda: unit.read_holding_registers(0, count=126),
@@ -237,8 +235,8 @@ def test_arguments_out_of_range_cost_an_error_and_send_nothing(skin: Skin) -> No
 
 
 @pytest.mark.clause("T24")
-def test_unit_is_255_where_none_is_named(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint) as link:
+def test_unit_is_255_where_none_is_named(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint) as link:
         assert link.real.unit().number == 255
         link.unit().read_holding_registers(0, count=1)
         assert server.requests[0].unit == 255
@@ -257,19 +255,19 @@ def test_unit_is_255_where_none_is_named(skin: Skin) -> None:
     ],
 )
 def test_option_that_can_not_be_is_refused_and_named(
-    skin: Skin, url: str, options: dict[str, object], key: str
+    via: ClientKind, url: str, options: dict[str, object], key: str
 ) -> None:
-    with pytest.raises(busway.ConfigError) as caught, skin.link(url, **options):
+    with pytest.raises(busway.ConfigError) as caught, via.link(url, **options):
         raise AssertionError("the link was made")
     assert caught.value.key == key
 
 
-def test_options_of_the_url_hold_and_keywords_go_before_them(skin: Skin) -> None:
+def test_options_of_the_url_hold_and_keywords_go_before_them(via: ClientKind) -> None:
     with faulty_server(known_device(), "wedged") as server:
-        with skin.link(f"{server.endpoint}?timeout=0.03&retries=1") as link, pytest.raises(busway.NoReply) as caught:
+        with via.link(f"{server.endpoint}?timeout=0.03&retries=1") as link, pytest.raises(busway.NoReply) as caught:
             link.unit(1).read_holding_registers(0, count=1)
         assert caught.value.attempt == 2
-        with skin.link(f"{server.endpoint}?timeout=9", timeout=0.03, retries=0) as link, pytest.raises(busway.NoReply):
+        with via.link(f"{server.endpoint}?timeout=9", timeout=0.03, retries=0) as link, pytest.raises(busway.NoReply):
             link.unit(1).read_holding_registers(0, count=1)
 
 
@@ -277,8 +275,8 @@ def test_options_of_the_url_hold_and_keywords_go_before_them(skin: Skin) -> None
 
 
 @pytest.mark.clause("T5")
-def test_link_that_was_closed_says_so(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint) as link:
+def test_link_that_was_closed_says_so(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint) as link:
         link.unit(1).read_holding_registers(0, count=1)
         link.call(link.real.close)
         with pytest.raises(busway.LinkClosed, match="closed by its user"):
@@ -287,14 +285,14 @@ def test_link_that_was_closed_says_so(skin: Skin) -> None:
 
 
 @pytest.mark.clause("T18")
-def test_three_hundred_links_come_and_go_without_leaving_a_handle(skin: Skin) -> None:
+def test_three_hundred_links_come_and_go_without_leaving_a_handle(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
-        with skin.link(server.endpoint) as link:
+        with via.link(server.endpoint) as link:
             link.unit(1).read_holding_registers(0, count=1)
         gc.collect()
         before = open_handles()
         for number in range(300):
-            with skin.link(server.endpoint) as link:
+            with via.link(server.endpoint) as link:
                 assert link.unit(1).read_holding_registers(number, count=1) == [number]
         server.wait_until(lambda: server.connections == 0)
         gc.collect()
@@ -303,19 +301,19 @@ def test_three_hundred_links_come_and_go_without_leaving_a_handle(skin: Skin) ->
 
 
 @pytest.mark.clause("T18")
-def test_hundred_failed_connections_leave_no_handle(skin: Skin) -> None:
+def test_hundred_failed_connections_leave_no_handle(via: ClientKind) -> None:
     port = _free_port()
     gc.collect()
     before = open_handles()
     for _ in range(100):
-        with skin.link(f"tcp://127.0.0.1:{port}") as link, pytest.raises(busway.LinkDown):
+        with via.link(f"tcp://127.0.0.1:{port}") as link, pytest.raises(busway.LinkDown):
             link.unit(1).read_holding_registers(0, count=1)
     gc.collect()
     assert open_handles() <= before
 
 
-def test_connection_that_drops_a_hundred_times_is_made_again_each_time(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_connection_that_drops_a_hundred_times_is_made_again_each_time(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         unit = link.unit(1)
         gc.collect()
         before = None
@@ -329,8 +327,8 @@ def test_connection_that_drops_a_hundred_times_is_made_again_each_time(skin: Ski
         assert link.counters.timeouts == 0
 
 
-def test_counters_tell_what_happened(skin: Skin) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, timeout=SHORT, retries=1) as link:
+def test_counters_tell_what_happened(via: ClientKind) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, timeout=SHORT, retries=1) as link:
         unit = link.unit(1)
         unit.read_holding_registers(0, count=1)
         with pytest.raises(busway.ExceptionReply):

@@ -6,8 +6,8 @@ import socket
 from typing import Any
 
 import pytest
+from client_kinds import CLIENT_KINDS, AnyLink, ClientKind
 from handles import open_handles
-from skins import SKINS, AnyLink, Skin
 
 import busway
 from busway.testing import faulty_server, known_device
@@ -16,10 +16,10 @@ AMPLE = 5.0
 SHORT = 0.05
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Skin:
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ClientKind:
     monkeypatch.setattr("busway.client.blocking_link._IDLE_SECONDS", 0.0)
-    found: Skin = request.param
+    found: ClientKind = request.param
     return found
 
 
@@ -49,12 +49,12 @@ FAILURES = {
 @pytest.mark.clause("T21", "T37", "A21")
 @pytest.mark.parametrize("failure", list(FAILURES))
 def test_a_failure_inside_a_transaction_ends_it_with_its_reason_and_the_next_one_works(
-    skin: Skin, failure: str
+    via: ClientKind, failure: str
 ) -> None:
     name, options, error, cause = FAILURES[failure]
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint, timeout=SHORT, retries=0, max_transactions=4) as link,
+        via.link(server.endpoint, timeout=SHORT, retries=0, max_transactions=4) as link,
     ):
         unit = link.unit(1)
         assert unit.read_holding_registers(1, count=1, timeout=AMPLE) == [1]
@@ -72,10 +72,10 @@ def test_a_failure_inside_a_transaction_ends_it_with_its_reason_and_the_next_one
 
 
 @pytest.mark.clause("T21", "T37")
-def test_a_connection_that_can_not_be_had_ends_the_transaction_before_anything_is_sent(skin: Skin) -> None:
+def test_a_connection_that_can_not_be_had_ends_the_transaction_before_anything_is_sent(via: ClientKind) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        with skin.link(f"tcp://127.0.0.1:{probe.getsockname()[1]}", max_transactions=4) as link:
+        with via.link(f"tcp://127.0.0.1:{probe.getsockname()[1]}", max_transactions=4) as link:
             with pytest.raises(busway.LinkDown, match="nothing listens there") as caught:
                 link.unit(1).write_single_register(0, 1)
             assert not caught.value.sent
@@ -84,7 +84,7 @@ def test_a_connection_that_can_not_be_had_ends_the_transaction_before_anything_i
 
 
 @pytest.mark.clause("T19", "T37")
-def test_a_host_that_does_not_answer_ends_the_transaction_with_the_connect_timeout(skin: Skin) -> None:
+def test_a_host_that_does_not_answer_ends_the_transaction_with_the_connect_timeout(via: ClientKind) -> None:
     with socket.socket() as full:
         full.bind(("127.0.0.1", 0))
         full.listen(0)
@@ -96,7 +96,7 @@ def test_a_host_that_does_not_answer_ends_the_transaction_with_the_connect_timeo
                 caller.connect_ex(full.getsockname())
                 callers.append(caller)
             endpoint = f"tcp://127.0.0.1:{full.getsockname()[1]}"
-            with skin.link(endpoint, connect_timeout=SHORT, max_transactions=4) as link:
+            with via.link(endpoint, connect_timeout=SHORT, max_transactions=4) as link:
                 with pytest.raises(busway.LinkDown, match="no connection within the connect timeout"):
                     link.unit(1).read_holding_registers(0, count=1)
                 assert_free(link)
@@ -106,19 +106,19 @@ def test_a_host_that_does_not_answer_ends_the_transaction_with_the_connect_timeo
 
 
 @pytest.mark.clause("T37")
-def test_a_name_that_can_not_be_resolved_ends_the_transaction_with_that_reason(skin: Skin) -> None:
-    with skin.link("tcp://no-such-host.invalid", max_transactions=4, connect_timeout=30.0) as link:
+def test_a_name_that_can_not_be_resolved_ends_the_transaction_with_that_reason(via: ClientKind) -> None:
+    with via.link("tcp://no-such-host.invalid", max_transactions=4, connect_timeout=30.0) as link:
         with pytest.raises(busway.LinkDown, match="can not be resolved"):
             link.unit(1).read_holding_registers(0, count=1)
         assert_free(link)
 
 
 @pytest.mark.clause("T37")
-def test_of_many_transactions_each_ends_by_itself_and_none_gets_what_is_another_s(skin: Skin) -> None:
+def test_of_many_transactions_each_ends_by_itself_and_none_gets_what_is_another_s(via: ClientKind) -> None:
     requests = [busway.ReadHoldingRegisters(address, 1) for address in range(12)]
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint, timeout=AMPLE, retries=0, max_transactions=4) as link,
+        via.link(server.endpoint, timeout=AMPLE, retries=0, max_transactions=4) as link,
     ):
         server.add("wedged", addresses=range(6, 12))
         outcomes = link.unit(1).execute_many(requests, return_errors=True, timeout=4 * SHORT)
@@ -133,7 +133,7 @@ def test_of_many_transactions_each_ends_by_itself_and_none_gets_what_is_another_
 
 
 @pytest.mark.clause("T37", "T18")
-def test_ten_failures_of_each_kind_leave_no_handle(skin: Skin) -> None:
+def test_ten_failures_of_each_kind_leave_no_handle(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
         gc.collect()
         before = open_handles()
@@ -141,7 +141,7 @@ def test_ten_failures_of_each_kind_leave_no_handle(skin: Skin) -> None:
             fault = server.add(name, **options)
             for _ in range(10):
                 with (
-                    skin.link(server.endpoint, timeout=0.005, retries=0) as link,
+                    via.link(server.endpoint, timeout=0.005, retries=0) as link,
                     pytest.raises(busway.ModbusError),
                 ):
                     link.unit(1).write_single_register(900, 1)

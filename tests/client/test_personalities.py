@@ -7,7 +7,7 @@ belongs to another request is known at once.
 from pathlib import Path
 
 import pytest
-from skins import SKINS, AnyUnit, Skin
+from client_kinds import CLIENT_KINDS, AnyUnit, ClientKind
 
 import busway
 from busway.testing import FAULT_PROFILES, Carrier, FakeClock, Schedule, faulty_server
@@ -20,11 +20,11 @@ AMPLE = 5.0
 pytestmark = [pytest.mark.clause("A21"), pytest.mark.clause("T25")]
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Skin:
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ClientKind:
     # A blocking link looks whether its peer has closed only after a pause: here, always.
     monkeypatch.setattr("busway.client.blocking_link._IDLE_SECONDS", 0.0)
-    found: Skin = request.param
+    found: ClientKind = request.param
     return found
 
 
@@ -55,11 +55,11 @@ def _is_answered(unit: AnyUnit, address: int) -> bool:
 # --- timing --------------------------------------------------------------------------------------
 
 
-def test_late_names_the_slow_device_and_its_delay_and_is_back_in_step_by_itself(skin: Skin) -> None:
+def test_late_names_the_slow_device_and_its_delay_and_is_back_in_step_by_itself(via: ClientKind) -> None:
     clock = FakeClock()
     with (
         faulty_server(_device(), clock=clock) as server,
-        skin.link(server.endpoint, timeout=TIMEOUT, retries=0) as link,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0) as link,
     ):
         late = server.add("late", delay=1.5)
         unit = link.unit(1)
@@ -83,16 +83,16 @@ def test_late_names_the_slow_device_and_its_delay_and_is_back_in_step_by_itself(
         assert link.counters.foreign_replies == link.counters.bad_replies == 0
 
 
-def test_late_is_served_with_a_longer_timeout(skin: Skin) -> None:
-    with faulty_server(_device(), "late", delay=0.1) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_late_is_served_with_a_longer_timeout(via: ClientKind) -> None:
+    with faulty_server(_device(), "late", delay=0.1) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         _read(link.unit(1), 10)
         assert link.counters.timeouts == 0
 
 
-def test_queue_lag_is_never_delivered_and_ends_with_a_new_connection(skin: Skin) -> None:
+def test_queue_lag_is_never_delivered_and_ends_with_a_new_connection(via: ClientKind) -> None:
     with (
         faulty_server(_device(), "queue-lag", connections=1) as server,
-        skin.link(server.endpoint, timeout=TIMEOUT, retries=0, recycle_after_timeouts=2) as link,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0, recycle_after_timeouts=2) as link,
     ):
         unit = link.unit(1)
         answered = [_is_answered(unit, address) for address in range(0, 60, 10)]
@@ -102,10 +102,10 @@ def test_queue_lag_is_never_delivered_and_ends_with_a_new_connection(skin: Skin)
         assert link.counters.connections == 2
 
 
-def test_queue_lag_under_the_identifier_of_the_next_request_is_refused_where_it_does_not_fit(skin: Skin) -> None:
+def test_queue_lag_under_the_identifier_of_the_next_request_is_refused_where_it_does_not_fit(via: ClientKind) -> None:
     with (
         faulty_server(_device(), "queue-lag", stamped=True) as server,
-        skin.link(server.endpoint, timeout=TIMEOUT, retries=0) as link,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0) as link,
     ):
         unit = link.unit(1)
         assert not _is_answered(unit, 10)
@@ -114,19 +114,19 @@ def test_queue_lag_under_the_identifier_of_the_next_request_is_refused_where_it_
         assert caught.value.raw[9:] == bytes.fromhex("000A 000B")
 
 
-def test_mute_after_connect_is_waited_for_with_connect_delay(skin: Skin) -> None:
+def test_mute_after_connect_is_waited_for_with_connect_delay(via: ClientKind) -> None:
     with faulty_server(_device(), "mute-after-connect", seconds=0.1) as server:
-        with skin.link(server.endpoint, timeout=TIMEOUT, retries=0) as link:
+        with via.link(server.endpoint, timeout=TIMEOUT, retries=0) as link:
             assert not _is_answered(link.unit(1), 10)
-        with skin.link(server.endpoint, timeout=TIMEOUT, retries=0, connect_delay=0.15) as link:
+        with via.link(server.endpoint, timeout=TIMEOUT, retries=0, connect_delay=0.15) as link:
             _read(link.unit(1), 20)
             assert link.counters.timeouts == 0
 
 
-def test_wedged_gets_a_new_connection_after_some_timeouts_in_a_row(skin: Skin) -> None:
+def test_wedged_gets_a_new_connection_after_some_timeouts_in_a_row(via: ClientKind) -> None:
     with (
         faulty_server(_device()) as server,
-        skin.link(server.endpoint, timeout=TIMEOUT, retries=0, recycle_after_timeouts=2) as link,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0, recycle_after_timeouts=2) as link,
     ):
         unit = link.unit(1)
         _read(unit, 10)
@@ -140,8 +140,8 @@ def test_wedged_gets_a_new_connection_after_some_timeouts_in_a_row(skin: Skin) -
         assert link.counters.connections == server.accepted == 2
 
 
-def test_read_that_is_not_heard_is_repeated_and_a_write_is_not(skin: Skin) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=TIMEOUT, retries=2) as link:
+def test_read_that_is_not_heard_is_repeated_and_a_write_is_not(via: ClientKind) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=TIMEOUT, retries=2) as link:
         unit = link.unit(1)
         server.add("wedged", functions={3}, schedule=Schedule(times=2))
         _try(unit, 10)
@@ -154,19 +154,19 @@ def test_read_that_is_not_heard_is_repeated_and_a_write_is_not(skin: Skin) -> No
         assert [one.function for one in server.requests] == [3, 3, 3, 6]
 
 
-def test_min_gap_is_kept_by_request_gap(skin: Skin) -> None:
+def test_min_gap_is_kept_by_request_gap(via: ClientKind) -> None:
     with faulty_server(_device(), "min-gap", seconds=0.03) as server:
-        with skin.link(server.endpoint, timeout=TIMEOUT, retries=0) as link:
+        with via.link(server.endpoint, timeout=TIMEOUT, retries=0) as link:
             _read(link.unit(1), 10)
             assert not _is_answered(link.unit(1), 20)
-        with skin.link(server.endpoint, timeout=AMPLE, retries=0, request_gap=0.05) as link:
+        with via.link(server.endpoint, timeout=AMPLE, retries=0, request_gap=0.05) as link:
             for address in (10, 20, 30, 40):
                 _read(link.unit(1), address)
             assert link.counters.timeouts == 0
 
 
-def test_unit_switch_is_met_by_asking_again(skin: Skin) -> None:
-    with faulty_server(_device(), "unit-switch") as server, skin.link(server.endpoint, timeout=TIMEOUT) as link:
+def test_unit_switch_is_met_by_asking_again(via: ClientKind) -> None:
+    with faulty_server(_device(), "unit-switch") as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
         for number in (1, 2, 1, 1):
             _try(link.unit(number), 10)
         assert link.counters.retries == 2
@@ -175,18 +175,18 @@ def test_unit_switch_is_met_by_asking_again(skin: Skin) -> None:
 # --- identifiers ---------------------------------------------------------------------------------
 
 
-def test_foreign_transaction_is_dropped_and_counted(skin: Skin) -> None:
-    with faulty_server(_device(), "foreign-transaction") as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_foreign_transaction_is_dropped_and_counted(via: ClientKind) -> None:
+    with faulty_server(_device(), "foreign-transaction") as server, via.link(server.endpoint, timeout=AMPLE) as link:
         for address in range(0, 400, 20):
             _read(link.unit(1), address)
         assert link.counters.foreign_replies == 20
         assert link.counters.recycled == 0
 
 
-def test_foreign_transactions_alone_end_with_a_new_connection(skin: Skin) -> None:
+def test_foreign_transactions_alone_end_with_a_new_connection(via: ClientKind) -> None:
     with (
         faulty_server(_device()) as server,
-        skin.link(
+        via.link(
             server.endpoint, timeout=TIMEOUT, retries=0, recycle_after_foreign=3, recycle_after_timeouts=100
         ) as link,
     ):
@@ -203,8 +203,8 @@ def test_foreign_transactions_alone_end_with_a_new_connection(skin: Skin) -> Non
 
 
 @pytest.mark.parametrize("personality", ["transaction+1", "transaction=0", "transaction=random"])
-def test_identifier_that_is_not_echoed_is_dropped_under_the_policy_strict(skin: Skin, personality: str) -> None:
-    with faulty_server(_device(), personality) as server, skin.link(server.endpoint, timeout=TIMEOUT) as link:
+def test_identifier_that_is_not_echoed_is_dropped_under_the_policy_strict(via: ClientKind, personality: str) -> None:
+    with faulty_server(_device(), personality) as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
         with pytest.raises(busway.NoReply):
             _try(link.unit(1), 10)
         assert link.counters.foreign_replies == 2  # the read and its repetition
@@ -212,10 +212,10 @@ def test_identifier_that_is_not_echoed_is_dropped_under_the_policy_strict(skin: 
 
 @pytest.mark.parametrize("policy", ["automatic", "ignore"])
 @pytest.mark.parametrize("personality", ["transaction+1", "transaction=0", "transaction=random"])
-def test_identifier_that_is_not_echoed_is_taken_by_policy(skin: Skin, personality: str, policy: str) -> None:
+def test_identifier_that_is_not_echoed_is_taken_by_policy(via: ClientKind, personality: str, policy: str) -> None:
     with (
         faulty_server(_device(), personality) as server,
-        skin.link(server.endpoint, timeout=AMPLE, transaction_policy=policy) as link,
+        via.link(server.endpoint, timeout=AMPLE, transaction_policy=policy) as link,
     ):
         unit = link.unit(1)
         for address in (10, 20, 30):
@@ -228,12 +228,12 @@ def test_identifier_that_is_not_echoed_is_taken_by_policy(skin: Skin, personalit
 
 @pytest.mark.parametrize("personality", ["transaction+1", "transaction=0", "transaction=random"])
 def test_identifier_that_is_not_echoed_is_never_taken_while_several_requests_are_in_flight(
-    skin: Skin, personality: str
+    via: ClientKind, personality: str
 ) -> None:
     requests = [busway.ReadHoldingRegisters(10 * number, 2) for number in range(8)]
     with (
         faulty_server(_device(), personality) as server,
-        skin.link(
+        via.link(
             server.endpoint, timeout=TIMEOUT, retries=0, max_transactions=8, transaction_policy="automatic"
         ) as link,
     ):
@@ -246,10 +246,10 @@ def test_identifier_that_is_not_echoed_is_never_taken_while_several_requests_are
         assert link.counters.foreign_replies >= 7
 
 
-def test_timeout_ends_the_connection_where_replies_do_not_name_their_request(skin: Skin) -> None:
+def test_timeout_ends_the_connection_where_replies_do_not_name_their_request(via: ClientKind) -> None:
     with (
         faulty_server(_device(), "transaction=0") as server,
-        skin.link(server.endpoint, timeout=TIMEOUT, retries=0, transaction_policy="automatic") as link,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0, transaction_policy="automatic") as link,
     ):
         unit = link.unit(1)
         late = server.add("late", delay=1.5 * TIMEOUT)
@@ -262,8 +262,10 @@ def test_timeout_ends_the_connection_where_replies_do_not_name_their_request(ski
 
 
 @pytest.mark.parametrize(("personality", "answers_as"), [("unit=255", 255), ("unit=0", 0), ("unit=1", 1)])
-def test_foreign_unit_is_a_broken_reply_under_the_policy_strict(skin: Skin, personality: str, answers_as: int) -> None:
-    with faulty_server(_device(), personality) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_foreign_unit_is_a_broken_reply_under_the_policy_strict(
+    via: ClientKind, personality: str, answers_as: int
+) -> None:
+    with faulty_server(_device(), personality) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         with pytest.raises(busway.BadReply) as caught:
             _read(link.unit(17), 10)
         assert caught.value.raw[6] == answers_as
@@ -274,10 +276,10 @@ def test_foreign_unit_is_a_broken_reply_under_the_policy_strict(skin: Skin, pers
 
 @pytest.mark.parametrize("policy", ["automatic", "ignore"])
 @pytest.mark.parametrize("personality", ["unit=255", "unit=0", "unit=1"])
-def test_foreign_unit_is_taken_by_policy(skin: Skin, personality: str, policy: str) -> None:
+def test_foreign_unit_is_taken_by_policy(via: ClientKind, personality: str, policy: str) -> None:
     with (
         faulty_server(_device(), personality) as server,
-        skin.link(server.endpoint, timeout=AMPLE, unit_policy=policy) as link,
+        via.link(server.endpoint, timeout=AMPLE, unit_policy=policy) as link,
     ):
         for address in (10, 20):
             _read(link.unit(17), address)
@@ -287,29 +289,29 @@ def test_foreign_unit_is_taken_by_policy(skin: Skin, personality: str, policy: s
 @pytest.mark.parametrize("asked", [0, 255])
 @pytest.mark.parametrize("personality", ["unit=255", "unit=0", "unit=1"])
 def test_unit_of_the_reply_says_nothing_where_the_device_itself_was_asked(
-    skin: Skin, personality: str, asked: int
+    via: ClientKind, personality: str, asked: int
 ) -> None:
-    with faulty_server(_device(), personality) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+    with faulty_server(_device(), personality) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         _read(link.unit(asked), 10)
 
 
 # --- connections ---------------------------------------------------------------------------------
 
 
-def test_close_if_silent_is_met_by_connecting_at_the_first_need(skin: Skin) -> None:
+def test_close_if_silent_is_met_by_connecting_at_the_first_need(via: ClientKind) -> None:
     with (
         faulty_server(_device(), "close-if-silent", seconds=0.05) as server,
-        skin.link(server.endpoint, timeout=AMPLE) as link,
+        via.link(server.endpoint, timeout=AMPLE) as link,
     ):
         assert server.accepted == 0
         _read(link.unit(1), 10)
         assert server.accepted == 1
 
 
-def test_close_if_silent_after_a_connection_made_too_early_costs_no_request(skin: Skin) -> None:
+def test_close_if_silent_after_a_connection_made_too_early_costs_no_request(via: ClientKind) -> None:
     with (
         faulty_server(_device(), "close-if-silent", seconds=0.02) as server,
-        skin.link(server.endpoint, timeout=AMPLE, retries=0) as link,
+        via.link(server.endpoint, timeout=AMPLE, retries=0) as link,
     ):
         link.connect()
         server.wait_until(lambda: server.accepted == 1 and server.connections == 0)
@@ -320,10 +322,10 @@ def test_close_if_silent_after_a_connection_made_too_early_costs_no_request(skin
 
 @pytest.mark.clause("T8")
 @pytest.mark.parametrize("starve", [False, True])
-def test_single_client_is_met_by_sharing_one_connection(skin: Skin, starve: bool) -> None:
+def test_single_client_is_met_by_sharing_one_connection(via: ClientKind, starve: bool) -> None:
     with (
         faulty_server(_device(), "single-client", starve=starve) as server,
-        skin.link(server.endpoint, timeout=AMPLE) as link,
+        via.link(server.endpoint, timeout=AMPLE) as link,
     ):
         units = [link.unit(1), link.unit(2)]
         for unit in units:
@@ -333,25 +335,25 @@ def test_single_client_is_met_by_sharing_one_connection(skin: Skin, starve: bool
 
 @pytest.mark.parametrize(("starve", "error"), [(False, busway.LinkDown), (True, busway.NoReply)])
 def test_single_client_refuses_or_starves_a_second_connection(
-    skin: Skin, starve: bool, error: type[busway.ModbusError]
+    via: ClientKind, starve: bool, error: type[busway.ModbusError]
 ) -> None:
     with (
         faulty_server(_device(), "single-client", starve=starve) as server,
-        skin.link(server.endpoint, timeout=AMPLE) as link,
+        via.link(server.endpoint, timeout=AMPLE) as link,
     ):
         _read(link.unit(1), 10)
-        with skin.link(server.endpoint, shared=False, timeout=TIMEOUT, retries=0) as second, pytest.raises(error):
+        with via.link(server.endpoint, shared=False, timeout=TIMEOUT, retries=0) as second, pytest.raises(error):
             _try(second.unit(1), 10)
         _read(link.unit(1), 20)
 
 
 @pytest.mark.clause("T7")
 @pytest.mark.parametrize("write", [False, True])
-def test_idle_close_is_reopened_in_silence(skin: Skin, write: bool) -> None:
+def test_idle_close_is_reopened_in_silence(via: ClientKind, write: bool) -> None:
     clock = FakeClock()
     with (
         faulty_server(_device(), "idle-close", clock=clock, seconds=30) as server,
-        skin.link(server.endpoint, timeout=AMPLE, retries=0) as link,
+        via.link(server.endpoint, timeout=AMPLE, retries=0) as link,
     ):
         unit = link.unit(1)
         _read(unit, 10)
@@ -365,13 +367,13 @@ def test_idle_close_is_reopened_in_silence(skin: Skin, write: bool) -> None:
         assert server.accepted == link.counters.connections == 2
 
 
-def test_execute_then_drop_ends_as_outcome_unknown_and_is_executed_once(skin: Skin) -> None:
+def test_execute_then_drop_ends_as_outcome_unknown_and_is_executed_once(via: ClientKind) -> None:
     device = _device()
     executed: list[list[int]] = []
     device.on_write("holding_registers", lambda change: executed.append(change.new))
     with (
         faulty_server(device, "execute-then-drop") as server,
-        skin.link(server.endpoint, timeout=AMPLE, retries=3) as link,
+        via.link(server.endpoint, timeout=AMPLE, retries=3) as link,
     ):
         unit = link.unit(1)
         with pytest.raises(busway.WriteOutcomeUnknown) as caught:
@@ -383,11 +385,11 @@ def test_execute_then_drop_ends_as_outcome_unknown_and_is_executed_once(skin: Sk
         assert server.accepted == 2
 
 
-def test_execute_then_drop_is_repeated_only_where_the_caller_says_that_it_may_be(skin: Skin) -> None:
+def test_execute_then_drop_is_repeated_only_where_the_caller_says_that_it_may_be(via: ClientKind) -> None:
     device = _device()
     executed: list[list[int]] = []
     device.on_write("holding_registers", lambda change: executed.append(change.new))
-    with faulty_server(device) as server, skin.link(server.endpoint, timeout=AMPLE, retries=1) as link:
+    with faulty_server(device) as server, via.link(server.endpoint, timeout=AMPLE, retries=1) as link:
         server.add("execute-then-drop", schedule=Schedule(times=1))
         link.unit(1).write_single_register(5, 7, idempotent=True)
         assert executed == [[7], [7]]
@@ -396,8 +398,8 @@ def test_execute_then_drop_is_repeated_only_where_the_caller_says_that_it_may_be
 # --- refusals ------------------------------------------------------------------------------------
 
 
-def test_max_block_is_passed_on_and_a_read_is_split_only_where_that_is_asked_for(skin: Skin) -> None:
-    with faulty_server(_device(), "max-block", items=125) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_max_block_is_passed_on_and_a_read_is_split_only_where_that_is_asked_for(via: ClientKind) -> None:
+    with faulty_server(_device(), "max-block", items=125) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         unit = link.unit(1)
         limit = server.add("max-block", items=50)
         with pytest.raises(busway.ExceptionReply) as caught:
@@ -410,8 +412,8 @@ def test_max_block_is_passed_on_and_a_read_is_split_only_where_that_is_asked_for
             unit.read("4x11", count=300)
 
 
-def test_hole_fails_the_block_that_touches_it_and_no_other(skin: Skin) -> None:
-    with faulty_server(_device(), "hole", address=15) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_hole_fails_the_block_that_touches_it_and_no_other(via: ClientKind) -> None:
+    with faulty_server(_device(), "hole", address=15) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         unit = link.unit(1)
         with pytest.raises(busway.ExceptionReply) as caught:
             _read(unit, 10, count=10)
@@ -420,8 +422,8 @@ def test_hole_fails_the_block_that_touches_it_and_no_other(skin: Skin) -> None:
         _read(unit, 16, count=5)
 
 
-def test_busy_is_passed_on_and_other_units_are_served(skin: Skin) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=AMPLE, retries=3) as link:
+def test_busy_is_passed_on_and_other_units_are_served(via: ClientKind) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=AMPLE, retries=3) as link:
         busy = server.add("busy", units={1})
         with pytest.raises(busway.ExceptionReply) as caught:
             _read(link.unit(1), 10)
@@ -434,8 +436,8 @@ def test_busy_is_passed_on_and_other_units_are_served(skin: Skin) -> None:
 
 @pytest.mark.clause("A20")
 @pytest.mark.parametrize("code", [0x00, 0x09, 0x0C, 0x63, 0xFF])
-def test_unknown_exception_code_is_reported_as_it_came(skin: Skin, code: int) -> None:
-    with faulty_server(_device(), "odd-exception", code=code) as server, skin.link(server.endpoint) as link:
+def test_unknown_exception_code_is_reported_as_it_came(via: ClientKind, code: int) -> None:
+    with faulty_server(_device(), "odd-exception", code=code) as server, via.link(server.endpoint) as link:
         with pytest.raises(busway.ExceptionReply) as caught:
             _read(link.unit(1), 10)
         assert caught.value.code == code
@@ -445,8 +447,8 @@ def test_unknown_exception_code_is_reported_as_it_came(skin: Skin, code: int) ->
 
 
 @pytest.mark.parametrize("size", [1, 3, 4, 200])
-def test_exception_of_a_wrong_length_is_a_broken_reply(skin: Skin, size: int) -> None:
-    with faulty_server(_device(), "odd-exception", code=2, size=size) as server, skin.link(server.endpoint) as link:
+def test_exception_of_a_wrong_length_is_a_broken_reply(via: ClientKind, size: int) -> None:
+    with faulty_server(_device(), "odd-exception", code=2, size=size) as server, via.link(server.endpoint) as link:
         with pytest.raises(busway.BadReply) as caught:
             _read(link.unit(1), 10)
         assert len(caught.value.raw) == 7 + size
@@ -459,10 +461,10 @@ def test_exception_of_a_wrong_length_is_a_broken_reply(skin: Skin, size: int) ->
     ("personality", "function", "lost"), [("fc6-only", "single", 16), ("fc16-only", "multiple", 6)]
 )
 def test_device_with_one_write_function_is_written_with_that_one(
-    skin: Skin, personality: str, function: str, lost: int
+    via: ClientKind, personality: str, function: str, lost: int
 ) -> None:
     device = _device()
-    with faulty_server(device, personality) as server, skin.link(server.endpoint, timeout=TIMEOUT) as link:
+    with faulty_server(device, personality) as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
         unit = link.unit(1)
         unit.write("4x6", 77, function=function)
         unit.write("0x6", True, function=function)
@@ -479,10 +481,10 @@ def test_device_with_one_write_function_is_written_with_that_one(
 
 
 @pytest.mark.parametrize("size", [4, 8, 12])
-def test_wide_register_is_a_broken_reply(skin: Skin, size: int) -> None:
+def test_wide_register_is_a_broken_reply(via: ClientKind, size: int) -> None:
     with (
         faulty_server(_device(), "wide-register", size=size) as server,
-        skin.link(server.endpoint, timeout=AMPLE) as link,
+        via.link(server.endpoint, timeout=AMPLE) as link,
     ):
         with pytest.raises(busway.BadReply) as caught:
             _read(link.unit(1), 10)
@@ -491,12 +493,12 @@ def test_wide_register_is_a_broken_reply(skin: Skin, size: int) -> None:
 
 
 @pytest.mark.parametrize("size", [4, 6, 8, 10, 12])
-def test_wide_register_is_read_where_the_link_is_told_its_width(skin: Skin, size: int) -> None:
+def test_wide_register_is_read_where_the_link_is_told_its_width(via: ClientKind, size: int) -> None:
     device = _device()
     device.holding_registers[500] = 0xFFFF
     with (
         faulty_server(device, "wide-register", size=size) as server,
-        skin.link(f"{server.endpoint}?register_width={size}", timeout=AMPLE) as link,
+        via.link(f"{server.endpoint}?register_width={size}", timeout=AMPLE) as link,
     ):
         unit = link.unit(1)
         _read(unit, 10, count=20)
@@ -512,10 +514,10 @@ def test_wide_register_is_read_where_the_link_is_told_its_width(skin: Skin, size
 
 
 @pytest.mark.parametrize(("size", "kind"), [(4, "uint32"), (8, "uint64")])
-def test_wide_register_is_a_number_of_its_width_where_no_type_is_named(skin: Skin, size: int, kind: str) -> None:
+def test_wide_register_is_a_number_of_its_width_where_no_type_is_named(via: ClientKind, size: int, kind: str) -> None:
     with (
         faulty_server(_device(), "wide-register", size=size) as server,
-        skin.link(server.endpoint, register_width=size, timeout=AMPLE) as link,
+        via.link(server.endpoint, register_width=size, timeout=AMPLE) as link,
     ):
         unit = link.unit(1)
         assert unit.read("4x8") == unit.read("4x8", kind) == 7
@@ -523,22 +525,24 @@ def test_wide_register_is_a_number_of_its_width_where_no_type_is_named(skin: Ski
         assert server.requests[-1].pdu == bytes.fromhex("03 0007 0003")
 
 
-def test_wide_register_of_an_odd_size_needs_a_type_and_a_narrow_device_a_link_that_is_not_told_so(skin: Skin) -> None:
+def test_wide_register_of_an_odd_size_needs_a_type_and_a_narrow_device_a_link_that_is_not_told_so(
+    via: ClientKind,
+) -> None:
     with faulty_server(_device()) as server:
-        with skin.link(server.endpoint, register_width=6, timeout=AMPLE) as link:
+        with via.link(server.endpoint, register_width=6, timeout=AMPLE) as link:
             with pytest.raises(busway.InvalidRequest, match="name a type"):
                 link.unit(1).read("4x8")
             assert not server.requests
             with pytest.raises(busway.BadReply):
                 link.unit(1).read("4x8", "uint16")
         for width in ("1", "3", "14"):
-            with pytest.raises(busway.ConfigError), skin.link(server.endpoint, register_width=width):
+            with pytest.raises(busway.ConfigError), via.link(server.endpoint, register_width=width):
                 raise AssertionError("the link was made")
 
 
 @pytest.mark.parametrize("missing", [1, 2, 4, 5])
-def test_short_reply_is_broken_and_shows_its_bytes(skin: Skin, missing: int) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_short_reply_is_broken_and_shows_its_bytes(via: ClientKind, missing: int) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         short = server.add("short", missing=missing)
         with pytest.raises(busway.BadReply) as caught:
             _read(link.unit(1), 10)
@@ -548,8 +552,8 @@ def test_short_reply_is_broken_and_shows_its_bytes(skin: Skin, missing: int) -> 
         assert link.counters.connections == 1
 
 
-def test_short_reply_whose_header_promises_more_is_partial_and_ends_with_a_new_connection(skin: Skin) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=TIMEOUT, retries=0) as link:
+def test_short_reply_whose_header_promises_more_is_partial_and_ends_with_a_new_connection(via: ClientKind) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=TIMEOUT, retries=0) as link:
         short = server.add("short", missing=2, header=True)
         with pytest.raises(busway.NoReply) as caught:
             _try(link.unit(1), 10)
@@ -561,8 +565,8 @@ def test_short_reply_whose_header_promises_more_is_partial_and_ends_with_a_new_c
 
 
 @pytest.mark.parametrize("extra", [1, 2, 100])
-def test_long_reply_is_broken_and_shows_its_bytes(skin: Skin, extra: int) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_long_reply_is_broken_and_shows_its_bytes(via: ClientKind, extra: int) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         long = server.add("long", extra=extra)
         with pytest.raises(busway.BadReply) as caught:
             _read(link.unit(1), 10)
@@ -573,8 +577,8 @@ def test_long_reply_is_broken_and_shows_its_bytes(skin: Skin, extra: int) -> Non
 
 
 @pytest.mark.parametrize("extra", [1, 2, 7, 100])
-def test_bytes_between_frames_cost_no_wrong_data_and_the_link_recovers(skin: Skin, extra: int) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=TIMEOUT, retries=2) as link:
+def test_bytes_between_frames_cost_no_wrong_data_and_the_link_recovers(via: ClientKind, extra: int) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=TIMEOUT, retries=2) as link:
         long = server.add("long", extra=extra, header=False)
         unit = link.unit(1)
         for address in (10, 20, 30):
@@ -584,8 +588,8 @@ def test_bytes_between_frames_cost_no_wrong_data_and_the_link_recovers(skin: Ski
         assert link.counters.recycled >= 2
 
 
-def test_reply_longer_than_a_frame_can_be_is_a_broken_stream(skin: Skin) -> None:
-    with faulty_server(_device()) as server, skin.link(server.endpoint, timeout=AMPLE, retries=0) as link:
+def test_reply_longer_than_a_frame_can_be_is_a_broken_stream(via: ClientKind) -> None:
+    with faulty_server(_device()) as server, via.link(server.endpoint, timeout=AMPLE, retries=0) as link:
         server.add("long", extra=300, schedule=Schedule(times=1))
         with pytest.raises(busway.BadReply, match="length field 307"):
             _read(link.unit(1), 10)
@@ -593,8 +597,8 @@ def test_reply_longer_than_a_frame_can_be_is_a_broken_stream(skin: Skin) -> None
         assert link.counters.connections == 2
 
 
-def test_wrong_echo_leaves_the_outcome_unknown_and_shows_the_bytes(skin: Skin) -> None:
-    with faulty_server(_device(), "wrong-echo") as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_wrong_echo_leaves_the_outcome_unknown_and_shows_the_bytes(via: ClientKind) -> None:
+    with faulty_server(_device(), "wrong-echo") as server, via.link(server.endpoint, timeout=AMPLE) as link:
         unit = link.unit(1)
         writes = (
             lambda: unit.write_single_register(5, 7),
@@ -612,8 +616,8 @@ def test_wrong_echo_leaves_the_outcome_unknown_and_shows_the_bytes(skin: Skin) -
         assert link.counters.connections == 1
 
 
-def test_dribble_is_put_together(skin: Skin) -> None:
-    with faulty_server(_device(), "dribble") as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_dribble_is_put_together(via: ClientKind) -> None:
+    with faulty_server(_device(), "dribble") as server, via.link(server.endpoint, timeout=AMPLE) as link:
         for address in (10, 20):
             _read(link.unit(1), address, count=5)
         with pytest.raises(busway.ExceptionReply):
@@ -622,11 +626,11 @@ def test_dribble_is_put_together(skin: Skin) -> None:
 
 
 @pytest.mark.clause("T9")
-def test_glue_is_taken_apart(skin: Skin) -> None:
+def test_glue_is_taken_apart(via: ClientKind) -> None:
     requests = [busway.ReadHoldingRegisters(10 * number, 1 + number) for number in range(16)]
     with (
         faulty_server(_device(), "glue") as server,
-        skin.link(server.endpoint, timeout=AMPLE, max_transactions=16) as link,
+        via.link(server.endpoint, timeout=AMPLE, max_transactions=16) as link,
     ):
         replies = link.unit(1).execute_many(requests)
         for request, reply in zip(requests, replies, strict=True):
@@ -637,10 +641,10 @@ def test_glue_is_taken_apart(skin: Skin) -> None:
 # --- together ------------------------------------------------------------------------------------
 
 
-def test_several_faults_with_chance_never_bring_wrong_data(skin: Skin) -> None:
+def test_several_faults_with_chance_never_bring_wrong_data(via: ClientKind) -> None:
     with (
         faulty_server(_device(), seed=7) as server,
-        skin.link(server.endpoint, timeout=0.03, retries=3, max_transactions=4) as link,
+        via.link(server.endpoint, timeout=0.03, retries=3, max_transactions=4) as link,
     ):
         for name, options in (
             ("foreign-transaction", {}),

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from skins import SKINS, Skin
+from client_kinds import CLIENT_KINDS, ClientKind
 from waiting import until
 
 import busway
@@ -18,10 +18,10 @@ from busway.testing import faulty_server, known_device
 AMPLE = 5.0
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Skin:
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ClientKind:
     monkeypatch.setattr("busway.client.blocking_link._IDLE_SECONDS", 0.0)
-    found: Skin = request.param
+    found: ClientKind = request.param
     return found
 
 
@@ -53,8 +53,8 @@ def read(link: object, **call: object) -> object:
 # --- what is told --------------------------------------------------------------------------------
 
 
-def test_a_connection_that_comes_and_goes_is_told_once_each_time(skin: Skin, told: list[str]) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, timeout=AMPLE) as link:
+def test_a_connection_that_comes_and_goes_is_told_once_each_time(via: ClientKind, told: list[str]) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         for _ in range(3):
             assert read(link) == [5]
         server.drop_connections()
@@ -70,11 +70,11 @@ def test_a_connection_that_comes_and_goes_is_told_once_each_time(skin: Skin, tol
     assert told[1].startswith("info down: the peer")
 
 
-def test_a_peer_that_is_not_there_is_told_once_however_often_it_is_tried(skin: Skin, told: list[str]) -> None:
+def test_a_peer_that_is_not_there_is_told_once_however_often_it_is_tried(via: ClientKind, told: list[str]) -> None:
     with faulty_server(known_device()) as server:
         endpoint = server.endpoint
     port = endpoint.rsplit(":", 1)[1]
-    with skin.link(endpoint, reconnect_first=0.001, reconnect_most=0.002, timeout=AMPLE) as link:
+    with via.link(endpoint, reconnect_first=0.001, reconnect_most=0.002, timeout=AMPLE) as link:
         end = time.monotonic() + AMPLE
         tried = set()
         while len(tried) < 5 and time.monotonic() < end:
@@ -94,10 +94,10 @@ def _failures(link: object) -> int:
 
 
 @pytest.mark.real_time
-def test_a_flapping_peer_is_told_once_and_tried_with_longer_and_longer_pauses(skin: Skin, told: list[str]) -> None:
+def test_a_flapping_peer_is_told_once_and_tried_with_longer_and_longer_pauses(via: ClientKind, told: list[str]) -> None:
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint, timeout=AMPLE, retries=100, deadline=0.5, reconnect_first=0.05) as link,
+        via.link(server.endpoint, timeout=AMPLE, retries=100, deadline=0.5, reconnect_first=0.05) as link,
     ):
         flapping = server.add("close-if-silent", seconds=0.0)
         assert read(link) in (busway.NoReply, busway.LinkDown)
@@ -114,10 +114,10 @@ def test_a_flapping_peer_is_told_once_and_tried_with_longer_and_longer_pauses(sk
         assert _failures(link) == 0
 
 
-def test_a_silent_peer_is_told_as_suspect_and_recycled_and_each_of_that_once(skin: Skin, told: list[str]) -> None:
+def test_a_silent_peer_is_told_as_suspect_and_recycled_and_each_of_that_once(via: ClientKind, told: list[str]) -> None:
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint, timeout=0.03, retries=0, recycle_after_timeouts=3) as link,
+        via.link(server.endpoint, timeout=0.03, retries=0, recycle_after_timeouts=3) as link,
     ):
         assert read(link, timeout=AMPLE) == [5]
         wedged = server.add("wedged")
@@ -136,8 +136,8 @@ def test_a_silent_peer_is_told_as_suspect_and_recycled_and_each_of_that_once(ski
     ]
 
 
-def test_connections_that_are_held_per_request_are_no_news_for_an_operator(skin: Skin, told: list[str]) -> None:
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, hold="request") as link:
+def test_connections_that_are_held_per_request_are_no_news_for_an_operator(via: ClientKind, told: list[str]) -> None:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, hold="request") as link:
         for _ in range(3):
             assert read(link) == [5]
     assert told == ["debug up: connected", "debug down: nothing more is asked"] * 3
@@ -185,10 +185,10 @@ async def test_of_a_flapping_peer_nobody_waits_but_who_is_about_to_be_repeated()
 
 
 @pytest.mark.clause("T7")
-def test_a_connection_that_ends_before_anything_was_asked_is_made_anew_at_once(skin: Skin) -> None:
+def test_a_connection_that_ends_before_anything_was_asked_is_made_anew_at_once(via: ClientKind) -> None:
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint, timeout=AMPLE, retries=0, reconnect_first=30, reconnect_most=30) as link,
+        via.link(server.endpoint, timeout=AMPLE, retries=0, reconnect_first=30, reconnect_most=30) as link,
     ):
         link.connect()
         server.wait_until(lambda: server.connections == 1)
@@ -203,9 +203,9 @@ def test_a_connection_that_ends_before_anything_was_asked_is_made_anew_at_once(s
 
 
 @pytest.mark.clause("T16", "T18")
-def test_a_client_never_leaves_from_the_same_port_twice_in_a_row(skin: Skin) -> None:
+def test_a_client_never_leaves_from_the_same_port_twice_in_a_row(via: ClientKind) -> None:
     ports = []
-    with faulty_server(known_device()) as server, skin.link(server.endpoint, hold="request") as link:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, hold="request") as link:
         for _ in range(5):
             link.connect()
             (status,) = (one for one in busway.local_connections() if one.endpoint == server.endpoint)
@@ -216,9 +216,9 @@ def test_a_client_never_leaves_from_the_same_port_twice_in_a_row(skin: Skin) -> 
 
 
 @pytest.mark.clause("T20")
-def test_a_connection_leaves_through_the_interface_that_is_named(skin: Skin) -> None:
+def test_a_connection_leaves_through_the_interface_that_is_named(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
-        with skin.link(server.endpoint, interface="lo", local_address="127.0.0.3", timeout=AMPLE) as link:
+        with via.link(server.endpoint, interface="lo", local_address="127.0.0.3", timeout=AMPLE) as link:
             assert read(link) == [5]
             (status,) = (one for one in busway.local_connections() if one.endpoint == server.endpoint)
             assert status.local.startswith("127.0.0.3:")
@@ -226,16 +226,16 @@ def test_a_connection_leaves_through_the_interface_that_is_named(skin: Skin) -> 
             ({"interface": "there-is-none"}, "No such device"),
             ({"interface": "lo", "local_address": "192.0.2.1"}, "local address"),
         ):
-            with skin.link(server.endpoint, **options) as link, pytest.raises(busway.LinkDown, match=reason):
+            with via.link(server.endpoint, **options) as link, pytest.raises(busway.LinkDown, match=reason):
                 link.unit(1).read_holding_registers(0, count=1)
 
 
 @pytest.mark.clause("T20")
-def test_nobody_listens_behind_an_interface_and_the_error_says_so(skin: Skin) -> None:
+def test_nobody_listens_behind_an_interface_and_the_error_says_so(via: ClientKind) -> None:
     with contextlib.closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
-        with skin.link(endpoint, interface="lo") as link, pytest.raises(busway.LinkDown, match="nothing listens there"):
+        with via.link(endpoint, interface="lo") as link, pytest.raises(busway.LinkDown, match="nothing listens there"):
             link.unit(1).read_holding_registers(0, count=1)
 
 
@@ -262,11 +262,11 @@ def test_threads_that_wait_on_a_flapping_peer_all_get_an_end() -> None:
         assert outcomes == [busway.LinkDown] * 6
 
 
-def test_connecting_by_name_while_the_next_attempt_is_not_due_fails_at_once_and_later_succeeds(skin: Skin) -> None:
+def test_connecting_by_name_while_the_next_attempt_is_not_due_fails_at_once_and_later_succeeds(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
         endpoint = server.endpoint
     port = endpoint.rsplit(":", 1)[1]
-    with skin.link(endpoint, reconnect_first=0.2, reconnect_most=0.2, timeout=AMPLE) as link:
+    with via.link(endpoint, reconnect_first=0.2, reconnect_most=0.2, timeout=AMPLE) as link:
         with pytest.raises(busway.LinkDown):
             link.connect()
         assert link.state == "backing off"

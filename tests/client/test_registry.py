@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Iterator
 
 import pytest
-from skins import SKINS, Skin
+from client_kinds import CLIENT_KINDS, ClientKind
 
 import busway
 from busway.client.registry import LOCAL, LocalConnections
@@ -17,9 +17,9 @@ from busway.testing import FaultyServer, faulty_server, known_device
 AMPLE = 5.0
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest) -> Skin:
-    found: Skin = request.param
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest) -> ClientKind:
+    found: ClientKind = request.param
     return found
 
 
@@ -41,12 +41,12 @@ def status_at(endpoint: str) -> list[busway.LocalConnectionStatus]:
 
 
 @pytest.mark.clause("T34")
-def test_a_link_is_listed_from_its_first_need_until_it_is_closed_with_all_that_is_known_of_it(skin: Skin) -> None:
+def test_a_link_is_listed_from_its_first_need_until_it_is_closed_with_all_that_is_known_of_it(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
-        with skin.link(server.endpoint, timeout=AMPLE) as link:
+        with via.link(server.endpoint, timeout=AMPLE) as link:
             link.unit(1).read_holding_registers(0, count=10)
             (status,) = status_at(server.endpoint)
-            assert (status.kind, status.shared, status.state, status.reason) == (skin.name, True, "up", "")
+            assert (status.kind, status.shared, status.state, status.reason) == (via.name, True, "up", "")
             assert (status.sent_bytes, status.received_bytes) == (12, 29)
             assert (status.transactions, status.failures, status.connections) == (1, 0, 1)
             assert (status.in_flight, status.queued) == (0, 0)
@@ -64,10 +64,10 @@ def test_a_link_is_listed_from_its_first_need_until_it_is_closed_with_all_that_i
 
 
 @pytest.mark.clause("T34")
-def test_a_link_without_a_connection_tells_why(skin: Skin) -> None:
+def test_a_link_without_a_connection_tells_why(via: ClientKind) -> None:
     with faulty_server(known_device()) as server:
         endpoint = server.endpoint
-    with skin.link(endpoint) as link:
+    with via.link(endpoint) as link:
         with pytest.raises(busway.LinkDown):
             link.unit(1).read_holding_registers(0, count=1)
         (status,) = status_at(endpoint)
@@ -76,12 +76,12 @@ def test_a_link_without_a_connection_tells_why(skin: Skin) -> None:
 
 
 @pytest.mark.clause("T34")
-def test_connections_of_both_kinds_are_counted_while_they_stand(skin: Skin) -> None:
+def test_connections_of_both_kinds_are_counted_while_they_stand(via: ClientKind) -> None:
     before = LOCAL.count()
     with (
         faulty_server(known_device()) as server,
-        skin.link(server.endpoint) as first,
-        skin.link(server.endpoint, shared=False) as second,
+        via.link(server.endpoint) as first,
+        via.link(server.endpoint, shared=False) as second,
     ):
         assert LOCAL.count() == before
         first.connect()
@@ -89,7 +89,7 @@ def test_connections_of_both_kinds_are_counted_while_they_stand(skin: Skin) -> N
         server.wait_until(lambda: server.accepted == 1)
         second.connect()
         server.wait_until(lambda: server.accepted == 2)
-        if skin.name == "asyncio":
+        if via.name == "asyncio":
             assert LOCAL.count() == before + 2
         second.call(second.real.close)
         assert LOCAL.count() == before + 1

@@ -3,8 +3,8 @@
 from typing import Any
 
 import pytest
+from client_kinds import CLIENT_KINDS, AnyLink, ClientKind
 from failing_sockets import Fault, Wire, WireConnector, connected_by
-from skins import SKINS, AnyLink, Skin
 
 import busway
 
@@ -14,9 +14,9 @@ REQUESTS = [busway.ReadHoldingRegisters(7, 1), busway.WriteSingleRegister(8, 1),
 PLACES = [(3, 7), (6, 8), (3, 9)]
 
 
-@pytest.fixture(params=SKINS, ids=lambda skin: skin.name)
-def skin(request: pytest.FixtureRequest) -> Skin:
-    found: Skin = request.param
+@pytest.fixture(params=CLIENT_KINDS, ids=lambda via: via.name)
+def via(request: pytest.FixtureRequest) -> ClientKind:
+    found: ClientKind = request.param
     return found
 
 
@@ -32,10 +32,10 @@ def assert_refused(link: AnyLink, kind: type[busway.ModbusError], **call: Any) -
         link.unit(1).execute_many(REQUESTS, **call)
 
 
-def test_while_the_next_attempt_to_connect_is_not_due(skin: Skin) -> None:
+def test_while_the_next_attempt_to_connect_is_not_due(via: ClientKind) -> None:
     wire = Wire({0: Fault.REFUSED})
     options = {"shared": False, "reconnect_first": LONG, "reconnect_most": LONG}
-    with connected_by(WireConnector(wire)), skin.link(ENDPOINT, **options) as link:
+    with connected_by(WireConnector(wire)), via.link(ENDPOINT, **options) as link:
         with pytest.raises(busway.LinkDown, match="nothing listens there"):
             link.unit(1).read_holding_registers(0, count=1)
         assert link.state == "backing off"
@@ -47,20 +47,20 @@ def test_while_the_next_attempt_to_connect_is_not_due(skin: Skin) -> None:
     assert wire.operations == ["connect"]
 
 
-def test_while_the_queue_is_full(skin: Skin) -> None:
+def test_while_the_queue_is_full(via: ClientKind) -> None:
     wire = Wire({})
-    with connected_by(WireConnector(wire)), skin.link(ENDPOINT, shared=False) as link:
+    with connected_by(WireConnector(wire)), via.link(ENDPOINT, shared=False) as link:
         assert link.unit(1).read_holding_registers(5, count=1) == [5]
         link.real._link.session._queue.limit = 0
         assert_refused(link, busway.Overloaded)
     wire.close()
 
 
-def test_while_the_breaker_of_the_unit_is_open(skin: Skin) -> None:
+def test_while_the_breaker_of_the_unit_is_open(via: ClientKind) -> None:
     wire = Wire({1: Fault.SILENT})
     options = {"shared": False, "timeout": 0.01, "retries": 0, "open_after": 1, "first_pause": LONG}
     options["longest_pause"] = LONG
-    with connected_by(WireConnector(wire)), skin.link("rtu+tcp://127.0.0.1:9", **options) as link:
+    with connected_by(WireConnector(wire)), via.link("rtu+tcp://127.0.0.1:9", **options) as link:
         with pytest.raises(busway.NoReply):
             link.unit(1).read_holding_registers(5, count=1)
         assert_refused(link, busway.UnitSuspended)
@@ -69,8 +69,8 @@ def test_while_the_breaker_of_the_unit_is_open(skin: Skin) -> None:
     wire.close()
 
 
-def test_a_call_that_is_wrong_is_raised(skin: Skin) -> None:
-    with connected_by(WireConnector(Wire({}))), skin.link("rtu+tcp://127.0.0.1:9", shared=False) as link:
+def test_a_call_that_is_wrong_is_raised(via: ClientKind) -> None:
+    with connected_by(WireConnector(Wire({}))), via.link("rtu+tcp://127.0.0.1:9", shared=False) as link:
         unit = link.unit(0)
         with pytest.raises(busway.InvalidRequest):  # a read that is a broadcast
             unit.execute_many(REQUESTS, return_errors=True)

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from client_kinds import CLIENT_KINDS, ClientKind
 from handles import open_handles
-from skins import SKINS, Skin
 from tls_peers import OF_SSL, VERSIONS, one_version, query, receive_adu
 
 import busway
@@ -97,42 +97,42 @@ def read_on_uvloop(url: str) -> object:
 
 READERS: dict[str, Work] = {"blocking": read_blocking, "asyncio": read_on_a_loop, "uvloop": read_on_uvloop}
 WRITERS: dict[str, Work] = {"blocking": write_blocking, "asyncio": write_on_a_loop, "uvloop": write_on_a_loop}
-skins = pytest.mark.parametrize("skin", READERS)
+both_kinds = pytest.mark.parametrize("via", READERS)
 versions = pytest.mark.parametrize("version", VERSIONS)
 
 
 @pytest.mark.clause("M1")
 @pytest.mark.clause("M2")
-@skins
+@both_kinds
 @versions
 def test_both_sides_agree_and_registers_are_read(
-    good_server: CertificateFiles, operator: CertificateFiles, skin: str, version: TlsVersion
+    good_server: CertificateFiles, operator: CertificateFiles, via: str, version: TlsVersion
 ) -> None:
     handles = open_handles()
     with served(good_server) as (url, _):
         options = query({**operator.options(), **one_version(version)})
-        assert READERS[skin](f"{url}?{options}") == [REGISTER]
+        assert READERS[via](f"{url}?{options}") == [REGISTER]
     assert open_handles() == handles
 
 
-@skins
-def test_without_an_authority_nothing_is_dialled(skin: str) -> None:
+@both_kinds
+def test_without_an_authority_nothing_is_dialled(via: str) -> None:
     with pytest.raises(ConfigError, match="the authority that the server's certificate comes from is needed"):
-        READERS[skin]("tls://localhost:1")
+        READERS[via]("tls://localhost:1")
 
 
-@skins
+@both_kinds
 def test_an_ip_address_in_the_certificate_is_a_name_too(
-    good_server: CertificateFiles, operator: CertificateFiles, skin: str
+    good_server: CertificateFiles, operator: CertificateFiles, via: str
 ) -> None:
     with served(good_server) as (url, _):
-        assert READERS[skin](f"{url.replace('localhost', '127.0.0.1')}?{operator.query()}") == [REGISTER]
+        assert READERS[via](f"{url.replace('localhost', '127.0.0.1')}?{operator.query()}") == [REGISTER]
 
 
-@skins
-def test_a_server_may_be_called_by_another_name(store: Store, operator: CertificateFiles, skin: str) -> None:
+@both_kinds
+def test_a_server_may_be_called_by_another_name(store: Store, operator: CertificateFiles, via: str) -> None:
     with served(store.server("plc", hosts=["plc-7"])) as (url, _):
-        assert READERS[skin](f"{url}?{operator.query()}&server_name=plc-7") == [REGISTER]
+        assert READERS[via](f"{url}?{operator.query()}&server_name=plc-7") == [REGISTER]
 
 
 BAD_SERVERS: dict[str, tuple[Callable[[Store], CertificateFiles], str]] = {
@@ -168,17 +168,17 @@ BAD_SERVERS: dict[str, tuple[Callable[[Store], CertificateFiles], str]] = {
 
 
 @pytest.mark.clause("M3")
-@skins
+@both_kinds
 @versions
 @pytest.mark.parametrize("case", BAD_SERVERS)
 def test_a_server_with_a_bad_certificate_is_not_believed(
-    store: Store, operator: CertificateFiles, case: str, version: TlsVersion, skin: str
+    store: Store, operator: CertificateFiles, case: str, version: TlsVersion, via: str
 ) -> None:
     make, sentence = BAD_SERVERS[case]
     handles = open_handles()
     with served(make(store)) as (url, device):
         options = query({**operator.options(), **one_version(version)})
-        for work in (READERS[skin], WRITERS[skin]):
+        for work in (READERS[via], WRITERS[via]):
             with pytest.raises(LinkDown) as caught:
                 work(f"{url}?{options}")
             assert caught.value.message.startswith(f"no connection: {sentence}")
@@ -187,17 +187,17 @@ def test_a_server_with_a_bad_certificate_is_not_believed(
     assert open_handles() == handles
 
 
-@skins
+@both_kinds
 def test_verification_is_switched_off_by_a_loud_name_only(
-    store: Store, operator: CertificateFiles, skin: str, caplog: pytest.LogCaptureFixture
+    store: Store, operator: CertificateFiles, via: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     with served(store.self_signed()) as (url, _):
-        assert READERS[skin](f"{url}?{operator.query()}&verify=off-insecure") == [REGISTER]
-        assert READERS[skin](f"{url}?{operator.query()}&verify=off-insecure") == [REGISTER]
+        assert READERS[via](f"{url}?{operator.query()}&verify=off-insecure") == [REGISTER]
+        assert READERS[via](f"{url}?{operator.query()}&verify=off-insecure") == [REGISTER]
         assert caplog.text.count("whoever answers there is believed to be the server (verify=off-insecure)") == 2
         for text in ("off", "false", "none"):
             with pytest.raises(ConfigError, match="verify"):
-                READERS[skin](f"{url}?{operator.query()}&verify={text}")
+                READERS[via](f"{url}?{operator.query()}&verify={text}")
 
 
 REFUSALS: dict[str, tuple[Callable[[Store], CertificateFiles | None], str, str]] = {
@@ -231,11 +231,11 @@ REFUSALS: dict[str, tuple[Callable[[Store], CertificateFiles | None], str, str]]
 
 
 @pytest.mark.clause("M3")
-@skins
+@both_kinds
 @versions
 @pytest.mark.parametrize("case", REFUSALS)
 def test_a_refusal_of_our_certificate_is_told_by_its_reason(
-    store: Store, good_server: CertificateFiles, case: str, version: TlsVersion, skin: str
+    store: Store, good_server: CertificateFiles, case: str, version: TlsVersion, via: str
 ) -> None:
     make, by_12, by_13 = REFUSALS[case]
     sentence = by_12 if version is TlsVersion.TLS_1_2 else by_13
@@ -244,36 +244,36 @@ def test_a_refusal_of_our_certificate_is_told_by_its_reason(
     handles = open_handles()
     with served(good_server) as (url, device):
         with pytest.raises(LinkDown) as caught:
-            READERS[skin](f"{url}?{query({**options, **one_version(version)})}")
+            READERS[via](f"{url}?{query({**options, **one_version(version)})}")
         assert sentence in caught.value.message
         # A client of TLS 1.3 has sent its request before it can know that it is not wanted.
         with pytest.raises(LinkDown if version is TlsVersion.TLS_1_2 else WriteOutcomeUnknown) as refused:
-            WRITERS[skin](f"{url}?{query({**options, **one_version(version)})}")
+            WRITERS[via](f"{url}?{query({**options, **one_version(version)})}")
         assert sentence in f"{refused.value} {refused.value.__cause__}"
         assert device.holding_registers[0] == REGISTER
     assert open_handles() == handles
 
 
-@skins
-def test_a_server_that_is_no_tls_is_told(store: Store, operator: CertificateFiles, skin: str) -> None:
+@both_kinds
+def test_a_server_that_is_no_tls_is_told(store: Store, operator: CertificateFiles, via: str) -> None:
     with busway.serve_in_thread("tcp://127.0.0.1:0", units=busway.Device(coils=1)) as server:
         port = server.endpoints[0].rpartition(":")[2]
         with pytest.raises(LinkDown, match="no connection: "):
-            READERS[skin](f"tls://localhost:{port}?{operator.query()}&handshake_timeout=0.5")
+            READERS[via](f"tls://localhost:{port}?{operator.query()}&handshake_timeout=0.5")
 
 
-@skins
-def test_a_server_that_never_answers_the_handshake_is_given_up(operator: CertificateFiles, skin: str) -> None:
+@both_kinds
+def test_a_server_that_never_answers_the_handshake_is_given_up(operator: CertificateFiles, via: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
         handles = open_handles()
         with pytest.raises(LinkDown, match=r"TLS was not agreed on within 0\.2 s"):
-            READERS[skin](f"tls://127.0.0.1:{port}?{operator.query()}&handshake_timeout=0.2")
+            READERS[via](f"tls://127.0.0.1:{port}?{operator.query()}&handshake_timeout=0.2")
         assert open_handles() == handles
 
 
-@skins
-def test_a_server_that_closes_within_the_handshake_is_told(operator: CertificateFiles, skin: str) -> None:
+@both_kinds
+def test_a_server_that_closes_within_the_handshake_is_told(operator: CertificateFiles, via: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def close_each() -> None:
@@ -287,17 +287,17 @@ def test_a_server_that_closes_within_the_handshake_is_told(operator: Certificate
         closing.start()
         port = listener.getsockname()[1]
         with pytest.raises(LinkDown, match="closed the connection before both sides had agreed"):
-            READERS[skin](f"tls://127.0.0.1:{port}?{operator.query()}")
+            READERS[via](f"tls://127.0.0.1:{port}?{operator.query()}")
         listener.shutdown(socket.SHUT_RDWR)
         closing.join()
 
 
 @pytest.mark.clause("M1")
 @versions
-@pytest.mark.parametrize("skin", ["blocking", "asyncio"])
+@pytest.mark.parametrize("via", ["blocking", "asyncio"])
 @pytest.mark.parametrize("sizes", [(1,), (7,), (11, 1, 3)], ids=str)
 def test_replies_may_be_cut_into_records_anywhere(
-    good_server: CertificateFiles, operator: CertificateFiles, sizes: tuple[int, ...], skin: str, version: TlsVersion
+    good_server: CertificateFiles, operator: CertificateFiles, sizes: tuple[int, ...], via: str, version: TlsVersion
 ) -> None:
     """Two requests in flight, whose replies come as records of odd sizes, more than one in a segment."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -322,7 +322,7 @@ def test_replies_may_be_cut_into_records_anywhere(
         answering.start()
         port = listener.getsockname()[1]
         url = f"tls://127.0.0.1:{port}?authority={operator.authority}"
-        if skin == "blocking":
+        if via == "blocking":
             with busway.connect(url) as link:
                 for count in (1, 100, 125):
                     assert link.unit(1).read_holding_registers(0, count=count) == list(range(count))
@@ -363,15 +363,15 @@ def test_a_blocking_link_that_sends_much_at_once_loses_nothing(
     assert wrong == []
 
 
-@pytest.mark.parametrize("skin", SKINS, ids=lambda skin: skin.name)
+@pytest.mark.parametrize("via", CLIENT_KINDS, ids=lambda via: via.name)
 def test_a_connection_that_the_server_closed_while_idle_is_dialled_again(
-    good_server: CertificateFiles, operator: CertificateFiles, skin: Skin
+    good_server: CertificateFiles, operator: CertificateFiles, via: ClientKind
 ) -> None:
     device = busway.Device(holding_registers=[REGISTER])
     url = f"tls://127.0.0.1:0?{good_server.query()}&max_handshakes=1"
     with busway.serve_in_thread(url, units=device, max_connections=1) as server:
         port = server.endpoints[0].rpartition(":")[2]
-        with skin.link(f"tls://localhost:{port}?{operator.query()}") as link:
+        with via.link(f"tls://localhost:{port}?{operator.query()}") as link:
             unit = link.unit(1)
             assert unit.read_holding_registers(0, count=1) == [REGISTER]
             for _ in range(3):

@@ -84,11 +84,11 @@ async def test_the_client_interface_alone_talks_to_a_server_that_is_not_ours() -
 
 
 @dataclass(eq=False)
-class UdpPeer:
+class PoolMember:
     """A connection as connection management sees one, without a socket."""
 
     host: str
-    marked: bool = False
+    is_priority: bool = False
     pool: Pool = Pool.OTHER
     last_used: float = 0.0
     is_busy: bool = False
@@ -97,8 +97,12 @@ class UdpPeer:
 
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:
-    places: Pools[UdpPeer] = Pools(PoolLimits(priority=1, other=1, priority_per_device=1))
-    marked, old, new = UdpPeer("10.0.0.1", marked=True), UdpPeer("10.0.0.2"), UdpPeer("10.0.0.3", last_used=1.0)
+    places: Pools[PoolMember] = Pools(PoolLimits(priority=1, other=1, priority_per_device=1))
+    marked, old, new = (
+        PoolMember("10.0.0.1", is_priority=True),
+        PoolMember("10.0.0.2"),
+        PoolMember("10.0.0.3", last_used=1.0),
+    )
     assert places.admit(marked).accepted
     assert places.admit(old).evicted is None
     assert places.admit(new).evicted is old

@@ -4,7 +4,7 @@ import asyncio
 import itertools
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor, registers
+from handlers import HeldReplies, ScriptedHandler, registers
 from scripted_peer import ScriptedPeer, echo_of, first_address
 from waiting import until
 
@@ -239,7 +239,7 @@ async def test_the_exceptions_of_the_guide_reach_the_application_with_their_code
 
 @pytest.mark.clause("T37")
 async def test_a_connection_that_breaks_inside_a_transaction_ends_it_and_frees_what_both_sides_held() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with (
         busway.serve(ANY_PORT, handler=handler) as server,

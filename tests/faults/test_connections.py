@@ -11,7 +11,7 @@ import pytest
 from played import played
 
 import busway
-from busway.faults.board import FaultBoard
+from busway.faults.switchboard import FaultSwitchboard
 from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
@@ -32,7 +32,7 @@ AMPLE = 5.0
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_faults_are_switched_on_and_off_over_every_transport(scheme: str) -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("busy", functions={3}, items={busway.Table.HOLDING_REGISTERS: [(100, 200)]}, on=False)
     board.add("late", units={2}, parameters={"delay": 0.02}, on=False)
     board.add("wedged", functions={6}, on=False)
@@ -61,7 +61,7 @@ def test_faults_are_switched_on_and_off_over_every_transport(scheme: str) -> Non
 
 def test_connections_over_tls_misbehave_like_others(tmp_path: Path) -> None:
     store = CertificateStore(tmp_path)
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("execute-then-drop")
     board.add("dribble", parameters={"piece": 3})
     with (
@@ -97,7 +97,7 @@ PDU, ANSWER = bytes.fromhex("03 0005 0002"), bytes.fromhex("03 04 0005 0006")
 
 
 def test_replies_leave_in_the_order_of_their_requests_even_when_only_some_are_late() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("late", units={2}, parameters={"delay": 0.05})
     with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         asked = [encode_mbap(number, unit, PDU) for number, unit in ((1, 1), (2, 2), (3, 1), (4, 2), (5, 1))]
@@ -112,7 +112,7 @@ def test_replies_leave_in_the_order_of_their_requests_even_when_only_some_are_la
 @pytest.mark.parametrize(("scheme", "encode"), [("rtu+tcp", encode_rtu), ("ascii+tcp", encode_ascii)])
 def test_echo_and_noise_are_bytes_around_good_frames(scheme: str, encode: object) -> None:
     assert callable(encode)
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("leading-zero", parameters={"zeros": 3})
     board.add("echo")
     with played(board, f"{scheme}://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
@@ -123,7 +123,7 @@ def test_echo_and_noise_are_bytes_around_good_frames(scheme: str, encode: object
 
 def test_silent_connection_is_closed_also_if_the_fault_was_switched_on_after_it_was_made() -> None:
     clock = FakeClock()
-    board = FaultBoard(clock=clock)
+    board = FaultSwitchboard(clock=clock)
     with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         client.sendall(encode_mbap(1, 1, PDU))
         assert _received(client, 13) == encode_mbap(1, 1, ANSWER)
@@ -146,7 +146,7 @@ def test_silent_connection_is_closed_also_if_the_fault_was_switched_on_after_it_
 
 def test_late_by_an_hour_of_a_clock_that_a_test_moves() -> None:
     clock = FakeClock()
-    board = FaultBoard(clock=clock)
+    board = FaultSwitchboard(clock=clock)
     board.add("late", parameters={"delay": 3600})
     with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         client.sendall(encode_mbap(7, 1, PDU))
@@ -160,11 +160,11 @@ def test_late_by_an_hour_of_a_clock_that_a_test_moves() -> None:
         assert _received(client, 13) == encode_mbap(7, 1, ANSWER)
 
 
-def _until_heard(board: FaultBoard) -> None:
+def _until_heard(board: FaultSwitchboard) -> None:
     """Wait until a request has been planned for."""
     pause = threading.Event()
     for _ in range(1000):
-        if board.wires.is_any_behind:
+        if board.tap.has_any_unsent:
             return
         pause.wait(0.005)
     raise AssertionError("the request did not come")
@@ -197,7 +197,7 @@ class Promising:
 
 
 async def test_answers_that_other_handlers_promise_come_later_and_misbehave_too() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("foreign-transaction", parameters={"distance": 1})
     server = Server(["tcp://127.0.0.1:0"], Promising())
     board.attach(server)
@@ -218,7 +218,7 @@ async def test_answers_that_other_handlers_promise_come_later_and_misbehave_too(
 
 
 async def test_policy_of_the_server_is_asked_too() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("late", parameters={"delay": 0.0})
     board.add("wrong-echo")
     server = busway.serve("tcp://127.0.0.1:0", units=known_device(), policy=busway.Policy.read_only())
@@ -232,49 +232,49 @@ async def test_policy_of_the_server_is_asked_too() -> None:
 
 
 async def test_nothing_is_in_the_way_while_no_fault_is_on() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     name = board.add("late", parameters={"delay": 0.0}, on=False)
     server = busway.serve("tcp://127.0.0.1:0", units=known_device())
     board.attach(server)
     async with server, busway.open(server.endpoints[0]) as link:
         unit = link.unit(1)
         await unit.read_holding_registers(7, count=1)
-        (way,) = board.wires
-        assert way.conversation.contact.last_received is None  # nobody has looked at the request
+        (faulty,) = board.tap
+        assert faulty.conversation.contact.last_received is None  # nobody has looked at the request
         board.switch(name, on=True)
         await unit.read_holding_registers(7, count=1)
-        assert way.conversation.contact.last_received is not None
+        assert faulty.conversation.contact.last_received is not None
         board.switch(name, on=False)
-        seen = way.conversation.contact.last_received
+        seen = faulty.conversation.contact.last_received
         await unit.read_holding_registers(7, count=1)
-        assert way.conversation.contact.last_received == seen
+        assert faulty.conversation.contact.last_received == seen
 
 
 async def test_running_server_can_not_be_attached_to() -> None:
     async with busway.serve("tcp://127.0.0.1:0", units=known_device()) as server:
         with pytest.raises(busway.ConfigError, match="a running server"):
-            FaultBoard().attach(server)
+            FaultSwitchboard().attach(server)
         with pytest.raises(busway.ConfigError, match="a running server"):
-            server.use_tap(FaultBoard().wires)
+            server.use_tap(FaultSwitchboard().tap)
 
 
 async def test_ways_are_forgotten_with_their_connections() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     server = busway.serve("tcp://127.0.0.1:0", "udp://127.0.0.1:0", units=known_device())
     board.attach(server)
     async with server:
         for endpoint in server.endpoints:
             async with busway.open(endpoint) as link:
                 await link.unit(1).read_holding_registers(7, count=1)
-        assert board.wires.accepted == 2
-    assert len(board.wires) == 0
+        assert board.tap.accepted == 2
+    assert len(board.tap) == 0
 
 
 async def test_rules_for_a_unit_hold_by_whatever_name_its_device_is_asked() -> None:
     policy = busway.Policy.of(
         busway.Rule.of(name="not here", action="deny", units="1", access="write"), default="allow"
     )
-    board = FaultBoard()
+    board = FaultSwitchboard()
     server = busway.serve("tcp://127.0.0.1:0", units={1: known_device()}, policy=policy)
     board.attach(server)
     async with server, busway.open(server.endpoints[0]) as link:

@@ -76,16 +76,16 @@ def test_without_a_fault_the_device_is_heard() -> None:
     assert said.at(0, READ) == [_adu()]
     assert said.at(1, "41 00") == [_adu(b"\xc1\x01")]
     assert said.talk.deadline(2) is None
-    assert not said.talk.is_behind
+    assert not said.talk.has_unsent
 
 
 def test_answer_leaves_after_the_silence_that_its_line_needs_and_counts_as_late_from_there() -> None:
     said = Said("late", framing="rtu", gap=0.004, delay=1.0)
     assert said.at(0, READ) == []
-    assert said.talk.is_behind
+    assert said.talk.has_unsent
     assert said.talk.deadline(0) == pytest.approx(1.004)
     assert said.talk.tick(1.004) == [encode_rtu(1, REPLY)]
-    assert not said.talk.is_behind
+    assert not said.talk.has_unsent
 
 
 def test_late() -> None:

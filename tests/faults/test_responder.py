@@ -8,7 +8,7 @@ import pytest
 
 import busway
 from busway.access.audit import AuditLog
-from busway.faults.board import FaultBoard
+from busway.faults.switchboard import FaultSwitchboard
 from busway.pdu.direct import Answer
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
@@ -26,7 +26,7 @@ def _context(unit: int = 1, function: int = 3) -> RequestContext:
 
 def test_short_road_and_plans_are_those_of_the_handler_inside_until_a_fault_is_on_and_again_when_it_is_off() -> None:
     inner = LocalHandler({1: known_device()})
-    board = FaultBoard()
+    board = FaultSwitchboard()
     handler = board.around(inner)
     generations = [handler.generation]
     assert handler.direct(_context()) is inner.direct(_context())
@@ -45,13 +45,13 @@ def test_short_road_and_plans_are_those_of_the_handler_inside_until_a_fault_is_o
 
 
 def test_handler_is_what_the_handler_inside_is() -> None:
-    handler = FaultBoard().around(LocalHandler({1: known_device(), 7: known_device()}))
+    handler = FaultSwitchboard().around(LocalHandler({1: known_device(), 7: known_device()}))
     assert isinstance(handler, UnitHolder)
     assert isinstance(handler, ReadPlanner)
     assert isinstance(handler, WriteObserver)
     assert handler.serial_units == {1, 7}
     assert handler.functions is STANDARD
-    assert not isinstance(FaultBoard().around(_Plain()), UnitHolder)
+    assert not isinstance(FaultSwitchboard().around(_Plain()), UnitHolder)
 
 
 class _Plain:
@@ -68,7 +68,7 @@ class _Plain:
 
 
 def test_request_of_a_way_that_nobody_knows_is_answered_rightly() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("wedged")
     reply = board.around(LocalHandler({1: known_device()})).handle(_context(), STANDARD.decode_request(READ))
     assert isinstance(reply, Message)
@@ -83,7 +83,7 @@ def test_request_of_a_way_that_nobody_knows_is_answered_rightly() -> None:
 
 
 async def test_audit_log_of_a_server_has_the_write_that_was_executed_and_not_answered(tmp_path: Path) -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("execute-then-drop")
     log = AuditLog(tmp_path / "audit.jsonl")
     server = busway.serve("tcp://127.0.0.1:0", units=known_device(), audit=log)

@@ -11,7 +11,7 @@ import pytest
 from played import played
 
 import busway
-from busway.faults.board import FaultBoard
+from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Carrier
 from busway.testing.line import PacedLine
 
@@ -183,7 +183,7 @@ def _watch(link: busway.BlockingLink, actions: list[tuple[str, str]]) -> None:
 @pytest.mark.parametrize("name", [name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}])
 def test_personality_on_modbus_tcp(name: str) -> None:
     parameters, actions = {**BOTH, **ON_TCP}[name]
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add(name, parameters=parameters)
     with (
         played(board, "tcp://127.0.0.1:0") as endpoint,
@@ -205,7 +205,7 @@ ON_LINES = [name for name, one in FAULT_PROFILES.items() if Carrier.SERIAL in on
 @pytest.mark.real_time
 def test_personality_on_a_serial_line(line: PacedLine, name: str) -> None:
     parameters, actions = {**BOTH, **ON_A_LINE}[name]
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add(name, parameters=parameters)
     with (
         played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
@@ -216,7 +216,7 @@ def test_personality_on_a_serial_line(line: PacedLine, name: str) -> None:
 
 
 def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("broadcast-reply", units={2})
     with (
         played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
@@ -228,7 +228,7 @@ def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> 
 
 
 def test_broadcast_is_not_heard_by_a_unit_that_is_wedged(line: PacedLine) -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("wedged", units={2})
     with (
         played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
@@ -241,7 +241,7 @@ def test_broadcast_is_not_heard_by_a_unit_that_is_wedged(line: PacedLine) -> Non
 
 
 def test_second_connection_is_closed_by_who_takes_a_single_client() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("single-client")
     with (
         played(board, "tcp://127.0.0.1:0") as endpoint,

@@ -1,4 +1,4 @@
-"""What the interop tests start: foreign servers and clients, our server with known content, our client in both skins.
+"""What the interop tests start: foreign servers and clients, our server with known content, our client as both kinds.
 
 Programs live as long as the tests that share them. So tests read in the lower half of a table, whose content nobody
 changes, and write in the upper half, each from its own address on; what a test reads there it has written itself.
@@ -45,11 +45,11 @@ def pymodbustcp_server() -> Iterator[foreign.Program]:
         yield program
 
 
-# --- our client, in both skins ----------------------------------------------------------------------------------------
+# --- our client, as both kinds ----------------------------------------------------------------------------------------
 
 
 class Unit(Protocol):
-    """A unit of a link, whose methods wait for their results whatever skin is underneath."""
+    """A unit of a link, whose methods wait for their results whatever via is underneath."""
 
     def __getattr__(self, name: str) -> Callable[..., Any]: ...
 

@@ -14,7 +14,7 @@ import foreign
 import pytest
 from played import played
 
-from busway.faults.board import FaultBoard
+from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Carrier
 
 TIMEOUT_MS = 700
@@ -95,10 +95,10 @@ def _seen(answer: dict[str, Any]) -> Seen:
     return exception or str(answer["error"])
 
 
-def _wait_until_closed(board: FaultBoard) -> None:
+def _wait_until_closed(board: FaultSwitchboard) -> None:
     pause = threading.Event()
     for _ in range(1000):
-        if board.wires.accepted and not len(board.wires):
+        if board.tap.accepted and not len(board.tap):
             return
         pause.wait(0.01)
     raise AssertionError("the server did not close the connection")
@@ -107,7 +107,7 @@ def _wait_until_closed(board: FaultBoard) -> None:
 @pytest.mark.parametrize("name", SEEN)
 def test_what_a_user_of_pymodbus_sees(user: foreign.Program, name: str) -> None:
     parameters, actions = SEEN[name]
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add(name, parameters=parameters)
     with played(board, "tcp://127.0.0.1:0") as endpoint:
         user.ask(f"open {endpoint.rpartition(':')[2]}")
@@ -128,7 +128,7 @@ def test_what_a_user_of_pymodbus_sees(user: foreign.Program, name: str) -> None:
 def test_a_second_user_of_pymodbus_is_refused_or_starved_by_who_takes_a_single_client(
     user: foreign.Program, starve: bool, expected: str
 ) -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("single-client", parameters={"starve": starve})
     with (
         played(board, "tcp://127.0.0.1:0") as endpoint,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor
+from handlers import HeldReplies, ScriptedHandler
 from many_clients import answer, question
 from told_program import Program
 from waiting import until
@@ -106,7 +106,7 @@ SLOW = 1000
 
 @pytest.mark.clause("T27", "T40")
 async def test_flood_of_slow_requests_waits_in_bounded_places_and_every_answer_goes_to_its_asker() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     server = busway.serve("udp://127.0.0.1:0", handler=handler, max_connections=SLOW_PEERS, max_transactions=SLOTS)
     async with server:

@@ -5,7 +5,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor
+from handlers import HeldReplies, ScriptedHandler
 from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
@@ -30,7 +30,7 @@ REPLY_SIZE, BUSY_SIZE = 11, 9
 @pytest.mark.parametrize("scope", ["connection", "server"])
 async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_rest_by_and_by(scope: str) -> None:
     for limit in range(1, 17):
-        gate = TlsHandshakeAcceptor()
+        gate = HeldReplies()
         server = busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide), max_transactions=limit, scope=scope)
         async with server:
             port = int(server.endpoints[0].rpartition(":")[2])
@@ -45,7 +45,7 @@ async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_res
 
 
 async def _one_round(
-    gate: TlsHandshakeAcceptor,
+    gate: HeldReplies,
     server: busway.Server,
     links: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]],
     limit: int,

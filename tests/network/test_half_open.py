@@ -27,7 +27,7 @@ NEVER = {"keepalive": False, "user_timeout": None}
 SOON = 2.0
 """Seconds after which something that needs no timer of TCP must have happened, on a loaded machine too."""
 
-both_skins = pytest.mark.parametrize("skin", ["asyncio", "blocking"])
+both_kinds = pytest.mark.parametrize("via", ["asyncio", "blocking"])
 pytestmark = pytest.mark.clause("T18")
 
 
@@ -35,8 +35,8 @@ def _server(host: Host, **options: Any) -> Program:
     return host.start(PROGRAMS / "server.py", f"tcp://{host.address}:{PORT}", json.dumps(options))
 
 
-def _client(host: Host, skin: str, server: Host, **options: Any) -> Program:
-    client = host.start(PROGRAMS / "client.py", skin, f"tcp://{server.address}:{PORT}", json.dumps(options))
+def _client(host: Host, via: str, server: Host, **options: Any) -> Program:
+    client = host.start(PROGRAMS / "client.py", via, f"tcp://{server.address}:{PORT}", json.dumps(options))
     server.ready()
     return client
 
@@ -57,12 +57,12 @@ def _reads(client: Program, address: int = 5, **call: Any) -> dict[str, Any]:
 # --- §4.2.2.1: the cable is cut ------------------------------------------------------------
 
 
-@both_skins
+@both_kinds
 def test_cut_of_an_idle_connection_that_is_shorter_than_keepalive_is_noticed_by_nobody(
-    network: Network, skin: str
+    network: Network, via: str
 ) -> None:
     here, there = network.host(), network.host()
-    server, client = _server(there), _client(here, skin, there)
+    server, client = _server(there), _client(here, via, there)
     _reads(client)
     there.cut()
     assert server.ask("until", connections=0, seconds=0.5)["connections"]
@@ -72,13 +72,13 @@ def test_cut_of_an_idle_connection_that_is_shorter_than_keepalive_is_noticed_by_
     assert (status["accepted"], status["closed"], len(status["connections"])) == (1, 0, 1)
 
 
-@both_skins
+@both_kinds
 @pytest.mark.clause("T19")
 def test_cut_of_an_idle_connection_that_is_longer_than_keepalive_is_found_at_both_ends(
-    network: Network, skin: str
+    network: Network, via: str
 ) -> None:
     here, there = network.host(), network.host()
-    server, client = _server(there, **SHORT), _client(here, skin, there, **SHORT)
+    server, client = _server(there, **SHORT), _client(here, via, there, **SHORT)
     _reads(client)
     there.cut()
     assert client.until_established(PORT, 0, KEEPALIVE + LATE) > KEEPALIVE / 2
@@ -90,10 +90,10 @@ def test_cut_of_an_idle_connection_that_is_longer_than_keepalive_is_found_at_bot
     assert len(server.ask("status")["connections"]) == 1
 
 
-@both_skins
-def test_short_cut_within_a_transaction_is_bridged_by_retransmission(network: Network, skin: str) -> None:
+@both_kinds
+def test_short_cut_within_a_transaction_is_bridged_by_retransmission(network: Network, via: str) -> None:
     here, there = network.host(), network.host()
-    server, client = _server(there), _client(here, skin, there, timeout=10, retries=0)
+    server, client = _server(there), _client(here, via, there, timeout=10, retries=0)
     client.tell("read", address=SLOW)
     assert server.ask("until", waiting=1, seconds=10)["waiting"] == 1
     here.cut()
@@ -105,15 +105,15 @@ def test_short_cut_within_a_transaction_is_bridged_by_retransmission(network: Ne
     assert (status["accepted"], status["requests"]) == (1, 1)
 
 
-@both_skins
+@both_kinds
 @pytest.mark.clause("T37")
 @pytest.mark.parametrize(("do", "error"), [("read", "NoReply"), ("write", "WriteOutcomeUnknown")])
 def test_request_into_a_cut_cable_ends_with_a_reason_when_its_time_is_over(
-    network: Network, skin: str, do: str, error: str
+    network: Network, via: str, do: str, error: str
 ) -> None:
     here, there = network.host(), network.host()
     server = _server(there, **SHORT)
-    client = _client(here, skin, there, timeout=0.5, retries=0)
+    client = _client(here, via, there, timeout=0.5, retries=0)
     _reads(client)
     there.cut()
     answer = client.ask(do, address=6)
@@ -124,17 +124,17 @@ def test_request_into_a_cut_cable_ends_with_a_reason_when_its_time_is_over(
     assert len(server.ask("until", connections=1, seconds=KEEPALIVE + LATE)["connections"]) == 1
 
 
-@both_skins
+@both_kinds
 @pytest.mark.clause("T19", "T37")
 @pytest.mark.parametrize(
     ("do", "error", "cause"), [("read", "LinkDown", ""), ("write", "WriteOutcomeUnknown", "LinkDown")]
 )
 def test_user_timeout_ends_a_connection_that_takes_no_request_before_the_reply_is_due(
-    network: Network, skin: str, do: str, error: str, cause: str
+    network: Network, via: str, do: str, error: str, cause: str
 ) -> None:
     here, there = network.host(), network.host()
     _server(there)
-    client = _client(here, skin, there, timeout=20, retries=0, user_timeout=1.0)
+    client = _client(here, via, there, timeout=20, retries=0, user_timeout=1.0)
     _reads(client)
     there.cut()
     answer = client.ask(do, address=6)
@@ -144,12 +144,12 @@ def test_user_timeout_ends_a_connection_that_takes_no_request_before_the_reply_i
     assert client.established(PORT) == 0
 
 
-@both_skins
+@both_kinds
 @pytest.mark.clause("T19", "T37")
-def test_user_timeout_ends_a_connection_that_takes_no_reply_and_its_place_is_free(network: Network, skin: str) -> None:
+def test_user_timeout_ends_a_connection_that_takes_no_reply_and_its_place_is_free(network: Network, via: str) -> None:
     here, there = network.host(), network.host()
     server = _server(there, user_timeout=1.0, keepalive=False, max_transactions=1, scope="server")
-    client = _client(here, skin, there, timeout=0.5, retries=0, **NEVER)
+    client = _client(here, via, there, timeout=0.5, retries=0, **NEVER)
     client.tell("read", address=SLOW)
     assert server.ask("until", waiting=1, seconds=10)["waiting"] == 1
     here.cut()
@@ -165,13 +165,13 @@ def test_user_timeout_ends_a_connection_that_takes_no_reply_and_its_place_is_fre
 # --- §4.2.2.2: the server crashes, or is started again ------------------------------------------------------------
 
 
-@both_skins
+@both_kinds
 @pytest.mark.parametrize("do", ["read", "write"])
 def test_server_that_was_killed_and_started_again_is_asked_as_if_nothing_had_been(
-    network: Network, skin: str, do: str
+    network: Network, via: str, do: str
 ) -> None:
     here, there = network.host(), network.host()
-    server, client = _server(there), _client(here, skin, there, retries=0)
+    server, client = _server(there), _client(here, via, there, retries=0)
     _reads(client)
     server.kill()
     client.until_established(PORT, 0, SOON)
@@ -183,11 +183,11 @@ def test_server_that_was_killed_and_started_again_is_asked_as_if_nothing_had_bee
     assert server.ask("status")["accepted"] == 1
 
 
-@both_skins
-def test_read_that_a_returned_server_resets_is_asked_again_at_once(network: Network, skin: str) -> None:
+@both_kinds
+def test_read_that_a_returned_server_resets_is_asked_again_at_once(network: Network, via: str) -> None:
     here, there = network.host(), network.host()
     _server(there)
-    client = _client(here, skin, there, timeout=10)
+    client = _client(here, via, there, timeout=10)
     _reads(client)
     there.crash()
     there.boot()
@@ -198,14 +198,14 @@ def test_read_that_a_returned_server_resets_is_asked_again_at_once(network: Netw
     assert server.ask("status")["accepted"] == 1
 
 
-@both_skins
+@both_kinds
 @pytest.mark.clause("T37")
 def test_write_that_a_returned_server_resets_is_not_repeated_and_the_next_one_is_served(
-    network: Network, skin: str
+    network: Network, via: str
 ) -> None:
     here, there = network.host(), network.host()
     _server(there)
-    client = _client(here, skin, there, timeout=10)
+    client = _client(here, via, there, timeout=10)
     _reads(client)
     there.crash()
     there.boot()
@@ -217,13 +217,13 @@ def test_write_that_a_returned_server_resets_is_not_repeated_and_the_next_one_is
     assert "value" in client.ask("write", address=6)
 
 
-@both_skins
+@both_kinds
 def test_connection_to_a_returned_server_ends_by_the_first_probe_where_nothing_is_asked(
-    network: Network, skin: str
+    network: Network, via: str
 ) -> None:
     here, there = network.host(), network.host()
     _server(there)
-    client = _client(here, skin, there, **{**SHORT, "keepalive_idle": 2})
+    client = _client(here, via, there, **{**SHORT, "keepalive_idle": 2})
     _reads(client)
     there.crash()
     there.boot()
@@ -238,27 +238,27 @@ def test_connection_to_a_returned_server_ends_by_the_first_probe_where_nothing_i
 # --- §4.2.2.3: the client crashes, and comes back ------------------------------------------------------------
 
 
-@both_skins
-def test_client_that_was_killed_leaves_no_connection(network: Network, skin: str) -> None:
+@both_kinds
+def test_client_that_was_killed_leaves_no_connection(network: Network, via: str) -> None:
     here, there = network.host(), network.host()
-    server, client = _server(there, **NEVER), _client(here, skin, there)
+    server, client = _server(there, **NEVER), _client(here, via, there)
     _reads(client)
     client.kill()
     assert server.ask("until", connections=0, seconds=SOON)["connections"] == []
 
 
-@both_skins
+@both_kinds
 @pytest.mark.clause("T19")
 def test_client_that_came_back_by_another_port_is_served_and_its_old_connection_ends_by_keepalive(
-    network: Network, skin: str
+    network: Network, via: str
 ) -> None:
     here, there = network.host(), network.host()
     server = _server(there, **SHORT)
-    _reads(_client(here, skin, there))
+    _reads(_client(here, via, there))
     (old,) = server.ask("status")["connections"]
     here.crash()
     here.boot()
-    client = _client(here, skin, there)
+    client = _client(here, via, there)
     assert _reads(client)["seconds"] < SOON
     left = server.ask("until", connections=1, seconds=KEEPALIVE + LATE)["connections"]
     assert len(left) == 1
@@ -266,16 +266,16 @@ def test_client_that_came_back_by_another_port_is_served_and_its_old_connection_
     _reads(client)
 
 
-@both_skins
+@both_kinds
 @pytest.mark.parametrize("limit", [{"max_connections": 1}, {"max_per_remote": 1}], ids=str)
 def test_client_that_came_back_takes_the_place_of_its_half_open_past_where_it_may_have_one(
-    network: Network, skin: str, limit: dict[str, int]
+    network: Network, via: str, limit: dict[str, int]
 ) -> None:
     here, there = network.host(), network.host()
     server = _server(there, **limit, **NEVER)
     handles = server.ask("status")["handles"]
     for _ in range(3):
-        client = _client(here, skin, there)
+        client = _client(here, via, there)
         assert _reads(client)["seconds"] < SOON
         assert len(server.ask("status")["connections"]) == 1
         here.crash()

@@ -7,7 +7,7 @@ import struct
 from urllib.parse import urlsplit
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor, address_of, later, registers
+from handlers import HeldReplies, ScriptedHandler, address_of, later, registers
 from handles import open_handles
 from waiting import until
 
@@ -157,7 +157,7 @@ async def test_silence_of_a_handler_sends_nothing_and_holds_no_slot() -> None:
 
 @pytest.mark.clause("T29")
 async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_transactions_of_its_own() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
@@ -176,7 +176,7 @@ async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_t
 
 @pytest.mark.clause("T27")
 async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_and_others_are_not() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, handler=handler, max_transactions=2) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
@@ -197,7 +197,7 @@ async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_a
 
 @pytest.mark.clause("T27")
 async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, ANY_PORT, handler=handler, max_transactions=2, scope="server") as server:
         ports = [urlsplit(one).port for one in server.endpoints]

@@ -15,7 +15,7 @@ class Connection:
     """One connection, as the pools see it."""
 
     host: str
-    marked: bool = False
+    is_priority: bool = False
     last_used: float = 0.0
     is_busy: bool = False
     pool: Pool = Pool.OTHER
@@ -32,10 +32,10 @@ def pools(
 @pytest.mark.clause("T13")
 def test_marked_connections_take_priority_places_up_to_the_limit_of_their_device_and_then_others() -> None:
     both = pools(priority=3, other=3, priority_per_device=2)
-    own = [Connection("a", marked=True) for _ in range(3)]
+    own = [Connection("a", is_priority=True) for _ in range(3)]
     for one in own:
         assert both.admit(one).accepted
-    foreign = Connection("b", marked=True)
+    foreign = Connection("b", is_priority=True)
     both.admit(foreign)
     assert [one.pool for one in own] == [Pool.PRIORITY, Pool.PRIORITY, Pool.OTHER]
     assert foreign.pool is Pool.PRIORITY
@@ -86,8 +86,8 @@ def test_marked_newcomer_without_a_priority_place_pushes_out_one_that_is_not_mar
     both = pools(priority=1, other=1)
     stranger = Connection("x")
     both.admit(stranger)
-    assert both.admit(Connection("a", marked=True)).evicted is None
-    second = Connection("b", marked=True)
+    assert both.admit(Connection("a", is_priority=True)).evicted is None
+    second = Connection("b", is_priority=True)
     assert both.admit(second).evicted is stranger
     assert second.pool is Pool.OTHER
 
@@ -96,8 +96,8 @@ def test_marked_newcomer_without_a_priority_place_pushes_out_one_that_is_not_mar
 @pytest.mark.clause("T40")
 def test_newcomer_that_is_not_marked_is_refused_where_only_marked_ones_are_left() -> None:
     both = pools(priority=1, other=1)
-    marked = [Connection("a", marked=True) for _ in range(2)]
-    for one in marked:
+    is_priority = [Connection("a", is_priority=True) for _ in range(2)]
+    for one in is_priority:
         both.admit(one)
     admission = both.admit(Connection("x"))
     assert not admission.accepted
@@ -108,11 +108,15 @@ def test_newcomer_that_is_not_marked_is_refused_where_only_marked_ones_are_left(
 @pytest.mark.clause("T13")
 def test_marked_newcomer_among_marked_ones_replaces_the_oldest_of_its_own_device_beyond_the_priority_places() -> None:
     both = pools(priority=1, other=2, priority_per_device=1)
-    first, foreign, own = Connection("a", marked=True), Connection("b", marked=True), Connection("a", marked=True)
+    first, foreign, own = (
+        Connection("a", is_priority=True),
+        Connection("b", is_priority=True),
+        Connection("a", is_priority=True),
+    )
     for one in (first, foreign, own):
         both.admit(one)
-    assert both.admit(Connection("a", marked=True)).evicted is own
-    assert both.admit(Connection("c", marked=True)).evicted is foreign
+    assert both.admit(Connection("a", is_priority=True)).evicted is own
+    assert both.admit(Connection("c", is_priority=True)).evicted is foreign
     assert first.pool is Pool.PRIORITY
 
 
@@ -120,10 +124,10 @@ def test_marked_newcomer_among_marked_ones_replaces_the_oldest_of_its_own_device
 def test_priority_place_that_becomes_free_goes_to_the_oldest_marked_one_that_may_have_it() -> None:
     both = pools(priority=2, other=3, priority_per_device=1)
     first, waiting, stranger, other = (
-        Connection("a", marked=True),
-        Connection("a", marked=True),
+        Connection("a", is_priority=True),
+        Connection("a", is_priority=True),
         Connection("x"),
-        Connection("b", marked=True),
+        Connection("b", is_priority=True),
     )
     for one in (first, waiting, stranger, other):
         both.admit(one)
@@ -175,7 +179,7 @@ class Naive:
         self.here: list[Connection] = []
 
     def longest_unused(self) -> Connection | None:
-        strangers = [one for one in self.here if not one.marked and one.pool is Pool.OTHER]
+        strangers = [one for one in self.here if not one.is_priority and one.pool is Pool.OTHER]
         idle = [one for one in strangers if not one.is_busy]
         return min(idle, key=lambda one: one.last_used) if idle else next(iter(strangers), None)
 
@@ -209,33 +213,33 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
         now += 1.0
         here = naive.here
         if what == "come":
-            newcomer = Connection(host, marked=host in "abc", last_used=now)
-            own = [one for one in here if one.host == host and not one.marked]
+            candidate = Connection(host, is_priority=host in "abc", last_used=now)
+            own = [one for one in here if one.host == host and not one.is_priority]
             expected = naive.longest_unused()
             was_full = both.count(Pool.OTHER) >= limits.other
-            admission = both.admit(newcomer)
+            admission = both.admit(candidate)
             gone = admission.evicted
             if not admission.accepted:
-                assert not newcomer.marked
-                assert all(one.marked for one in here)
+                assert not candidate.is_priority
+                assert all(one.is_priority for one in here)
                 continue
-            if newcomer.marked and newcomer.pool is Pool.PRIORITY:
+            if candidate.is_priority and candidate.pool is Pool.PRIORITY:
                 assert gone is None
-            elif not newcomer.marked and limits.per_device is not None and len(own) >= limits.per_device:
+            elif not candidate.is_priority and limits.per_device is not None and len(own) >= limits.per_device:
                 assert gone is own[0]
             elif was_full and expected is not None:
                 assert gone is expected
             elif was_full:
-                assert newcomer.marked
+                assert candidate.is_priority
                 assert gone is not None
-                assert gone.marked
+                assert gone.is_priority
                 assert gone.pool is Pool.OTHER
             else:
                 assert gone is None
             if gone is not None:
-                assert not (gone.marked and gone.pool is Pool.PRIORITY)
+                assert not (gone.is_priority and gone.pool is Pool.PRIORITY)
                 here.remove(gone)
-            here.append(newcomer)
+            here.append(candidate)
         elif here:
             one = here[number % len(here)]
             if what == "leave":
@@ -246,10 +250,10 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
             else:
                 one.is_busy = not one.is_busy
         in_priority = [one for one in here if one.pool is Pool.PRIORITY]
-        assert all(one.marked for one in in_priority)
+        assert all(one.is_priority for one in in_priority)
         assert both.count(Pool.PRIORITY) == len(in_priority) <= limits.priority
         assert both.count(Pool.OTHER) == len(here) - len(in_priority) <= limits.other
         assert max(Counter(one.host for one in in_priority).values(), default=0) <= limits.priority_per_device
         if limits.per_device is not None:
-            strangers = Counter(one.host for one in here if not one.marked)
+            strangers = Counter(one.host for one in here if not one.is_priority)
             assert max(strangers.values(), default=0) <= limits.per_device

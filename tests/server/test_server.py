@@ -7,7 +7,7 @@ import time
 from urllib.parse import urlsplit
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor, later
+from handlers import HeldReplies, ScriptedHandler, later
 from waiting import until
 
 import busway
@@ -158,7 +158,7 @@ def test_option_out_of_range_is_refused_and_named(name: str, value: object) -> N
 @pytest.mark.clause("T34")
 @pytest.mark.real_time
 async def test_stop_ends_within_a_second_with_busy_clients_attached() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     server = busway.serve(ANY_PORT, handler=handler)
     await server.start()

@@ -39,7 +39,7 @@ class Client:
     loop: Loop
     worked: list[str]
     shares: int = 1
-    marked: bool = False
+    is_priority: bool = False
     is_greedy: bool = False
 
     def take_turn(self) -> bool:
@@ -68,7 +68,7 @@ def test_priority_hosts_work_first_in_every_turn_and_the_others_as_far_as_its_ti
     for name in ("a", "b", "c"):
         turns.wait(Client(name, loop, worked, shares=9, is_greedy=True))
     turns.wait(Client("little", loop, worked))
-    turns.wait(Client("priority", loop, worked, shares=2, marked=True))
+    turns.wait(Client("priority", loop, worked, shares=2, is_priority=True))
     loop.turn()
     assert worked == ["priority", "little", "a"]  # half a turn is theirs who waited, and each kind has a share at least
     loop.turn()

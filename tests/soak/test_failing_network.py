@@ -73,9 +73,9 @@ class System:
         self._server.ready()
 
     def _client(self, number: int) -> Program:
-        skin = ("asyncio", "blocking")[number % 2]
+        via = ("asyncio", "blocking")[number % 2]
         endpoint, options = f"tcp://{self._there.address}:{PORT}", KEEPALIVE | {"timeout": 0.3, "connect_timeout": 0.5}
-        return self._hosts[number].start(PROGRAMS / "client.py", skin, endpoint, json.dumps(options))
+        return self._hosts[number].start(PROGRAMS / "client.py", via, endpoint, json.dumps(options))
 
     def _cut_a_cable(self) -> None:
         host = self._chance.choice([self._there, *self._hosts])

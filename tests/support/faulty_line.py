@@ -82,12 +82,12 @@ async def faulty_line(
         else:
             listen, dial = f"{carrier}://127.0.0.1:0", ""
         faults = Faults(7)
-        wires = FaultyTap(faults)
+        tap = FaultyTap(faults)
         devices = {unit: busway.Device(holding_registers=[value(unit, n) for n in range(SIZE)]) for unit in UNITS}
         written: dict[int, list[list[int]]] = {unit: [] for unit in UNITS}
         for unit, device in devices.items():
             device.on_write("holding_registers", lambda change, seen=written[unit]: seen.append(change.new))
-        server = Server([listen], FaultyHandler(LocalHandler(devices), faults, wires), wires=wires, standard_port=False)
+        server = Server([listen], FaultyHandler(LocalHandler(devices), faults, tap), tap=tap, standard_port=False)
         async with server:
             base = route or Route(line="line", units=frozenset(range(1, 248)))
             patient = replace(base, units=frozenset({2}), timeout=ADAPTIVE_TIMEOUT)  # who behaves has time

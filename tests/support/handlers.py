@@ -52,7 +52,7 @@ def later(context: busway.RequestContext, request: AnyRequest) -> Outcome:
 
 
 @dataclass
-class TlsHandshakeAcceptor:
+class HeldReplies:
     """An asynchronous handler that lets requests for address 1000 and above wait until the test opens it.
 
     Others are answered with their address at once, without waiting.

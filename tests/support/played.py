@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import busway
-from busway.faults.board import FaultBoard
+from busway.faults.switchboard import FaultSwitchboard
 from busway.server.server import Server
 from busway.testing import known_device
 
 
 @contextlib.contextmanager
-def played(board: FaultBoard, url: str, **options: Any) -> Iterator[str]:
+def played(board: FaultSwitchboard, url: str, **options: Any) -> Iterator[str]:
     """Units 1 and 2, each a `known_device`, with the faults of a board. Gives the endpoint; options as of `serve`."""
     units = {1: known_device(), 2: known_device()}
     ready = threading.Event()

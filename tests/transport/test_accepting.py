@@ -13,13 +13,13 @@ from handles import settled_handles
 from waiting import until
 
 from busway.transport import accepting
-from busway.transport.accepting import NEWCOMERS_OF_A_TURN, EpollAcceptor, accept_from
+from busway.transport.accepting import ACCEPTED_PER_TURN, EpollAcceptor, accept_from
 from busway.transport.epoll.watcher import READABLE, EpollSet, epoll_set_for
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
 
-class UdpPeer(asyncio.BufferedProtocol):
+class AcceptedProtocol(asyncio.BufferedProtocol):
     """A connection that only stands."""
 
     def __init__(self) -> None:
@@ -33,11 +33,11 @@ class UdpPeer(asyncio.BufferedProtocol):
         self.ended = True
 
 
-class Guests(list[UdpPeer]):
+class AcceptedProtocols(list[AcceptedProtocol]):
     """Those that have come; called, it makes the next one."""
 
-    def __call__(self) -> UdpPeer:
-        self.append(UdpPeer())
+    def __call__(self) -> AcceptedProtocol:
+        self.append(AcceptedProtocol())
         return self[-1]
 
     async def leave(self) -> None:
@@ -67,20 +67,20 @@ def listening(*failures: OSError) -> Listening:
 
 
 def acceptor_of(
-    epoll_set: EpollSet, bound: socket.socket, guests: Callable[[], UdpPeer], failed: list[OSError]
+    epoll_set: EpollSet, bound: socket.socket, accepted_protocols: Callable[[], AcceptedProtocol], failed: list[OSError]
 ) -> EpollAcceptor:
-    return EpollAcceptor(epoll_set, bound, guests, backlog=1000, failed=failed.append)
+    return EpollAcceptor(epoll_set, bound, accepted_protocols, backlog=1000, failed=failed.append)
 
 
 @pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("with_crowd", [False, True])
 def test_newcomers_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, with_crowd: bool) -> None:
     async def main() -> None:
-        running, guests = asyncio.get_running_loop(), Guests()
+        running, accepted_protocols = asyncio.get_running_loop(), AcceptedProtocols()
         bound = listening()
         acceptor = await accept_from(
             bound,
-            guests,
+            accepted_protocols,
             loop=running,
             epoll_set=epoll_set_for(running) if with_crowd else None,
             backlog=100,
@@ -88,17 +88,17 @@ def test_newcomers_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, w
         )
         address = bound.getsockname()
         with socket.create_connection(address), socket.create_connection(address):
-            await until(lambda: len(guests) == 2 and all(one.transport for one in guests))
+            await until(lambda: len(accepted_protocols) == 2 and all(one.transport for one in accepted_protocols))
             if loop == "uvloop" and not with_crowd:
-                await guests.leave()  # its servers accept by other means than readiness
+                await accepted_protocols.leave()  # its servers accept by other means than readiness
                 acceptor.close()
                 return
             acceptor.accept_no_more()
             with socket.create_connection(address) as late:
                 for _ in range(10):
                     await asyncio.sleep(0)
-                assert len(guests) == 2
-                await guests.leave()
+                assert len(accepted_protocols) == 2
+                await accepted_protocols.leave()
                 acceptor.close()
                 with pytest.raises(ConnectionError):
                     late.recv(1)
@@ -107,16 +107,16 @@ def test_newcomers_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, w
 
 
 async def test_one_turn_takes_so_many_and_leaves_the_rest_to_the_next() -> None:
-    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
+    epoll_set, accepted_protocols = EpollSet(asyncio.get_running_loop()), AcceptedProtocols()
     bound = listening()
-    acceptor = acceptor_of(epoll_set, bound, guests, [])
-    clients = [socket.create_connection(bound.getsockname()) for _ in range(NEWCOMERS_OF_A_TURN + 3)]
+    acceptor = acceptor_of(epoll_set, bound, accepted_protocols, [])
+    clients = [socket.create_connection(bound.getsockname()) for _ in range(ACCEPTED_PER_TURN + 3)]
     acceptor.ready(READABLE)
-    assert len(guests) == NEWCOMERS_OF_A_TURN
+    assert len(accepted_protocols) == ACCEPTED_PER_TURN
     acceptor.ready(READABLE)
-    assert len(guests) == NEWCOMERS_OF_A_TURN + 3
+    assert len(accepted_protocols) == ACCEPTED_PER_TURN + 3
     acceptor.close()
-    await guests.leave()
+    await accepted_protocols.leave()
     for client in clients:
         client.close()
 
@@ -126,24 +126,24 @@ async def test_system_that_has_nothing_left_is_asked_again_after_a_pause(
     number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(accepting, "PAUSE_SECONDS", 0.01)
-    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
+    epoll_set, accepted_protocols = EpollSet(asyncio.get_running_loop()), AcceptedProtocols()
     failures: list[OSError] = []
     bound = listening(OSError(number, "nothing left"), OSError(number, "nothing left"))
-    acceptor = acceptor_of(epoll_set, bound, guests, failures)
+    acceptor = acceptor_of(epoll_set, bound, accepted_protocols, failures)
     with socket.create_connection(bound.getsockname()):
         await until(lambda: failures)
         assert len(epoll_set) == 0  # or the loop would turn without an end
-        await until(lambda: guests)
+        await until(lambda: accepted_protocols)
         assert [one.errno for one in failures] == [number, number]
         acceptor.close()
-        await guests.leave()
+        await accepted_protocols.leave()
 
 
 async def test_acceptor_that_is_closed_in_its_pause_stays_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accepting, "PAUSE_SECONDS", 0.0)
     epoll_set, failures = EpollSet(asyncio.get_running_loop()), list[OSError]()
     bound = listening(OSError(errno.EMFILE, "nothing left"))
-    acceptor = acceptor_of(epoll_set, bound, Guests(), failures)
+    acceptor = acceptor_of(epoll_set, bound, AcceptedProtocols(), failures)
     with socket.create_connection(bound.getsockname()):
         acceptor.ready(READABLE)
         acceptor.close()
@@ -153,14 +153,14 @@ async def test_acceptor_that_is_closed_in_its_pause_stays_closed(monkeypatch: py
 
 
 async def test_client_that_has_gone_before_it_was_taken_does_not_stop_the_next() -> None:
-    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
+    epoll_set, accepted_protocols = EpollSet(asyncio.get_running_loop()), AcceptedProtocols()
     bound = listening(ConnectionAbortedError())
-    acceptor = acceptor_of(epoll_set, bound, guests, [])
+    acceptor = acceptor_of(epoll_set, bound, accepted_protocols, [])
     with socket.create_connection(bound.getsockname()):
         acceptor.ready(READABLE)
-        assert len(guests) == 1
+        assert len(accepted_protocols) == 1
         acceptor.close()
-        await guests.leave()
+        await accepted_protocols.leave()
 
 
 async def test_newcomer_for_whom_no_protocol_can_be_made_is_closed_and_reported() -> None:
@@ -169,7 +169,7 @@ async def test_newcomer_for_whom_no_protocol_can_be_made_is_closed_and_reported(
     loop.set_exception_handler(lambda loop, context: reported.append(context))
     failure = ZeroDivisionError("a bug")
 
-    def make() -> UdpPeer:
+    def make() -> AcceptedProtocol:
         raise failure
 
     bound = listening()
@@ -191,13 +191,13 @@ class Full(EpollSet):
 
 
 async def test_newcomer_that_can_not_be_watched_is_closed_and_counts_as_a_lack_of_means() -> None:
-    loop, guests = asyncio.get_running_loop(), Guests()
+    loop, accepted_protocols = asyncio.get_running_loop(), AcceptedProtocols()
     failures: list[OSError] = []
     bound = listening()
-    acceptor = acceptor_of(Full(loop), bound, guests, failures)
+    acceptor = acceptor_of(Full(loop), bound, accepted_protocols, failures)
     with socket.create_connection(bound.getsockname()) as client:
         acceptor.ready(READABLE)
-        await until(lambda: guests[0].ended)
+        await until(lambda: accepted_protocols[0].ended)
         assert client.recv(1) == b""
     assert [one.errno for one in failures] == [errno.ENOSPC]
     acceptor.close()
@@ -205,13 +205,13 @@ async def test_newcomer_that_can_not_be_watched_is_closed_and_counts_as_a_lack_o
 
 async def test_acceptor_and_its_connections_leave_no_descriptor_behind() -> None:
     before = settled_handles()
-    epoll_set, guests = EpollSet(asyncio.get_running_loop()), Guests()
+    epoll_set, accepted_protocols = EpollSet(asyncio.get_running_loop()), AcceptedProtocols()
     bound = listening()
-    acceptor = acceptor_of(epoll_set, bound, guests, [])
+    acceptor = acceptor_of(epoll_set, bound, accepted_protocols, [])
     with socket.create_connection(bound.getsockname()):
-        await until(lambda: guests)
+        await until(lambda: accepted_protocols)
         acceptor.close()
         assert len(epoll_set) == 1  # connections stay when their listener is closed
-        await guests.leave()
+        await accepted_protocols.leave()
         assert len(epoll_set) == 0
     assert settled_handles() == before

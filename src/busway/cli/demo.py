@@ -137,11 +137,11 @@ def _line(stack: AsyncExitStack) -> tuple[str, str]:
 def _devices(plant: "Plant", url: str) -> "Server":
     """The devices on their line, one of them slow and one that dies and comes back; not started yet."""
     from ..apps.simulator.plant import METER, THERMOMETER
-    from ..faults.board import FaultBoard
     from ..faults.fault import Schedule
+    from ..faults.switchboard import FaultSwitchboard
     from ..server.serving import serve
 
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("late", units={METER}, parameters={"delay": METER_DELAY})
     death = Schedule(after=DEATH_AFTER, lasts=DEATH_LASTS, every=DEATH_EVERY)
     board.add("wedged", units={THERMOMETER}, schedule=death)

@@ -6,7 +6,7 @@
 `clients`                   clients that misbehave
 `conversation`              one connection of a device with faults: requests in, bytes out
 `responder`, `connections`  the same around the responder and the connections of a real server
-`board`                     faults by name: put on, switched, watched
+`switchboard`               faults by name: put on, switched, watched
 `clock`                     the time they use, real or moved by hand
 ==========================  ==========================================================================
 """

@@ -11,7 +11,7 @@ Knows wires, an event loop and a clock; what leaves, and when, is known by `Faul
 import asyncio
 from collections.abc import Callable, Iterator
 
-from ..server.wires import Wire
+from ..server.connection_tap import TappedConnection
 from .clock import Clock, LoopClock, Timer
 from .conversation import FaultyConversation
 from .fault import Carrier, Contact, Faults
@@ -20,7 +20,7 @@ _CONNECTED = frozenset({"tcp", "tls"})
 
 
 class FaultyTap:
-    """All wires of one server, or of several that share their faults; to be given to it as ``wires``.
+    """All wires of one server, or of several that share their faults; to be given to it as ``tap``.
 
     Args:
         faults: what goes wrong.
@@ -38,58 +38,58 @@ class FaultyTap:
         self._faults = faults
         self._clock = clock
         self._changed = changed
-        self._ways: dict[tuple[str, str], FaultyWay] = {}
-        self._behind: set[FaultyWay] = set()
+        self._faulty: dict[tuple[str, str], FaultyConnection] = {}
+        self._with_unsent: set[FaultyConnection] = set()
         self._was_any_on = faults.is_any_on
         self.accepted = self.drained = 0
         faults.watch(self._switched)
 
     def __len__(self) -> int:
-        return len(self._ways)
+        return len(self._faulty)
 
-    def __iter__(self) -> "Iterator[FaultyWay]":
-        return iter(list(self._ways.values()))
+    def __iter__(self) -> "Iterator[FaultyConnection]":
+        return iter(list(self._faulty.values()))
 
-    def find(self, listener: str, peer: str) -> "FaultyWay | None":
+    def find(self, listener: str, peer: str) -> "FaultyConnection | None":
         """The way by which a request came, by the names of its context."""
-        return self._ways.get((listener, peer))
+        return self._faulty.get((listener, peer))
 
     @property
-    def is_any_behind(self) -> bool:
+    def has_any_unsent(self) -> bool:
         """Whether something waits to leave by one of them."""
-        return bool(self._behind)
+        return bool(self._with_unsent)
 
     # What the server tells.
 
-    def came(self, wire: Wire) -> None:
-        """As `busway.server.wires.ConnectionTap.came`."""
+    def connection_opened(self, connection: TappedConnection) -> None:
+        """As `busway.server.connection_tap.ConnectionTap.connection_opened`."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
-        way = FaultyWay(wire, self._faults, clock, loop, others=len(self._ways), moved=self._moved)
-        self._ways[wire.listener, wire.peer] = way
+        faulty = FaultyConnection(connection, self._faults, clock, loop, others=len(self._faulty), moved=self._moved)
+        self._faulty[connection.listener, connection.peer] = faulty
         self.accepted += 1
-        way.pump()
+        faulty.pump()
         self._changed()
 
-    def left(self, wire: Wire) -> None:
-        """As `ConnectionTap.left`. It counts until its socket is closed, which comes after this call."""
-        way = self._ways.get((wire.listener, wire.peer))
-        if way is not None and way.wire is wire:
-            way.end()
-            asyncio.get_running_loop().call_soon(self._forget, way)
+    def connection_closed(self, connection: TappedConnection) -> None:
+        """As `ConnectionTap.connection_closed`. It counts until its socket is closed, which comes after this call."""
+        faulty = self._faulty.get((connection.listener, connection.peer))
+        if faulty is not None and faulty.connection is connection:
+            faulty.end()
+            asyncio.get_running_loop().call_soon(self._forget, faulty)
 
-    def _forget(self, way: "FaultyWay") -> None:
-        key = way.wire.listener, way.wire.peer
-        if self._ways.get(key) is way:
-            del self._ways[key]
+    def _forget(self, faulty: "FaultyConnection") -> None:
+        key = faulty.connection.listener, faulty.connection.peer
+        if self._faulty.get(key) is faulty:
+            del self._faulty[key]
         self._changed()
 
-    def _moved(self, way: "FaultyWay") -> None:
+    def _moved(self, faulty: "FaultyConnection") -> None:
         """Something has come to wait at a wire, or waits no more."""
-        if way.is_behind:
-            self._behind.add(way)
-        elif way in self._behind:
-            self._behind.discard(way)
+        if faulty.has_unsent:
+            self._with_unsent.add(faulty)
+        elif faulty in self._with_unsent:
+            self._with_unsent.discard(faulty)
             self.drained += 1
 
     # What the faults tell, in any thread.
@@ -97,31 +97,31 @@ class FaultyTap:
     def _switched(self) -> None:
         is_first = self._faults.is_any_on and not self._was_any_on
         self._was_any_on = self._faults.is_any_on
-        for way in list(self._ways.values()):
-            way.ask_to_pump(is_used_now=is_first)
+        for faulty in list(self._faulty.values()):
+            faulty.ask_to_pump(is_used_now=is_first)
 
 
-class FaultyWay:
+class FaultyConnection:
     """One wire and its conversation.
 
     Attributes:
-        wire, conversation, clock: what it is made of.
+        connection, conversation, clock: what it is made of.
     """
 
     def __init__(
         self,
-        wire: Wire,
+        connection: TappedConnection,
         faults: Faults,
         clock: Clock,
         loop: asyncio.AbstractEventLoop,
         *,
         others: int,
-        moved: Callable[["FaultyWay"], None],
+        moved: Callable[["FaultyConnection"], None],
     ) -> None:
-        self.wire = wire
+        self.connection = connection
         self.clock = clock
-        contact = Contact(clock.now(), others, carriers=_carriers(wire))
-        self.conversation = FaultyConversation(faults, contact, wire.framing, gap=wire.gap)
+        contact = Contact(clock.now(), others, carriers=_carriers(connection))
+        self.conversation = FaultyConversation(faults, contact, connection.framing, gap=connection.gap)
         self._loop = loop
         self._timer: Timer | None = None
         self._is_due = False
@@ -130,9 +130,9 @@ class FaultyWay:
         self._moved = moved
 
     @property
-    def is_behind(self) -> bool:
+    def has_unsent(self) -> bool:
         """Whether something waits to leave, so that nothing may overtake it."""
-        return not self._has_ended and (self._sending > 0 or self.conversation.is_behind)
+        return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:
         """Send what is due at the end of this turn of the event loop, behind what others answer in it."""
@@ -148,14 +148,14 @@ class FaultyWay:
             return
         now = self.clock.now()
         for data in self.conversation.tick(now):
-            self.wire.send(data)
+            self.connection.send(data)
             self._sending += 1
             self._loop.call_soon(self._sent)  # behind what the wire does with it
         self._moved(self)
         self._stop_timer()
         if self.conversation.closed:
             self.end()
-            self._loop.call_soon(self.wire.close)  # behind what was sent just now
+            self._loop.call_soon(self.connection.close)  # behind what was sent just now
             return
         deadline = self.conversation.deadline(now)
         if deadline is not None:
@@ -189,8 +189,8 @@ class FaultyWay:
             timer.cancel()
 
 
-def _carriers(wire: Wire) -> frozenset[Carrier]:
-    found = {Carrier.TCP if wire.framing == "mbap" else Carrier.SERIAL}
-    if wire.carrier in _CONNECTED:
+def _carriers(connection: TappedConnection) -> frozenset[Carrier]:
+    found = {Carrier.TCP if connection.framing == "mbap" else Carrier.SERIAL}
+    if connection.carrier in _CONNECTED:
         found.add(Carrier.CONNECTION)
     return frozenset(found)

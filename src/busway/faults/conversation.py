@@ -5,7 +5,7 @@ Knows frames, the faults and ``now``; knows no socket, no clock and no device: w
 1. For each request: `strike` decides which faults it meets; `asked` gives what answers it instead of the device, if
    anything does; `answered` takes the reply, and plans what leaves.
 2. Replies leave in the order of their requests, however late one is. While anything waits to leave
-   (`is_behind`), replies that no fault touches go the same way.
+   (`has_unsent`), replies that no fault touches go the same way.
 3. What is due is given by `FaultyConversation.tick`, one item per write; `deadline` says when there will be more.
 """
 
@@ -67,7 +67,7 @@ class FaultyConversation:
         self.closed = not faults.admit(contact)
 
     @property
-    def is_behind(self) -> bool:
+    def has_unsent(self) -> bool:
         """Whether something waits to leave, so that nothing may overtake it."""
         return bool(self._outbox)
 

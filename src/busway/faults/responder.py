@@ -29,7 +29,7 @@ from ..session.handler import (
     UnitHolder,
     WriteObserver,
 )
-from .connections import FaultyTap, FaultyWay
+from .connections import FaultyConnection, FaultyTap
 from .conversation import Struck
 from .fault import Exchange, Faults
 
@@ -40,7 +40,7 @@ class FaultyHandler:
     Args:
         inner: what answers rightly.
         faults: what goes wrong.
-        wires: where replies leave; the server has to be given the same.
+        tap: where replies leave; the server has to be given the same.
         heard: called with every request; with it, none takes the short road.
 
     Attributes:
@@ -51,11 +51,11 @@ class FaultyHandler:
     listed_unit: Callable[[int], int]
 
     def __init__(
-        self, inner: Handler, faults: Faults, wires: FaultyTap, *, heard: Callable[[Exchange], None] | None = None
+        self, inner: Handler, faults: Faults, tap: FaultyTap, *, heard: Callable[[Exchange], None] | None = None
     ) -> None:
         self.inner = inner
         self._faults = faults
-        self._wires = wires
+        self._tap = tap
         self._heard = heard
         self._planner = inner if isinstance(inner, ReadPlanner) else None
         self._observer = inner if isinstance(inner, WriteObserver) else None
@@ -73,11 +73,11 @@ class FaultyHandler:
     @property
     def generation(self) -> int:
         """Changes with the faults, with the handler inside, and when the last late reply has left."""
-        return self.inner.generation + self._faults.generation + self._wires.drained
+        return self.inner.generation + self._faults.generation + self._tap.drained
 
     @property
     def _is_aside(self) -> bool:
-        return not (self._faults.is_any_on or self._heard or self._wires.is_any_behind)
+        return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     # The short road.
 
@@ -111,19 +111,19 @@ class FaultyHandler:
     def _answer(
         self, context: RequestContext, request: AnyRequest, perform: Callable[[RequestContext], Outcome]
     ) -> Outcome:
-        way = self._wires.find(context.listener, context.peer)
-        if way is None or self._is_aside:
+        faulty = self._tap.find(context.listener, context.peer)
+        if faulty is None or self._is_aside:
             return perform(context)
-        conversation = way.conversation
-        exchange = _exchange(context, request, way)
+        conversation = faulty.conversation
+        exchange = _exchange(context, request, faulty)
         if self._heard is not None:
             self._heard(exchange)
         struck = conversation.strike(exchange)
-        if not struck and (exchange.is_broadcast or not way.is_behind):
+        if not struck and (exchange.is_broadcast or not faulty.has_unsent):
             conversation.contact.last_sent = exchange.now
             return perform(context)
         said = conversation.asked(struck)
-        turn = _Turn(way, exchange, struck)
+        turn = _Turn(faulty, exchange, struck)
         if said is None:
             return turn.take(context, perform)
         turn.say(said)
@@ -133,16 +133,16 @@ class FaultyHandler:
 class _Turn:
     """One request whose reply leaves by its way."""
 
-    def __init__(self, way: FaultyWay, exchange: Exchange, struck: Struck) -> None:
-        self._way = way
+    def __init__(self, faulty: FaultyConnection, exchange: Exchange, struck: Struck) -> None:
+        self._faulty = faulty
         self._exchange = exchange
         self._struck = struck
 
     def say(self, answer: bytes) -> None:
         """Plan what leaves in place of a PDU; none if it is empty."""
-        way = self._way
-        way.conversation.answered(self._exchange, self._struck, answer, way.clock.now())
-        way.pump_soon()
+        faulty = self._faulty
+        faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
+        faulty.pump_soon()
 
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
         """Let the handler inside answer, now or later, and send that by the way."""
@@ -185,17 +185,17 @@ class _Turn:
         return reply  # nobody takes it: `SILENCE` was the reply
 
 
-def _exchange(context: RequestContext, request: AnyRequest, way: FaultyWay) -> Exchange:
+def _exchange(context: RequestContext, request: AnyRequest, faulty: FaultyConnection) -> Exchange:
     pdu = request.encode()
     is_broadcast = context.executed is not None
-    conversation = way.conversation
+    conversation = faulty.conversation
     return Exchange(
         conversation.contact,
         context.transaction,
         context.unit,
         pdu,
         request,
-        way.clock.now(),
+        faulty.clock.now(),
         adu=conversation.frame(context.transaction, context.unit, pdu),
         is_broadcast=is_broadcast,
     )

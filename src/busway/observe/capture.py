@@ -26,9 +26,9 @@ from typing import BinaryIO, Final
 from ..codes import BROADCAST_UNIT
 from ..framing.received import Damaged, Direction, Received
 from ..framing.rtu import encode_rtu
-from .ends import SocketAddresses
 from .headers import Node, line_pdu, tcp_packet, udp_packet
 from .pcapng import SECTION_HEADER, Flow, LinkType, PcapngWriter
+from .socket_addresses import SocketAddresses
 from .trace import TRACE
 from .wording import described, in_words
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from ..framing.mbap import FrameKind, MbapFrame, MbapReceiver
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
-from .ends import SocketAddresses, socket_addresses_of
+from .socket_addresses import SocketAddresses, socket_addresses_of
 
 if TYPE_CHECKING:
     from ..framing.received import Received

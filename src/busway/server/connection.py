@@ -53,7 +53,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         session: its conversation; None until it has a place, and after its end.
         peer, host: ``host:port`` of the client, and the host alone.
         role, subject: of its certificate; None and empty without one.
-        marked: whether it is a device that the priority pool is for: no limit of ours closes or slows it.
+        is_priority: whether it is a device that the priority pool is for: no limit of ours closes or slows it.
         pool: where it has its place.
         is_greedy: whether it asks for more than the share of a turn.
         opened, last_used: monotonic seconds.
@@ -80,8 +80,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         "charged",
         "host",
         "is_greedy",
+        "is_priority",
         "last_used",
-        "marked",
         "opened",
         "peer",
         "pool",
@@ -114,7 +114,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.peer = self.host = ""
         self.role = role
         self.subject = subject
-        self.marked = False
+        self.is_priority = False
         self.pool = Pool.OTHER
         self.is_greedy = False
         self.opened = self.last_used = 0.0
@@ -208,7 +208,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _must_wait(self, session: Session, nbytes: int) -> bool:
         """Where others wait: whether what came now has to wait as well. It does then."""
-        if self.marked or not (self.is_greedy or not self._turns.has_time):
+        if self.is_priority or not (self.is_greedy or not self._turns.has_time):
             return False
         session.put_off(self._buffer, nbytes)
         self._wait_for_turn()
@@ -340,7 +340,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     @property
     def is_idle(self) -> bool:
         """Whether a timeout may close it for not being used."""
-        return not (self.marked or self.is_busy or self.unfinished or self._management.is_held(self))
+        return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_held(self))
 
     @property
     def unfinished(self) -> int:
@@ -368,7 +368,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     def _limit_receiving(self) -> None:
         """Where its host has a rate, take no more at once than about a second of it: what has come is answered."""
         rates = self._management.rates
-        if rates is not None and not self.marked:
+        if rates is not None and not self.is_priority:
             self._is_rated = True
             self._window = self._window[: max(int(rates.rate) * _USUAL_REQUEST, _LONGEST_REQUEST)]
 

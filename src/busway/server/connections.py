@@ -54,7 +54,7 @@ class ConnectionManagement:
         turns: where connections wait that have more to do than one turn allows; None for its own, unshared.
 
     Attributes:
-        gate: where newcomers agree on TLS before they get here; None without TLS.
+        handshake_acceptor: where newcomers agree on TLS before they get here; None without TLS.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class ConnectionManagement:
         self._timer_at = 0.0
         self._emptied: asyncio.Event | None = None
         self._is_draining = False
-        self.gate: TlsHandshakeAcceptor | None = None
+        self.handshake_acceptor: TlsHandshakeAcceptor | None = None
 
     def __len__(self) -> int:
         return len(self._connections)
@@ -135,7 +135,7 @@ class ConnectionManagement:
     def admit(self, connection: ServerConnection) -> Session | None:
         """Give a newcomer a place, and its session; None where nobody can make room for it."""
         listener_context = self.listener_context
-        connection.marked = listener_context.is_priority(connection.host)
+        connection.is_priority = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)
         if not admission.accepted:
             self.counters.refused_full += 1
@@ -152,7 +152,7 @@ class ConnectionManagement:
         if admission.evicted is not None:
             admission.evicted.make_room()
         self._connections[connection] = None
-        listener_context.came(connection)
+        listener_context.connection_opened(connection)
         if self.parameters.idle_timeout is not None and self._timer is None:
             self._set_timer(time.monotonic())
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
@@ -179,7 +179,7 @@ class ConnectionManagement:
             self._stop_timer()
             if self._emptied is not None:
                 self._emptied.set()
-        self.listener_context.left(connection, session)
+        self.listener_context.connection_closed(connection, session)
         if error is not None:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
@@ -194,13 +194,13 @@ class ConnectionManagement:
         ended = [one for one in self._connections if not self.listener_context.may_stay(one)]
         for connection in ended:
             connection.abort()
-        return len(ended) + (0 if self.gate is None else self.gate.end_unauthorised())
+        return len(ended) + (0 if self.handshake_acceptor is None else self.handshake_acceptor.end_unauthorised())
 
     # Limits while they last.
 
     def watch_frame(self, connection: ServerConnection, *, begun_now: bool) -> None:
         """A connection holds a part of a frame; ``begun_now`` if it came whole out of the last segment."""
-        if connection.marked:
+        if connection.is_priority:
             return
         now = time.monotonic()
         self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
@@ -208,7 +208,7 @@ class ConnectionManagement:
     def stuck(self, connection: ServerConnection) -> None:
         """A client does not take its replies."""
         self.counters.reading_paused += 1
-        if not connection.marked:
+        if not connection.is_priority:
             now = time.monotonic()
             self._set_timer_by(self._deadlines.stuck(connection, now), now)
 
@@ -282,14 +282,14 @@ class ConnectionManagement:
     def status(self) -> list[ConnectionStatus]:
         """The connections, the oldest first."""
         now = time.monotonic()
-        return [self.listener_context.udp_peer_status(one, now) for one in self._connections]
+        return [self.listener_context.connected_peer_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
         """The listener itself."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         pools = [one.pool for one in self._connections]
-        security = self.gate.status() if self.gate is not None else None
+        security = self.handshake_acceptor.status() if self.handshake_acceptor is not None else None
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:

@@ -59,9 +59,9 @@ class ServerCounters:
     priority: ClassCounters = field(default_factory=ClassCounters)
     other: ClassCounters = field(default_factory=ClassCounters)
 
-    def of_class(self, *, marked: bool) -> ClassCounters:
+    def of_class(self, *, is_priority: bool) -> ClassCounters:
         """The counters of a class of devices."""
-        return self.priority if marked else self.other
+        return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
         """Count from here on, and not what is counted there."""

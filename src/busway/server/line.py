@@ -28,12 +28,12 @@ from ..transport.serial.connection import SerialConnection
 from ..transport.serial.opening import Claim
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.reopen import open_when_there
+from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .diagnosis import Diagnosis
 from .failures import answer_later, report_failures
 from .listener_settings import ListenerSettings
 from .status import ListenerStatus
-from .wires import ConnectionTap, Wire, stay
 
 _log = logging.getLogger("busway.server")
 
@@ -63,7 +63,7 @@ class SerialListener:
         *,
         counters: ServerCounters,
         changes_allowed: bool,
-        wires: ConnectionTap | None = None,
+        tap: ConnectionTap | None = None,
     ) -> None:
         assert settings.port is not None
         self.name = settings.endpoint.url
@@ -74,9 +74,9 @@ class SerialListener:
         self._settings = settings
         self._port = settings.port
         self._counters = counters
-        self._wires = wires
+        self._tap = tap
         framing = settings.line_framing(units, handler.functions, started=time.monotonic())
-        self._wire = Wire(
+        self._tapped = TappedConnection(
             self.name, self.name, settings.endpoint.framing, "serial", framing.send_gap, self.transmit, stay
         )
         self._session = SerialServerSession(
@@ -184,8 +184,8 @@ class SerialListener:
         self._connection = connection
         self.diagnosis.is_open = True
         self._overruns = Overruns(connection.counters)
-        if self._wires is not None:
-            self._wires.came(self._wire)
+        if self._tap is not None:
+            self._tap.connection_opened(self._tapped)
         _log.info("%s: open", self.name)
 
     def _reopen(self) -> None:
@@ -208,8 +208,8 @@ class SerialListener:
         self._reopen()
 
     def _ended(self) -> None:
-        if self._wires is not None and self.diagnosis.is_open:
-            self._wires.left(self._wire)
+        if self._tap is not None and self.diagnosis.is_open:
+            self._tap.connection_closed(self._tapped)
         self.diagnosis.is_open = False
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()

@@ -20,6 +20,7 @@ from ..session.parameters import Scope, ServerParameters
 from ..session.server import HandlerFailure, TcpServerSession, TransactionSlots
 from ..transport.interfaces import interfaces_with
 from .authorisation import Authorise, allow_all
+from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .diagnosis import Diagnosis
 from .failures import report_failures
@@ -28,7 +29,6 @@ from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .pools import Pool
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
-from .wires import ConnectionTap, Wire, stay
 
 if TYPE_CHECKING:
     from .secure import SecurityStatus
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.server")
 
 
-class UdpPeer(Protocol):
+class ConnectedPeer(Protocol):
     """A connection, or a peer over UDP, as its listener knows it.
 
     Attributes:
         peer: ``host:port``.
         host: the host alone.
         role, subject: of its certificate; None and empty without one.
-        marked: whether it is a device that the priority pool is for.
+        is_priority: whether it is a device that the priority pool is for.
         pool: where it has its place.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
@@ -53,7 +53,7 @@ class UdpPeer(Protocol):
     host: str
     role: str | None
     subject: str
-    marked: bool
+    is_priority: bool
     pool: Pool
     opened: float
     last_used: float
@@ -107,7 +107,7 @@ class ListenerContext:
         slots: TransactionSlots,
         units: Container[int] = (),
         authorise: Authorise = allow_all,
-        wires: ConnectionTap | None = None,
+        tap: ConnectionTap | None = None,
     ) -> None:
         self.loop = loop
         self.listener = settings.endpoint.url
@@ -129,8 +129,8 @@ class ListenerContext:
         self._server_slots = slots
         self._authorise = authorise
         self._repeats = Repeats()
-        self._wires = wires
-        self._wire_of: dict[UdpPeer, Wire] = {}
+        self._tap = tap
+        self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
     @property
     def framing(self) -> str:
@@ -146,19 +146,19 @@ class ListenerContext:
         self.say(logging.WARNING, host, sentence, peer_name(address))
         return False
 
-    def may_stay(self, udp_peer: UdpPeer) -> bool:
+    def may_stay(self, connected_peer: ConnectedPeer) -> bool:
         """Whether a guest may keep its place: address lists may have changed. A refusal is counted and logged."""
-        if self._authorise(udp_peer.host):
+        if self._authorise(connected_peer.host):
             return True
         self.counters.no_longer_authorised += 1
-        self.say(logging.WARNING, udp_peer.host, "%s: ended: it is no longer authorised", udp_peer.peer)
+        self.say(logging.WARNING, connected_peer.host, "%s: ended: it is no longer authorised", connected_peer.peer)
         return False
 
     def is_priority(self, host: str) -> bool:
         """Whether connections of a host belong to the priority pool."""
         return host in self.parameters.priority
 
-    def session_for(self, udp_peer: UdpPeer, *, share: int | None = None) -> Session:
+    def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
         """A conversation for a newcomer; ``share``: requests on TCP that one call of it works through."""
         if self.framing != "mbap":
             return FramedSession(
@@ -167,9 +167,9 @@ class ListenerContext:
                 self._units,
                 framing=self.settings.line_framing(self._units, self._handler.functions),
                 diagnostics=self.diagnostics,
-                deliver=udp_peer.deliver,
-                attend=udp_peer.attend,
-                peer=udp_peer.peer,
+                deliver=connected_peer.deliver,
+                attend=connected_peer.attend,
+                peer=connected_peer.peer,
                 listener=self.listener,
             )
         slots = self._server_slots
@@ -179,36 +179,38 @@ class ListenerContext:
             self._handler,
             diagnostics=self.diagnostics,
             slots=slots,
-            deliver=udp_peer.deliver,
-            deliver_together=udp_peer.deliver_together,
-            peer=udp_peer.peer,
+            deliver=connected_peer.deliver,
+            deliver_together=connected_peer.deliver_together,
+            peer=connected_peer.peer,
             listener=self.listener,
-            role=udp_peer.role,
+            role=connected_peer.role,
             share=share,
         )
 
     # What is counted.
 
-    def came(self, udp_peer: UdpPeer) -> None:
+    def connection_opened(self, connected_peer: ConnectedPeer) -> None:
         """A newcomer has a place."""
         self.counters.accepted += 1
-        self.counters.of_class(marked=udp_peer.marked).accepted += 1
-        if self._wires is not None:
+        self.counters.of_class(is_priority=connected_peer.is_priority).accepted += 1
+        if self._tap is not None:
             carrier = self.settings.endpoint.carrier
-            close = stay if carrier == "udp" else udp_peer.close
-            wire = Wire(self.listener, udp_peer.peer, self.framing, carrier, 0.0, udp_peer.deliver, close)
-            self._wire_of[udp_peer] = wire
-            self._wires.came(wire)
+            close = stay if carrier == "udp" else connected_peer.close
+            connection = TappedConnection(
+                self.listener, connected_peer.peer, self.framing, carrier, 0.0, connected_peer.deliver, close
+            )
+            self._tapped_connections[connected_peer] = connection
+            self._tap.connection_opened(connection)
 
-    def left(self, udp_peer: UdpPeer, session: Session) -> None:
+    def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
         """It has ended, and its conversation with it."""
         counters = self.counters
         counters.closed += 1
-        counters.of_class(marked=udp_peer.marked).closed += 1
-        add_living(counters, udp_peer, session)
-        wire = self._wire_of.pop(udp_peer, None)
-        if wire is not None and self._wires is not None:
-            self._wires.left(wire)
+        counters.of_class(is_priority=connected_peer.is_priority).closed += 1
+        add_living(counters, connected_peer, session)
+        connection = self._tapped_connections.pop(connected_peer, None)
+        if connection is not None and self._tap is not None:
+            self._tap.connection_closed(connection)
 
     def broken(self) -> None:
         """Something came that can not be followed, or did not end."""
@@ -229,20 +231,20 @@ class ListenerContext:
 
     # What is shown.
 
-    def udp_peer_status(self, udp_peer: UdpPeer, now: float) -> ConnectionStatus:
+    def connected_peer_status(self, connected_peer: ConnectedPeer, now: float) -> ConnectionStatus:
         """One connection or peer."""
-        session = udp_peer.session
+        session = connected_peer.session
         return ConnectionStatus(
-            peer=udp_peer.peer,
+            peer=connected_peer.peer,
             listener=self.listener,
-            state=udp_peer.state,
-            pool=udp_peer.pool,
-            role=udp_peer.role,
-            subject=udp_peer.subject,
-            age=now - udp_peer.opened,
-            idle=now - udp_peer.last_used,
-            received=udp_peer.received,
-            sent=udp_peer.sent,
+            state=connected_peer.state,
+            pool=connected_peer.pool,
+            role=connected_peer.role,
+            subject=connected_peer.subject,
+            age=now - connected_peer.opened,
+            idle=now - connected_peer.last_used,
+            received=connected_peer.received,
+            sent=connected_peer.sent,
             requests=session.requests if session else 0,
             waiting=session.waiting if session else 0,
         )
@@ -267,12 +269,12 @@ class ListenerContext:
         )
 
 
-def add_living(counters: ServerCounters, udp_peer: UdpPeer, session: Session) -> None:
+def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: Session) -> None:
     """Add what one conversation has counted so far."""
     counters.requests += session.requests
     counters.discarded_frames += session.discarded
     counters.refused_busy += session.refused_busy
-    of_class = counters.of_class(marked=udp_peer.marked)
+    of_class = counters.of_class(is_priority=connected_peer.is_priority)
     of_class.requests += session.requests
-    of_class.received += udp_peer.received
-    of_class.sent += udp_peer.sent
+    of_class.received += connected_peer.received
+    of_class.sent += connected_peer.sent

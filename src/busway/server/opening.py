@@ -18,6 +18,7 @@ from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, both
 from .connection import ServerConnection
+from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .line import SerialListener
@@ -28,7 +29,6 @@ from .pools import Pools
 from .tcp import TcpListener
 from .turns import Turns
 from .udp import UdpListener
-from .wires import ConnectionTap
 
 _log = logging.getLogger("busway.server")
 
@@ -45,9 +45,9 @@ class Opening:
         sockets: parameters of sockets.
         counters: what happens is counted here.
         authorise: who may connect.
-        wires: is told of the ways by which bytes leave.
+        tap: is told of the ways by which bytes leave.
         slots: of transactions, where the server has them as a whole.
-        places: that listeners share, where they do.
+        shared_pools: that listeners share, where they do.
         epoll_set: where all TCP connections wait together; None where the event loop can have none.
         turns: where they wait when they have more to do than one turn of the loop allows.
     """
@@ -59,15 +59,15 @@ class Opening:
     sockets: SocketParameters
     counters: ServerCounters
     authorise: Authorise
-    wires: ConnectionTap | None = None
+    tap: ConnectionTap | None = None
     slots: TransactionSlots = field(init=False)
-    places: Pools[ServerConnection] = field(init=False)
+    shared_pools: Pools[ServerConnection] = field(init=False)
     epoll_set: EpollSet | None = field(init=False)
     turns: Turns = field(init=False)
 
     def __post_init__(self) -> None:
         self.slots = TransactionSlots(self.parameters.max_transactions)
-        self.places = Pools(self.limits.pools)
+        self.shared_pools = Pools(self.limits.pools)
         self.epoll_set = epoll_set_for(self.loop)
         self.turns = Turns(self.loop)
 
@@ -76,7 +76,10 @@ class Opening:
         limits = settings.limits
         shares = limits.shared_places and limits is self.limits
         management = ConnectionManagement(
-            self._listener_context(settings), self.places if shares else Pools(limits.pools), self.sockets, self.turns
+            self._listener_context(settings),
+            self.shared_pools if shares else Pools(limits.pools),
+            self.sockets,
+            self.turns,
         )
         listener = TcpListener(management, settings, self.sockets, self.epoll_set)
         try:
@@ -104,7 +107,7 @@ class Opening:
             serial_units(self.handler, settings.endpoint),
             counters=self.counters,
             changes_allowed=self.parameters.diagnostics_changes is not False,
-            wires=self.wires,
+            tap=self.tap,
         )
         await line.open()
         return line
@@ -120,7 +123,7 @@ class Opening:
             slots=self.slots,
             units=() if endpoint.framing == "mbap" else serial_units(self.handler, endpoint),
             authorise=both(self.authorise, settings.access),
-            wires=self.wires,
+            tap=self.tap,
         )
 
 

@@ -40,14 +40,14 @@ class PoolMember(Protocol):
 
     Attributes:
         host: of the device at the other end.
-        marked: whether it is a device that the priority pool is for.
+        is_priority: whether it is a device that the priority pool is for.
         pool: set when it gets a place.
         last_used: seconds; never goes back. When it came, as long as it has said nothing.
         received: bytes so far.
     """
 
     host: str
-    marked: bool
+    is_priority: bool
     pool: Pool
     last_used: float
     received: int
@@ -115,21 +115,21 @@ class Pools(Generic[One]):
         """Places of a pool that are taken."""
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
-    def admit(self, newcomer: One) -> Admission[One]:
+    def admit(self, candidate: One) -> Admission[One]:
         """Give a newcomer a place, if need be somebody else's."""
-        if newcomer.marked and self._has_priority_place(newcomer.host):
-            self._prefer(newcomer)
+        if candidate.is_priority and self._has_priority_place(candidate.host):
+            self._prefer(candidate)
             return Admission(True)
-        evicted = self._of_same_device(newcomer)
+        evicted = self._of_same_device(candidate)
         if evicted is None and len(self._other) >= self.limits.other:
-            if newcomer.has_ended:
+            if candidate.has_ended:
                 return Admission(False)
-            evicted = self._silent_one(newcomer) or self._longest_unused() or self._marked_one(newcomer)
+            evicted = self._silent_one(candidate) or self._longest_unused() or self._oldest_priority(candidate)
             if evicted is None:
                 return Admission(False)
         if evicted is not None:
             self._remove(evicted)
-        self._take(newcomer)
+        self._take(candidate)
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
@@ -145,20 +145,20 @@ class Pools(Generic[One]):
 
     # Who goes.
 
-    def _of_same_device(self, newcomer: One) -> One | None:
+    def _of_same_device(self, candidate: One) -> One | None:
         """The oldest connection of a device that has all it may have."""
         limit = self.limits.per_device
-        if limit is None or newcomer.marked:
+        if limit is None or candidate.is_priority:
             return None
-        own = self._of_device.get(newcomer.host, {})
+        own = self._of_device.get(candidate.host, {})
         return next(iter(own)) if len(own) >= limit else None
 
-    def _silent_one(self, newcomer: One) -> One | None:
+    def _silent_one(self, candidate: One) -> One | None:
         """One that has never said anything, and is not going to or had time to."""
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:
                 del self._silent[member]
-            elif member.has_ended or newcomer.last_used - member.last_used >= SECONDS_TO_SPEAK:
+            elif member.has_ended or candidate.last_used - member.last_used >= SECONDS_TO_SPEAK:
                 return member
         return None
 
@@ -169,10 +169,10 @@ class Pools(Generic[One]):
             # Sorted once for many newcomers: what has not been used since then stands in its order still, and all
             # others have been used later. A storm of newcomers costs a step for each, not a look at everybody.
             self._by_use = deque(
-                sorted((member.last_used, number) for member, number in self._other.items() if not member.marked)
+                sorted((member.last_used, number) for member, number in self._other.items() if not member.is_priority)
             )
             found = self._first_idle()
-        return found or next((member for member in self._other if not member.marked), None)
+        return found or next((member for member in self._other if not member.is_priority), None)
 
     def _first_idle(self) -> One | None:
         busy: list[tuple[float, int]] = []
@@ -189,11 +189,11 @@ class Pools(Generic[One]):
         self._by_use.extendleft(reversed(busy))
         return found
 
-    def _marked_one(self, newcomer: One) -> One | None:
+    def _oldest_priority(self, candidate: One) -> One | None:
         """Rule 4; everybody in the other pool is marked."""
-        if not newcomer.marked:
+        if not candidate.is_priority:
             return None
-        own = (member for member in self._other if member.host == newcomer.host)
+        own = (member for member in self._other if member.host == candidate.host)
         return next(own, None) or next(iter(self._other))
 
     # Places.
@@ -212,7 +212,7 @@ class Pools(Generic[One]):
         self._other[member] = self._next_number
         self._numbered[self._next_number] = member
         self._next_number += 1
-        if not member.marked:
+        if not member.is_priority:
             self._of_device.setdefault(member.host, {})[member] = None
             self._silent[member] = None
 
@@ -220,7 +220,7 @@ class Pools(Generic[One]):
         del self._numbered[self._other.pop(member)]
         self._silent.pop(member, None)
         own = self._of_device.get(member.host)
-        if own is not None and not member.marked:
+        if own is not None and not member.is_priority:
             del own[member]
             if not own:
                 del self._of_device[member.host]
@@ -228,7 +228,7 @@ class Pools(Generic[One]):
     def _move_up(self) -> None:
         """A priority place is free: the oldest of those that wait for one gets it."""
         for member in self._other:
-            if member.marked and self._has_priority_place(member.host):
+            if member.is_priority and self._has_priority_place(member.host):
                 self._remove(member)
                 self._prefer(member)
                 return

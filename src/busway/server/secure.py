@@ -64,18 +64,18 @@ class SecurityStatus:
     without_role: int
 
 
-def gate(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":
+def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":
     """The gate of a listener; calling it gives the protocol of a newcomer.
 
     Raises:
         ConfigError: a file can not be used, or ``cryptography`` is missing.
     """
-    management.gate = made = TlsHandshakeAcceptor(management, parameters)
+    management.handshake_acceptor = made = TlsHandshakeAcceptor(management, parameters)
     return made
 
 
 class TlsHandshakeAcceptor:
-    """Lets clients of one listener in. Made by `gate`."""
+    """Lets clients of one listener in. Made by `handshake_acceptor`."""
 
     def __init__(self, management: "ConnectionManagement", parameters: TlsParameters) -> None:
         require_cryptography("a tls:// listener")
@@ -173,10 +173,10 @@ class TlsHandshakeAcceptor:
             transport.abort()
             return
         address = transport.get_extra_info("peername")
-        peer, marked = peer_name(address), management.listener_context.is_priority(host_of(address))
+        peer, is_priority = peer_name(address), management.listener_context.is_priority(host_of(address))
         limit = self._parameters.max_handshakes
         while len(self._waiting) >= limit:
-            oldest = next(iter(self._strangers), next(iter(self._waiting)) if marked else None)
+            oldest = next(iter(self._strangers), next(iter(self._waiting)) if is_priority else None)
             if oldest is None:
                 self._refuse(peer, TlsFailure(FailureKind.CROWDED_OUT, f"all {limit} handshakes are marked devices'"))
                 transport.abort()
@@ -197,7 +197,7 @@ class TlsHandshakeAcceptor:
             gone=self._gone,
         )
         self._waiting[layer] = peer
-        if not marked:
+        if not is_priority:
             self._strangers[layer] = None
         transport.set_protocol(layer)
         layer.connection_made(transport)
@@ -271,10 +271,10 @@ def _host_of(peer: str) -> str:
 class _PendingHandshake(asyncio.Protocol):
     """What a connection has until its TLS takes over, within the call that tells of it."""
 
-    def __init__(self, gate: TlsHandshakeAcceptor) -> None:
-        self._gate = gate
+    def __init__(self, handshake_acceptor: TlsHandshakeAcceptor) -> None:
+        self._acceptor = handshake_acceptor
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """It was accepted."""
         # Transports of uvloop are no subclass of asyncio.Transport.
-        self._gate.arrived(cast(asyncio.Transport, transport))
+        self._acceptor.arrived(cast(asyncio.Transport, transport))

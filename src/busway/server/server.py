@@ -20,6 +20,7 @@ from ..session.parameters import ServerParameters
 from ..transport.dialled import dialled_connections
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, allow_all
+from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .exposure import Guard, warn_of_exposure
@@ -33,7 +34,6 @@ from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
 from .udp import UdpListener
-from .wires import ConnectionTap
 
 if TYPE_CHECKING:
     from ..access.audit import AuditLog
@@ -62,7 +62,7 @@ class Server:
             the port was chosen, and where it can not be had, that is only said.
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.
-        wires: is told of every way by which bytes leave, and may send by them; for simulated devices that misbehave.
+        tap: is told of every way by which bytes leave, and may send by them; for simulated devices that misbehave.
 
     Attributes:
         authorise: as given; a change holds from the next start.
@@ -86,7 +86,7 @@ class Server:
         audit: "AuditLog | None" = None,
         standard_port: bool | None = None,
         local_connections: Callable[[], int] | None = None,
-        wires: ConnectionTap | None = None,
+        tap: ConnectionTap | None = None,
     ) -> None:
         self._limits = listener or ListenerParameters()
         wanted = [listener_settings(one, limits=self._limits, tls=tls) for one in as_listeners(endpoints)]
@@ -104,7 +104,7 @@ class Server:
         self._bound: list[str] = []
         self._started = 0.0
         self._local_connections = local_connections or dialled_connections
-        self._wires = wires
+        self._tap = tap
         self._guard: Guard | None = handler if isinstance(handler, Guard) else None
         self.counters = ServerCounters()
         if policy is not None or audit is not None:
@@ -132,15 +132,15 @@ class Server:
         if isinstance(self._handler, Guard):
             self._guard = self._handler
 
-    def use_tap(self, wires: ConnectionTap) -> None:
-        """Tell somebody of every way by which bytes leave, as ``wires`` does. Only while stopped.
+    def use_tap(self, tap: ConnectionTap) -> None:
+        """Tell somebody of every way by which bytes leave, as ``tap`` does. Only while stopped.
 
         Raises:
             ConfigError: it is running, and has ways already.
         """
         if self.is_running:
-            raise ConfigError("a running server has its ways already", key="wires")
-        self._wires = wires
+            raise ConfigError("a running server keeps its connection tap", key="tap")
+        self._tap = tap
 
     def replace_policy(self, policy: "Policy") -> None:
         """Let another policy hold, from the next request on.
@@ -160,12 +160,12 @@ class Server:
         Raises:
             ConfigError: a file can not be used, with its name; its listener stays as it was, the others have theirs.
         """
-        gates = [each.management.gate for each in self._streams]
+        handshake_acceptors = [each.management.handshake_acceptor for each in self._streams]
         failures: list[ConfigError] = []
-        for gate in gates:
+        for handshake_acceptor in handshake_acceptors:
             try:
-                if gate is not None:
-                    gate.reload()
+                if handshake_acceptor is not None:
+                    handshake_acceptor.reload()
             except ConfigError as error:
                 failures.append(error)
         if failures:
@@ -199,7 +199,7 @@ class Server:
             self._sockets,
             self.counters,
             self.authorise,
-            self._wires,
+            self._tap,
         )
         try:
             for settings in self._settings:

@@ -82,9 +82,9 @@ class TcpListener:
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)
-        from .secure import gate
+        from .secure import handshake_acceptor
 
-        return gate(management, self._settings.tls)
+        return handshake_acceptor(management, self._settings.tls)
 
     def _can_not_accept(self, error: OSError) -> None:
         """Somebody waits, and the system has nothing left for another connection."""
@@ -103,8 +103,8 @@ class TcpListener:
         for acceptor in self._acceptors:
             acceptor.close()
         self._acceptors.clear()
-        if self.management.gate is not None:
-            self.management.gate.close()
+        if self.management.handshake_acceptor is not None:
+            self.management.handshake_acceptor.close()
         self.management.listener_context.diagnosis.is_open = False
         self.management.close_all()
 

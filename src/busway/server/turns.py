@@ -25,11 +25,11 @@ class Waiting(Protocol):
     """A connection with work for another turn.
 
     Attributes:
-        marked: whether it is a priority host's.
+        is_priority: whether it is a priority host's.
         is_greedy: whether it has asked for more than one share.
     """
 
-    marked: bool
+    is_priority: bool
     is_greedy: bool
 
     def take_turn(self) -> bool:
@@ -74,7 +74,7 @@ class Turns:
             self._begin()
 
     def _row(self, one: Waiting) -> deque[Waiting]:
-        if one.marked:
+        if one.is_priority:
             return self._preferred
         return self._greedy if one.is_greedy else self._modest
 

@@ -19,8 +19,8 @@ import time
 from typing import Any, cast
 
 from ..framing.datagram import WHOLE
-from ..observe.ends import SocketAddresses
 from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.socket_addresses import SocketAddresses
 from ..observe.trace import TRACE
 from ..transport.tcp import SocketParameters
 from .counters import ServerCounters
@@ -95,7 +95,7 @@ class UdpListener:
     def status(self) -> list[ConnectionStatus]:
         """The peers, the one that came first first."""
         now = time.monotonic()
-        return [self.listener_context.udp_peer_status(peer, now) for peer in self._peers.values()]
+        return [self.listener_context.connected_peer_status(peer, now) for peer in self._peers.values()]
 
     def listener_status(self) -> ListenerStatus:
         """The listener itself."""
@@ -146,7 +146,7 @@ class UdpListener:
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
-        self.listener_context.left(peer, peer.session)
+        self.listener_context.connection_closed(peer, peer.session)
 
     def _admit(self, socket: "_Socket", address: Any) -> "_Peer | None":
         peer = _Peer(self.listener_context, socket, address)
@@ -160,7 +160,7 @@ class UdpListener:
             self.listener_context.counters.evicted += 1
             self.leave(admission.evicted)
         self._peers[socket, address] = peer
-        self.listener_context.came(peer)
+        self.listener_context.connection_opened(peer)
         return peer
 
     def _forget_unused(self) -> bool:
@@ -238,7 +238,7 @@ class _Socket(asyncio.DatagramProtocol):
 
 
 class _Peer:
-    """One sender and its conversation; its attributes as of `busway.server.listener_context.UdpPeer`."""
+    """One sender and its conversation; its attributes as of `busway.server.listener_context.ConnectedPeer`."""
 
     session: Session
 
@@ -248,7 +248,7 @@ class _Peer:
         self.peer, self.host = peer_name(address), host_of(address)
         self.role: str | None = None
         self.subject = ""
-        self.marked = listener_context.is_priority(self.host)
+        self.is_priority = listener_context.is_priority(self.host)
         self.pool = Pool.OTHER
         self.opened = self.last_used = time.monotonic()
         self.received = self.sent = 0

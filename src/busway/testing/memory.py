@@ -52,7 +52,7 @@ class MemoryTransport(asyncio.Transport):
         self._lost = False
         self._reading = True
         self._pair: MemoryPair | None = None
-        self.way: deque[tuple[float, bytes]] = deque()
+        self.in_transit: deque[tuple[float, bytes]] = deque()
         self.written: list[bytes] = []
 
     # What a protocol asks.
@@ -69,7 +69,7 @@ class MemoryTransport(asyncio.Transport):
             return
         size = passage.split or len(segment)
         for at in range(0, len(segment), size):
-            self.way.append((self._pair.now + passage.delay, segment[at : at + size]))
+            self.in_transit.append((self._pair.now + passage.delay, segment[at : at + size]))
         self._pair.something_left()
 
     def close(self) -> None:
@@ -81,7 +81,7 @@ class MemoryTransport(asyncio.Transport):
 
     def abort(self) -> None:
         """Close at once."""
-        self.way.clear()
+        self.in_transit.clear()
         self.close()
 
     def is_closing(self) -> bool:
@@ -107,7 +107,7 @@ class MemoryTransport(asyncio.Transport):
 
     def get_write_buffer_size(self) -> int:
         """Bytes on their way."""
-        return sum(len(data) for _, data in self.way)
+        return sum(len(data) for _, data in self.in_transit)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
         """Whom it serves."""
@@ -127,11 +127,11 @@ class MemoryTransport(asyncio.Transport):
 
     def due(self, now: float) -> bytes:
         """What arrives at the other end next; empty for nothing."""
-        if not self.way or self.way[0][0] > now:
+        if not self.in_transit or self.in_transit[0][0] > now:
             return b""
-        data = self.way.popleft()[1]
-        while self._passage.merge and self.way and self.way[0][0] <= now:
-            data += self.way.popleft()[1]
+        data = self.in_transit.popleft()[1]
+        while self._passage.merge and self.in_transit and self.in_transit[0][0] <= now:
+            data += self.in_transit.popleft()[1]
         return data
 
     def take(self, data: bytes) -> None:
@@ -160,7 +160,7 @@ class MemoryTransport(asyncio.Transport):
     @property
     def has_ended(self) -> bool:
         """Whether it is closed and nothing of it is on its way."""
-        return self._closing and not self.way
+        return self._closing and not self.in_transit
 
 
 class MemoryPair:

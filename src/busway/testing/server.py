@@ -80,12 +80,12 @@ class FaultyServer:
         self.faults = Faults(seed)
         for fault in _faults_of(personalities, options):
             self.faults.add(fault)
-        self._wires = FaultyTap(self.faults, clock, changed=self._change)
+        self._tap = FaultyTap(self.faults, clock, changed=self._change)
         handler = LocalHandler(units, unit_policy=policy, functions=functions)
         self._server = Server(
             [f"tcp://[{host}]:0" if ":" in host else f"tcp://{host}:0"],
-            FaultyHandler(handler, self.faults, self._wires, heard=self._heard),
-            wires=self._wires,
+            FaultyHandler(handler, self.faults, self._tap, heard=self._heard),
+            tap=self._tap,
             standard_port=False,
         )
 
@@ -130,12 +130,12 @@ class FaultyServer:
     @property
     def connections(self) -> int:
         """Connections that stand now."""
-        return len(self._wires)
+        return len(self._tap)
 
     @property
     def accepted(self) -> int:
         """Connections so far."""
-        return self._wires.accepted
+        return self._tap.accepted
 
     async def start(self) -> None:
         """Listen on a free port of ``host``."""
@@ -157,8 +157,8 @@ class FaultyServer:
         self.loop.call_soon_threadsafe(self._drop)
 
     def _drop(self) -> None:
-        for way in self._wires:
-            way.wire.close()
+        for faulty in self._tap:
+            faulty.connection.close()
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait in the server's own event loop until a condition about it holds. Raises `TimeoutError` after a while."""

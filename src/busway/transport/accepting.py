@@ -18,7 +18,7 @@ from typing import Final, Protocol
 from .epoll.stream import EpollStream
 from .epoll.watcher import READABLE, EpollSet
 
-NEWCOMERS_OF_A_TURN: Final = 64
+ACCEPTED_PER_TURN: Final = 64
 PAUSE_SECONDS: Final = 1.0
 """Until somebody may have given back what was missing; as asyncio waits."""
 
@@ -86,7 +86,7 @@ class EpollAcceptor:
 
     def ready(self, events: int) -> None:
         """Somebody waits."""
-        for _ in range(NEWCOMERS_OF_A_TURN):
+        for _ in range(ACCEPTED_PER_TURN):
             if not (self._is_watched and self._accept()):
                 return
 

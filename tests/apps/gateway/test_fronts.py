@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from faulty_line import faulty_line, value
-from handlers import ScriptedHandler, TlsHandshakeAcceptor
+from handlers import HeldReplies, ScriptedHandler
 from handles import open_handles
 from waiting import until
 
@@ -296,7 +296,7 @@ async def test_foreign_traffic_reaches_no_line_and_disturbs_nobody(junk: bytes) 
 
 async def test_two_requests_on_a_serial_front_the_first_is_given_up_by_its_master() -> None:
     """A master that speaks again has given up; the late answer to its first request is not sent any more."""
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     async with contextlib.AsyncExitStack() as stack:
         server = await stack.enter_async_context(busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)))
         lines = {"line": server.endpoints[0]}

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from dataclasses import replace
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor
+from handlers import HeldReplies, ScriptedHandler
 from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
@@ -225,7 +225,7 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
 
 
 async def test_identical_reads_in_flight_are_asked_once() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5)
         async with Gateway(made) as gateway, contextlib.AsyncExitStack() as stack:
@@ -256,7 +256,7 @@ async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_wri
 
 
 async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, handler=handler) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False)
@@ -275,7 +275,7 @@ async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> No
 
 
 async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         gateway = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5))
         await gateway.start()
@@ -295,7 +295,7 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
 
 @pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "rtu+tcp"])
 async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, handler=handler) as server:
         gateway = Gateway(simple_plan([f"{scheme}://127.0.0.1:0"], server.endpoints[0], timeout=5, share_reads=False))
@@ -320,7 +320,7 @@ async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) ->
 
 @pytest.mark.real_time
 async def test_draining_takes_nothing_new_from_a_serial_front() -> None:
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     with PacedLine(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]

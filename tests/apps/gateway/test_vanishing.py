@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from handlers import ScriptedHandler, TlsHandshakeAcceptor
+from handlers import HeldReplies, ScriptedHandler
 from handles import open_handles
 from scripted_peer import ScriptedPeer
 from waiting import until
@@ -178,7 +178,7 @@ async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None
 @pytest.mark.parametrize("cache", [None, 60.0])
 async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | None) -> None:
     before = open_handles()
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         route = Route(line="line", cache=cache, max_registers=3)
         async with gateway(server.endpoints[0], route=route, timeout=5, queue=1000) as made:
@@ -303,7 +303,7 @@ async def test_a_write_whose_connection_is_lost_is_0b_and_one_that_waited_is_0a(
 
 async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> None:
     before = open_handles()
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
         made = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False))
         await made.start()

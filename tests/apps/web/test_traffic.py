@@ -9,7 +9,7 @@ from busway.errors import ConfigError
 from busway.framing.mbap import encode_mbap
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.observe.capture import Capture
-from busway.observe.ends import SocketAddresses
+from busway.observe.socket_addresses import SocketAddresses
 from busway.observe.trace import TRACE
 
 ENDS = SocketAddresses(("127.0.0.1", 5020), ("10.0.0.7", 40_000))

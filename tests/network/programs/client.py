@@ -61,13 +61,13 @@ async def run_asyncio(endpoint: str, options: dict[str, Any]) -> None:
             print(json.dumps(outcome(began, link, result)), flush=True)
 
 
-def main(skin: str, endpoint: str, options: dict[str, Any]) -> None:
+def main(via: str, endpoint: str, options: dict[str, Any]) -> None:
     """Ask until the input ends."""
     run: dict[str, Callable[[], None]] = {
         "blocking": lambda: run_blocking(endpoint, options),
         "asyncio": lambda: asyncio.run(run_asyncio(endpoint, options)),
     }
-    run[skin]()
+    run[via]()
 
 
 main(sys.argv[1], sys.argv[2], json.loads(sys.argv[3]))

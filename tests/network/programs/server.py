@@ -21,7 +21,7 @@ from busway.session.handler import Outcome
 SLOW = 1000
 
 
-class TlsHandshakeAcceptor:
+class HeldReplies:
     """A device whose upper half answers when it is told to."""
 
     functions = busway.STANDARD
@@ -76,7 +76,7 @@ async def until(server: busway.Server, asked: dict[str, Any]) -> dict[str, Any]:
 
 async def main(endpoint: str, options: dict[str, Any]) -> None:
     """Serve until the input ends."""
-    gate = TlsHandshakeAcceptor()
+    gate = HeldReplies()
     loop = asyncio.get_running_loop()
     async with busway.serve(endpoint, handler=gate, **options) as server:
         print("ready", flush=True)

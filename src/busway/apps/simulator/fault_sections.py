@@ -11,10 +11,10 @@ from ...config.files.faults import FaultSection, parse_fault_words
 from ...config.files.lines import Path
 from ...config.files.schema import Source
 from ...errors import ConfigError
-from ...faults.board import FaultBoard
 from ...faults.fault import Schedule
 from ...faults.profile import FaultProfile, FaultyTable
 from ...faults.profiles import FAULT_PROFILES
+from ...faults.switchboard import FaultSwitchboard
 
 
 def fault_problems(
@@ -54,7 +54,7 @@ def _section_problems(section: FaultSection, personalities: FaultyTable) -> Iter
             yield ("parameters", name), error.message
 
 
-def put_on(board: FaultBoard, sections: Iterable[FaultSection]) -> list[str]:
+def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
     """Put the faults of sections on a board.
 
     Returns:
@@ -75,7 +75,7 @@ def put_on(board: FaultBoard, sections: Iterable[FaultSection]) -> list[str]:
     return made
 
 
-def _put_on(board: FaultBoard, section: FaultSection, name: str) -> str:
+def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
     schedule = section.schedule
     return board.add(
         section.personality,
@@ -90,7 +90,7 @@ def _put_on(board: FaultBoard, section: FaultSection, name: str) -> str:
     )
 
 
-def put_on_by_words(board: FaultBoard, text: str) -> str:
+def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
     """What ``--fault`` asks for: the fault of that name is switched on, or a personality put on with its parameters.
 
     Args:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 from ...access.rules import AccessRules, Policy
 from ...config.files.simulation import SimulationFile
 from ...errors import ConfigError, InvalidRequest, ModbusError
-from ...faults.board import FaultBoard
+from ...faults.switchboard import FaultSwitchboard
 from ...server.listener import Listener
 from ...session.handler import Handler
 from ...values.refusal import shown
@@ -116,7 +116,7 @@ class Simulation:
         wired = wire(self.declaration.units, self.seed)
         self.units: Mapping[int, SimulatedUnit] = MappingProxyType(wired.units)
         self.points: Mapping[str, SimulatedPoint] = MappingProxyType(wired.points)
-        self.board = FaultBoard(seed=self.seed, clock=clock)
+        self.board = FaultSwitchboard(seed=self.seed, clock=clock)
         put_on(self.board, self.declaration.file.fault)
         self.warnings: list[str] = []
         self._watchers: tuple[Watcher, ...] = ()

@@ -94,7 +94,7 @@ Watcher = Callable[[Sequence[Any]], None]  # Any: `PointChange`
 
 
 class Board(Protocol):
-    """Faults by name; `busway.faults.board.FaultBoard` says what each of these does."""
+    """Faults by name; `busway.faults.switchboard.FaultSwitchboard` says what each of these does."""
 
     @property
     def personalities(self) -> FaultyTable: ...

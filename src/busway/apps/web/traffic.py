@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ...errors import ConfigError
 from ...framing.mbap import FrameKind, MbapReceiver
 from ...framing.received import Damaged, Direction, Received
-from ...observe.ends import SocketAddresses
+from ...observe.socket_addresses import SocketAddresses
 from ...observe.trace import TRACE
 from ...observe.wording import described, in_words
 from ...pdu.functions import STANDARD, FunctionTable

@@ -79,7 +79,7 @@ _LINK_COUNTERS: Final = (
     ("failures", "failures", "Requests without a good reply, and connections that were lost."),
     ("connections", "connections", "Connections that there were."),
 )
-_LAMP_STATES: Final = ("off", "on", "flashing")
+_INDICATOR_STATES: Final = ("off", "on", "flashing")
 
 
 class ServerCollector(Collector):
@@ -111,7 +111,7 @@ class ServerCollector(Collector):
             yield from connection_families(getattr(status, "connections", ()))
             yield from listener_families(getattr(status, "listeners", ()))
             yield from security_families(getattr(status, "listeners", ()))
-            yield from front_families(getattr(status, "fronts", ()))
+            yield from gateway_listener_families(getattr(status, "fronts", ()))
             yield from line_families(getattr(status, "lines", ()))
         if self._tally is not None:
             yield from request_families(self._tally)
@@ -223,7 +223,7 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
     for one in listeners:
         for lamp in fields(one.lamps):
             shown = getattr(one.lamps, lamp.name).value
-            lamps.add_metric((one.endpoint, lamp.name), {state: state == shown for state in _LAMP_STATES})
+            lamps.add_metric((one.endpoint, lamp.name), {state: state == shown for state in _INDICATOR_STATES})
         is_open.add_metric((one.endpoint,), one.is_open)
         muted.add_metric((one.endpoint,), one.listen_only)
         for name, count in (*_numbers(one), *_numbers(one.counters)):
@@ -259,7 +259,7 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
     yield from (expiry, handshakes, reloads)
 
 
-def front_families(fronts: Iterable[Any]) -> Iterator[Family]:
+def gateway_listener_families(fronts: Iterable[Any]) -> Iterator[Family]:
     """The fronts of a gateway: what became of requests that no line has seen."""
     yield from _counters_of("front", fronts, "Requests at the front")
 

@@ -7,12 +7,12 @@ import pytest
 from busway import ConfigError
 from busway.apps.simulator.fault_sections import personality_lines, put_on, put_on_by_words
 from busway.config.files.faults import FaultSection
-from busway.faults.board import FaultBoard
+from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Schedule
 
 
 def test_fault_has_a_name_a_switch_and_a_count() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     assert board.add("late", parameters={"delay": 2}) == "late"
     assert board.add("late", units={3}, on=False) == "late-2"
     assert board.add("busy", name="monday", schedule=Schedule(times=1)) == "monday"
@@ -28,7 +28,7 @@ def test_fault_has_a_name_a_switch_and_a_count() -> None:
 
 
 def test_fault_is_switched_and_removed_by_its_name() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("late")
     board.switch("late", on=False)
     assert not board.status("late").is_on
@@ -40,7 +40,7 @@ def test_fault_is_switched_and_removed_by_its_name() -> None:
 
 @pytest.mark.parametrize("ask", ["switch", "remove", "status"])
 def test_unknown_name_lists_those_there_are(ask: str) -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("late")
     board.add("busy")
     with pytest.raises(ConfigError, match="there is no fault 'lat'; there are: late, busy"):
@@ -48,7 +48,7 @@ def test_unknown_name_lists_those_there_are(ask: str) -> None:
 
 
 def test_what_can_not_be_put_on_is_refused_with_its_key_and_nothing_changes() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("late", name="x")
     for options, key in (
         ({"personality": "lazy"}, "lazy"),
@@ -64,7 +64,7 @@ def test_what_can_not_be_put_on_is_refused_with_its_key_and_nothing_changes() ->
 
 
 def test_whoever_watches_is_told_of_every_change_until_he_has_enough() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     seen: list[list[tuple[str, bool]]] = []
     stop = board.watch(lambda: seen.append([(one.name, one.is_on) for one in board]))
     board.add("late")
@@ -77,7 +77,7 @@ def test_whoever_watches_is_told_of_every_change_until_he_has_enough() -> None:
 
 
 def test_board_is_changed_from_many_threads_at_once() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
 
     def work(number: int) -> None:
         for turn in range(20):
@@ -96,7 +96,7 @@ def test_board_is_changed_from_many_threads_at_once() -> None:
 
 
 def test_sections_get_their_names_first_and_others_what_is_left() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     sections = [
         FaultSection(personality="late"),
         FaultSection(personality="busy", name="late", on=False),
@@ -109,7 +109,7 @@ def test_sections_get_their_names_first_and_others_what_is_left() -> None:
 
 
 def test_words_switch_a_fault_of_that_name_on_or_put_a_personality_on() -> None:
-    board = FaultBoard()
+    board = FaultSwitchboard()
     board.add("busy", name="slow meters", on=False)
     assert put_on_by_words(board, "slow meters") == "slow meters"
     assert board.status("slow meters").is_on

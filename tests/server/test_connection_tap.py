@@ -9,7 +9,7 @@ from waiting import until
 import busway
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
-from busway.server.wires import Wire
+from busway.server.connection_tap import TappedConnection
 from busway.testing.line import PacedLine
 
 READ = bytes.fromhex("03 0000 0001")
@@ -20,15 +20,15 @@ class Told:
     """Keeps the wires that are there."""
 
     def __init__(self) -> None:
-        self.wires: list[Wire] = []
-        self.gone: list[Wire] = []
+        self.open_connections: list[TappedConnection] = []
+        self.gone: list[TappedConnection] = []
 
-    def came(self, wire: Wire) -> None:
-        self.wires.append(wire)
+    def connection_opened(self, connection: TappedConnection) -> None:
+        self.open_connections.append(connection)
 
-    def left(self, wire: Wire) -> None:
-        self.wires.remove(wire)
-        self.gone.append(wire)
+    def connection_closed(self, connection: TappedConnection) -> None:
+        self.open_connections.remove(connection)
+        self.gone.append(connection)
 
 
 async def _connected(server: busway.Server) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -44,17 +44,17 @@ async def test_connection_is_a_wire_that_sends_bytes_as_they_are_and_closes_behi
     server.use_tap(told)
     async with server:
         reader, writer = await _connected(server)
-        await until(lambda: len(told.wires) == 1)
-        (wire,) = told.wires
+        await until(lambda: len(told.open_connections) == 1)
+        (connection,) = told.open_connections
         host, port = writer.get_extra_info("sockname")[:2]
-        assert (wire.peer, wire.listener) == (f"{host}:{port}", server.endpoints[0])
-        assert (wire.framing, wire.carrier, wire.gap) == (framing, "tcp", 0.0)
-        wire.send(b"what")
-        wire.send(b"ever")
-        asyncio.get_running_loop().call_soon(wire.close)
+        assert (connection.peer, connection.listener) == (f"{host}:{port}", server.endpoints[0])
+        assert (connection.framing, connection.carrier, connection.gap) == (framing, "tcp", 0.0)
+        connection.send(b"what")
+        connection.send(b"ever")
+        asyncio.get_running_loop().call_soon(connection.close)
         assert await asyncio.wait_for(reader.read(), 5) == b"whatever"
-        await until(lambda: told.gone == [wire])
-        wire.send(b"nobody is there any more")
+        await until(lambda: told.gone == [connection])
+        connection.send(b"nobody is there any more")
         writer.close()
         await writer.wait_closed()
 
@@ -65,12 +65,12 @@ async def test_two_connections_are_two_wires() -> None:
     server.use_tap(told)
     async with server:
         ends = [await _connected(server) for _ in range(2)]
-        await until(lambda: len(told.wires) == 2)
-        assert told.wires[0].peer != told.wires[1].peer
+        await until(lambda: len(told.open_connections) == 2)
+        assert told.open_connections[0].peer != told.open_connections[1].peer
         for _, writer in ends:
             writer.close()
             await writer.wait_closed()
-        await until(lambda: told.wires == [])
+        await until(lambda: told.open_connections == [])
     assert len(told.gone) == 2
 
 
@@ -80,12 +80,12 @@ async def test_peer_over_udp_is_a_wire_that_can_not_be_closed() -> None:
     server.use_tap(told)
     async with server, busway.open(server.endpoints[0]) as link:
         await link.unit(1).read_holding_registers(0, count=1)
-        (wire,) = told.wires
-        assert (wire.framing, wire.carrier) == ("mbap", "udp")
-        wire.close()
+        (connection,) = told.open_connections
+        assert (connection.framing, connection.carrier) == ("mbap", "udp")
+        connection.close()
         await link.unit(1).read_holding_registers(0, count=1)
-        assert told.wires == [wire]
-    assert told.wires == []
+        assert told.open_connections == [connection]
+    assert told.open_connections == []
 
 
 @pytest.mark.real_time
@@ -95,21 +95,21 @@ async def test_open_port_is_a_wire_as_long_as_it_is_open() -> None:
         server = busway.serve(f"rtu://{line.paths[1]}?baud=115200", units={1: busway.Device(holding_registers=1)})
         server.use_tap(told)
         async with server:
-            (wire,) = told.wires
-            assert (wire.framing, wire.carrier) == ("rtu", "serial")
-            assert wire.listener == wire.peer == server.endpoints[0]
-            assert wire.gap == pytest.approx(0.00175)
-            wire.send(b"\x00\xff")
+            (connection,) = told.open_connections
+            assert (connection.framing, connection.carrier) == ("rtu", "serial")
+            assert connection.listener == connection.peer == server.endpoints[0]
+            assert connection.gap == pytest.approx(0.00175)
+            connection.send(b"\x00\xff")
             await until(lambda: b"".join(talk.data for talk in line.transmissions() if talk.port == 1) == b"\x00\xff")
-            await asyncio.sleep(3 * wire.gap)  # the silence that a master keeps before it asks
+            await asyncio.sleep(3 * connection.gap)  # the silence that a master keeps before it asks
             line.inject(encode_rtu(1, READ))
             await until(lambda: encode_rtu(1, REPLY) in b"".join(one.data for one in line.transmissions()))
             spoken = b"".join(talk.data for talk in line.transmissions() if talk.port == 1)
             assert spoken == b"\x00\xff" + encode_rtu(1, REPLY)
             line.unplug(1)
-            await until(lambda: told.gone == [wire])
-            wire.send(b"the port is not there")
-        assert told.gone == [wire]
+            await until(lambda: told.gone == [connection])
+            connection.send(b"the port is not there")
+        assert told.gone == [connection]
 
 
 async def test_server_that_nobody_wants_the_wires_of_makes_none() -> None:
@@ -117,7 +117,7 @@ async def test_server_that_nobody_wants_the_wires_of_makes_none() -> None:
         reader, writer = await _connected(server)
         writer.write(encode_mbap(1, 1, READ))
         assert await asyncio.wait_for(reader.readexactly(11), 5) == encode_mbap(1, 1, REPLY)
-        with pytest.raises(busway.ConfigError, match="a running server has its ways already"):
+        with pytest.raises(busway.ConfigError, match="a running server keeps its connection tap"):
             server.use_tap(Told())
         writer.close()
         await writer.wait_closed()

@@ -1,7 +1,7 @@
-"""The blocking and the asyncio client behind one face, so that a test is written once and holds for both.
+"""The blocking and the asyncio client with one interface, so that a test is written once and run with both.
 
-An asyncio link lives in a loop that runs only while something is asked: whatever arrives between two calls waits in the
-socket, as it does for a program that is busy.
+The event loop of an asyncio link runs only during a call: what arrives between two calls waits in the socket, as in a
+busy program.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from typing import Any
 import busway
 
 
-class Skin:
+class ClientKind:
     """How links of one kind are opened and asked. ``name`` is ``blocking`` or ``asyncio``."""
 
     name = ""
@@ -87,7 +87,7 @@ class AnyUnit:
         return lambda *arguments, **options: self._link.call(method, *arguments, **options)
 
 
-class BlockingSkin(Skin):
+class BlockingKind(ClientKind):
     """`busway.connect`."""
 
     name = "blocking"
@@ -98,7 +98,7 @@ class BlockingSkin(Skin):
             yield AnyLink(link)
 
 
-class AsyncioSkin(Skin):
+class AsyncioKind(ClientKind):
     """`busway.open`."""
 
     name = "asyncio"
@@ -117,4 +117,4 @@ class AsyncioSkin(Skin):
                 runner.run(link.close())
 
 
-SKINS = (BlockingSkin(), AsyncioSkin())
+CLIENT_KINDS = (BlockingKind(), AsyncioKind())

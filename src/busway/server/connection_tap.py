@@ -13,7 +13,7 @@ from typing import Protocol
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
-class Wire:
+class TappedConnection:
     """One way: a connection, a peer over UDP, or an open serial port.
 
     Attributes:
@@ -37,12 +37,12 @@ class Wire:
 class ConnectionTap(Protocol):
     """Is told of every way; in the thread of the server's event loop."""
 
-    def came(self, wire: Wire) -> None:
+    def connection_opened(self, connection: TappedConnection) -> None:
         """A connection has a place, a peer was heard for the first time, or a port was opened."""
 
-    def left(self, wire: Wire) -> None:
+    def connection_closed(self, connection: TappedConnection) -> None:
         """It is there no more."""
 
 
 def stay() -> None:
-    """What `Wire.close` does where no connection is."""
+    """What `TappedConnection.close` does where no connection is."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from busway.observe.ends import SocketAddresses, socket_addresses_of
+from busway.observe.socket_addresses import SocketAddresses, socket_addresses_of
 
 
 @pytest.fixture

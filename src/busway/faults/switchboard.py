@@ -4,7 +4,7 @@ Knows personalities, names and the server's side of faults; knows no file and no
 
 ::
 
-    board = FaultBoard(seed=7)
+    board = FaultSwitchboard(seed=7)
     board.add("late", units={3}, parameters={"delay": 2.0})
     board.attach(server)
     board.switch("late", on=False)
@@ -51,7 +51,7 @@ class FaultStatus:
     selection: Selection
 
 
-class FaultBoard:
+class FaultSwitchboard:
     """The faults of one server.
 
     Args:
@@ -61,7 +61,7 @@ class FaultBoard:
 
     Attributes:
         faults: the faults themselves.
-        wires: to be given to the server.
+        tap: to be given to the server.
         personalities: as given.
     """
 
@@ -69,17 +69,17 @@ class FaultBoard:
         self, *, seed: int = 0, clock: Clock | None = None, personalities: FaultyTable = FAULT_PROFILES
     ) -> None:
         self.faults = Faults(seed)
-        self.wires = FaultyTap(self.faults, clock)
+        self.tap = FaultyTap(self.faults, clock)
         self.personalities = personalities
 
     def attach(self, server: Server) -> None:
         """Let a server play the faults, on all its listeners. Raises `ConfigError` while it is running."""
         server.wrap_handler(self.around)
-        server.use_tap(self.wires)
+        server.use_tap(self.tap)
 
     def around(self, handler: Handler) -> FaultyHandler:
-        """A handler that plays the faults on what ``handler`` answers; its server needs ``wires`` too."""
-        return FaultyHandler(handler, self.faults, self.wires)
+        """A handler that plays the faults on what ``handler`` answers; its server needs ``tap`` too."""
+        return FaultyHandler(handler, self.faults, self.tap)
 
     def add(
         self,
