@@ -3,24 +3,24 @@
 ::
 
     ModbusError
-    ├─ InvalidRequest (ValueError)      yours; nothing was sent
+    ├─ InvalidRequest (ValueError)      the caller's mistake; nothing was sent
     ├─ ExceptionReply                   the device refused, or took it for later (05)
     ├─ BadReply                         the peer broke the protocol
     ├─ NoAnswer                         one of those below: the device has not answered
     │  ├─ NoReply (TimeoutError)        nothing | partial | late
     │  │  └─ UnitSuspended              not asked: the unit's breaker is open
     │  ├─ WriteOutcomeUnknown           a write left this host and no answer came
-    │  └─ LinkDown (ConnectionError)    the connection could not be had, or ended
+    │  └─ LinkDown (ConnectionError)    the connection could not be opened, or ended
     │     └─ LinkClosed                 the program itself has closed the link
     ├─ Overloaded                       the queue was full; nothing was sent
-    └─ ConfigError (ValueError)         a setting, URL or file that can not be
-       └─ MissingExtra (ImportError)    a package that this needs is not installed
+    └─ ConfigError (ValueError)         a setting, URL or file is invalid
+       └─ MissingExtra (ImportError)    a required package is not installed
 
 Rules:
 
 1. Each error carries where and what as fields (`Where`); ``str()`` is one sentence for an operator.
 2. An error ends one request. What must be counted and survived is an event, not an error.
-3. Whoever raises knows only a part; the drivers complete the rest with `ModbusError.at`.
+3. The code that raises fills in the fields it knows; the drivers complete the rest with `ModbusError.at`.
 """
 
 from typing import Self
@@ -36,7 +36,7 @@ class ModbusError(Exception):
         unit: unit identifier, 0…255.
         function: function code of the request, 1…127.
         address: first item that the request names, 0-based.
-        attempt: which attempt ended so, from 1.
+        attempt: number of the attempt that ended with this error, from 1.
         elapsed: seconds from the call to the error.
         raw: bytes that were received and could not be used; empty if none.
     """
@@ -73,7 +73,7 @@ class ModbusError(Exception):
         attempt: int | None = None,
         elapsed: float | None = None,
     ) -> Self:
-        """Fill in the fields that are still unknown; gives the error itself."""
+        """Fill in the fields that are still unknown, and return the error itself."""
         self.endpoint = endpoint if self.endpoint is None else self.endpoint
         self.unit = unit if self.unit is None else self.unit
         self.function = function if self.function is None else self.function
@@ -109,7 +109,7 @@ class ModbusError(Exception):
 
 
 class InvalidRequest(ModbusError, ValueError):
-    """The request can not be built: a quantity, address, value or unit is out of range. Nothing was sent."""
+    """The request is invalid: a quantity, address, value or unit is out of range. Nothing was sent."""
 
 
 class ExceptionReply(ModbusError):
@@ -188,13 +188,13 @@ class BadReply(ModbusError):
 
 
 class NoAnswer(ModbusError):
-    """The device has not answered: silence, no connection, or a write whose outcome is not known.
+    """Base of the errors for a device that has not answered: silence, no connection, or an unknown write outcome.
 
-    The one class to catch where it does not matter which; never raised itself. A device that refuses or breaks the
-    protocol has answered (`ExceptionReply`, `BadReply`), and what was never sent for a reason of this program's own
-    (`InvalidRequest`, `Overloaded`, `ConfigError`) is none of it.
+    Catch it where the difference does not matter; it is never raised itself. It does not cover a device that refused or
+    broke the protocol, which is an answer (`ExceptionReply`, `BadReply`), nor requests that were never sent for a
+    reason in this program (`InvalidRequest`, `Overloaded`, `ConfigError`).
 
-    Whoever repeats a call on it repeats writes too: catch `WriteOutcomeUnknown` before.
+    Code that repeats a call on this error repeats writes too: catch `WriteOutcomeUnknown` first.
     """
 
 
@@ -263,7 +263,7 @@ class Overloaded(ModbusError):
 
 
 class WriteOutcomeUnknown(NoAnswer):
-    """A write left this host and no valid answer came: it may have been executed or not. Never repeated by itself.
+    """A write left this host and no valid answer came: it may have been executed or not. Not repeated automatically.
 
     ``__cause__`` holds what happened (`NoReply`, `LinkDown`, `BadReply`, or `ExceptionReply` 0B of a gateway).
     """
@@ -303,11 +303,11 @@ class LinkDown(NoAnswer, ConnectionError):
 
 
 class LinkClosed(LinkDown):
-    """The program has closed the link that it uses. Nothing was sent, and no attempt would help: open another link."""
+    """The program closed this link before the call. Nothing was sent; retrying does not help: open another link."""
 
 
 class ConfigError(ModbusError, ValueError):
-    """A setting, URL or file that can not be.
+    """A setting, URL or configuration file is invalid.
 
     Attributes:
         file: path of the file, if one is at fault.
@@ -332,7 +332,7 @@ class ConfigError(ModbusError, ValueError):
 
 
 class MissingExtra(ConfigError, ImportError):
-    """A package that this needs is not installed; the sentence ends with the command that installs it.
+    """A required package is not installed; the message ends with the command that installs it.
 
     Attributes:
         package: the package that is missing.

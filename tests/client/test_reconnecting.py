@@ -130,7 +130,7 @@ def test_a_silent_peer_is_told_as_suspect_and_recycled_and_each_of_that_once(via
     assert told == [
         "info up: connected",
         "info suspect: no reply in time",
-        "info down: made anew after 3 timeouts in a row",
+        "info down: reconnecting after 3 timeouts in a row",
         "info up: connected",
         "info down: the link was closed",
     ]

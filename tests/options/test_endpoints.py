@@ -114,7 +114,7 @@ def test_an_endpoint_is_given_back_as_it_is() -> None:
         ("rtu://", "rtu://: the path of the serial port is missing, as in rtu:///dev/ttyUSB0"),
         ("rtu+tcp://host", "rtu+tcp://host: the port is missing; rtu+tcp has no usual one"),
         ("tcp://host?timeout", "tcp://host?timeout: the options behind ? are name=value pairs joined by &"),
-        ("tcp://host?a-b=1&a_b=2", "the option a_b stands twice"),
+        ("tcp://host?a-b=1&a_b=2", "the option a_b is given twice"),
     ],
 )
 def test_what_is_no_endpoint_is_said_with_the_url_and_the_reason(url: object, sentence: str) -> None:

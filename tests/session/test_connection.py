@@ -158,7 +158,7 @@ def test_connection_that_was_made_anew_by_us_lets_what_waits_wait_however_often(
     for _ in range(3):
         link.up(now)
         link.session.recycle = "3 timeouts in a row"
-        link.life.lost(now, "made anew after 3 timeouts in a row")
+        link.life.lost(now, "reconnecting after 3 timeouts in a row")
         assert outcome(read) is None
         assert link.life.failure is None
         now += 5 * PAUSE

@@ -65,7 +65,7 @@ def test_one_bit_is_the_same_as_that_of_all_sixteen(raw: bytes, bit: int, order:
 def test_writing_one_bit_is_refused_with_the_mask_write_that_does_it(
     name: str, order: str, and_mask: str, or_mask: str
 ) -> None:
-    with pytest.raises(InvalidRequest, match=rf"{name} can not be written.*mask write .*0x{and_mask}.*0x{or_mask}"):
+    with pytest.raises(InvalidRequest, match=rf"{name} cannot be written.*mask write .*0x{and_mask}.*0x{or_mask}"):
         encode([True], name, order)
 
 

@@ -1,6 +1,6 @@
 """The blocking interface: links and units for plain programs and threads.
 
-Knows names, arguments and results; what happens on the wire is the business of `busway.client.blocking_link`. The
+Knows names, arguments and results; `busway.client.blocking_link` does the communication. The
 asynchronous interface (``aio``) has the same names, arguments and docstrings; a test holds them together.
 """
 
@@ -70,9 +70,9 @@ Value = TypeVar("Value")
 
 
 class BlockingUnit:
-    """One unit behind a link, as `BlockingLink.unit` gives it.
+    """One unit reached through a link, returned by `BlockingLink.unit`.
 
-    Every method sends one request (`read`, `write` and `read_device_identification` perhaps several) and gives plain
+    Every method sends one request (`read`, `write` and `read_device_identification` may send several) and returns plain
     Python values. Every method raises:
 
     * `InvalidRequest`: an argument is out of range; nothing was sent.
@@ -89,7 +89,7 @@ class BlockingUnit:
     def __init__(self, link: "BlockingLink", number: int, is_assumed: bool = False) -> None:
         self._link = link
         self._number = number
-        self._is_assumed = is_assumed  # nobody has named it
+        self._is_assumed = is_assumed  # the default: the caller named no unit
         self._width = link.register_width
         self._holding = wide(ReadHoldingRegisters, self._width)
         self._input = wide(ReadInputRegisters, self._width)
@@ -103,13 +103,13 @@ class BlockingUnit:
         return self._number
 
     def execute(self, request: TypedRequest[Reply], **call_options: Unpack[CallOptions]) -> Reply:
-        """Send any request and give its reply, for functions that have no method of their own.
+        """Send any request and return its reply, for functions without a method here.
 
         Args:
-            request: a request, also of a function of yours.
+            request: a request of a standard function or of one that you declared.
             call_options: `CallOptions`.
         """
-        requests: tuple[Any] = (request,)  # requests in full; the protocol is what a type checker needs of them
+        requests: tuple[Any] = (request,)  # `TypedRequest` is for type checkers; these are complete requests
         outcome: Any
         (outcome,) = self._link.run(self._number, requests, call_options)
         if isinstance(outcome, ModbusError):
@@ -122,13 +122,13 @@ class BlockingUnit:
     def execute_many(
         self, requests: Sequence[Request], *, return_errors: bool = False, **call_options: Unpack[CallOptions]
     ) -> list[Any]:
-        """Send many requests, as many at once as the link allows, and give their replies in the same order.
+        """Send many requests, as many at once as the link allows, and return their replies in the same order.
 
         Args:
             requests: any number of requests.
-            return_errors: give errors in the place of replies, instead of raising the first one after all have ended.
-                Where nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`) each request has that error;
-                a call that is wrong still raises `InvalidRequest`.
+            return_errors: return errors in the list in place of replies, instead of raising the first one after all
+                requests have ended. If nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`), each request
+                has that error; invalid arguments still raise `InvalidRequest`.
             call_options: `CallOptions`; the deadline is for all of them together.
         """
         if not requests:
@@ -255,14 +255,14 @@ class BlockingUnit:
         split: bool = False,
         **call_options: Unpack[CallOptions],
     ) -> Any:
-        """One value, or ``count`` values, from an address in any notation.
+        """Read one value, or ``count`` values, from an address in any notation.
 
         Args:
             address: ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 … (`parse_address`).
             type: type of the values in registers (``uint16`` by default, ``float32``, ``string:8`` …).
             order: order of bytes and registers, ``ABCD`` (big-endian) by default.
             count: number of values; a list is given then.
-            split: allow several requests where one does not hold that many.
+            split: allow several requests if one cannot hold ``count`` values.
             call_options: `CallOptions`.
         """
         return self._perform(read_values(address, type, order, count, split, self._width), call_options)
@@ -351,7 +351,7 @@ class BlockingUnit:
 
         Args:
             address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
-            value: one value, or any iterable of values for consecutive places.
+            value: one value, or any iterable of values for consecutive addresses.
             type: type of the values in registers (``uint16`` by default).
             order: order of bytes and registers.
             function: ``single`` (05, 06) or ``multiple`` (15, 16) for devices that have only one of them.
@@ -365,7 +365,7 @@ class BlockingUnit:
     def read_device_identification(
         self, level: Level = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
     ) -> dict[int, bytes]:
-        """Identification objects by number, function 43/14 (§6.21); as many requests as they need.
+        """Read identification objects (a dict by number), function 43/14 (§6.21), with as many requests as needed.
 
         Args:
             level: ``basic`` (objects 0–2), ``regular`` (to 0x7F) or ``extended`` (to 0xFF).
@@ -376,7 +376,7 @@ class BlockingUnit:
         return found
 
     def read_coils(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
-        """Coils as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.1).
+        """Read coils as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.1).
 
         Args:
             address: first coil, 0…65535.
@@ -388,7 +388,7 @@ class BlockingUnit:
         return reply.bits(count)
 
     def read_discrete_inputs(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
-        """Discrete inputs as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.2).
+        """Read discrete inputs as a list of bools, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.2).
 
         Args:
             address: first input, 0…65535.
@@ -400,7 +400,7 @@ class BlockingUnit:
         return reply.bits(count)
 
     def read_holding_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        """Holding registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.3).
+        """Read holding registers as ints 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.3).
 
         Args:
             address: first register, 0…65535.
@@ -412,7 +412,7 @@ class BlockingUnit:
         return reply.registers
 
     def read_input_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        """Input registers as numbers 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.4).
+        """Read input registers as ints 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.4).
 
         Args:
             address: first register, 0…65535.
@@ -519,10 +519,10 @@ class BlockingUnit:
         return reply.registers
 
     def read_fifo_queue(self, address: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        """Up to 31 registers of a queue, the oldest first; they stay in it, function 24 (§6.18).
+        """Read up to 31 registers of a FIFO queue, the oldest first, without removing them, function 24 (§6.18).
 
         Args:
-            address: the queue's pointer, 0…65535.
+            address: address of the queue's pointer register, 0…65535.
             call_options: `CallOptions`.
         """
         reply = self.execute(ReadFifoQueue(address), **call_options)
@@ -530,7 +530,7 @@ class BlockingUnit:
         return reply.registers
 
     def read_file_record(self, file: int, record: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        """Registers of a file, function 20 with one group (§6.14).
+        """Read registers of a file, function 20 with one group (§6.14).
 
         Args:
             file: 1…65535.
@@ -559,13 +559,13 @@ class BlockingUnit:
         self.execute(WriteFileRecord.of(file, record, values), **call_options)
 
     def read_exception_status(self, **call_options: Unpack[CallOptions]) -> int:
-        """Eight bits that the device defines, 0…255, function 07 (§6.7)."""
+        """Read eight status bits whose meaning the device defines, 0…255, function 07 (§6.7)."""
         reply = self.execute(ReadExceptionStatus(), **call_options)
         assert isinstance(reply, ReadExceptionStatus.Reply)
         return reply.status
 
     def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call_options: Unpack[CallOptions]) -> bytes:
-        """Function 08 with a sub-function; the data of the reply (§6.8).
+        """Send function 08 with a sub-function and return the data of the reply (§6.8).
 
         Args:
             sub_function: 0…65535; `DiagnosticCode` names them.
@@ -576,25 +576,25 @@ class BlockingUnit:
         return diagnostic_data(reply)
 
     def get_comm_event_counter(self, **call_options: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
-        """Status word and number of successful messages, function 11 (§6.9)."""
+        """Read the status word and the number of successful messages, function 11 (§6.9)."""
         reply = self.execute(GetCommEventCounter(), **call_options)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
 
     def get_comm_event_log(self, **call_options: Unpack[CallOptions]) -> GetCommEventLog.Reply:
-        """Status, counts and up to 64 event bytes, function 12 (§6.10)."""
+        """Read status word, event and message counts and up to 64 event bytes, function 12 (§6.10)."""
         reply = self.execute(GetCommEventLog(), **call_options)
         assert isinstance(reply, GetCommEventLog.Reply)
         return reply
 
     def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
-        """What the device says of itself, function 17 (§6.13): its layout is the device's own."""
+        """Read the device's description of itself as bytes, function 17 (§6.13); each device defines its layout."""
         reply = self.execute(ReportServerId(), **call_options)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data
 
     def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
-        """Run an operation: send what it asks for, give it the replies, until it has its result."""
+        """Run an operation: send the requests it yields and pass it the replies until it returns its result."""
         try:
             requests = next(operation)
             while True:
@@ -604,10 +604,10 @@ class BlockingUnit:
 
 
 class BlockingLink:
-    """A link to an endpoint, as `busway.connect` gives it; a context manager, safe to use from many threads.
+    """A link to an endpoint for blocking programs, returned by `busway.connect`; a context manager and thread-safe.
 
-    It connects at the first need, and again when the connection was lost. By default all links of a process to one
-    endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
+    It connects at the first request, and reconnects at the next request after a loss. By default all links of a process
+    to one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
     def __init__(
@@ -619,7 +619,7 @@ class BlockingLink:
         self._closed = False
 
     def _bound(self) -> BlockingLinkDriver:
-        """The link that takes a request: its own, or the one that the rule chooses now."""
+        """The driver for the next request: this link's own, or the one that the ``select`` rule chooses now."""
         if self._closed:
             raise closed_error(self._settings)
         if self._link is not None:
@@ -627,7 +627,7 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """The link as far as there is one."""
+        """The driver, or None where there is none now."""
         try:
             return self._link or self._bound()
         except ModbusError:
@@ -638,50 +638,50 @@ class BlockingLink:
 
     @property
     def endpoint(self) -> Endpoint:
-        """Where it leads."""
+        """The parsed URL of the peer."""
         return self._settings.endpoint
 
     @property
     def register_width(self) -> int:
-        """Bytes of one register in the replies of its devices: 2, unless the option says otherwise."""
+        """Bytes of one register in replies: 2, or the value of the option ``register_width``."""
         return self._settings.parameters.register_width
 
     @property
     def is_connected(self) -> bool:
-        """Whether a connection stands now."""
+        """Whether the link is connected now."""
         link = self._looked_at()
         return link is not None and link.is_connected
 
     @property
     def state(self) -> str:
-        """``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``."""
+        """State of the connection: ``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``."""
         link = self._looked_at()
         return ConnectionState.DOWN.value if link is None else link.reconnect.state.value
 
     @property
     def counters(self) -> ClientCounters:
-        """What happened on the shared link so far."""
+        """Counters of requests, replies and errors so far, of all users that share the connection."""
         link = self._looked_at()
         return ClientCounters() if link is None else link.session.counters
 
     def unit(self, number: int | None = None) -> BlockingUnit:
-        """One unit behind this link.
+        """Return one unit reached through this link. Nothing is sent.
 
         Args:
-            number: unit identifier 0…255; 255, the device itself, if left out on TCP. Where the framing is RTU or ASCII
-                it must be named, and is 0…247; 0 is the broadcast, which takes writes alone (Serial Line V1.02 §2.2).
+            number: unit identifier 0…255; 255, the device itself, if left out on TCP. It is required where the framing
+                is RTU or ASCII, and is 0…247 there; 0 is the broadcast, for writes only (Serial Line V1.02 §2.2).
 
         Raises:
-            InvalidRequest: it is missing on a line, or out of range.
+            InvalidRequest: the number is missing where the framing is RTU or ASCII, or is out of range.
         """
         return BlockingUnit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
     def connect(self) -> None:
-        """Connect now, instead of at the first need. Raises `LinkDown`."""
+        """Connect now, instead of at the first request. Raises `LinkDown`."""
         self._bound().connect()
 
     def close(self) -> None:
-        """Give the link up; the last user of a shared one closes the connection. Calls under way end as `LinkDown`."""
+        """Close this link; the last user of a shared connection closes it. Calls under way end as `LinkDown`."""
         if not self._closed:
             self._closed = True
             if self._link is not None:
@@ -696,7 +696,7 @@ class BlockingLink:
         self.close()
 
     def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
-        """Bring requests to their outcomes: replies or errors, in order. The calls of `AsyncUnit` end here."""
+        """Send requests and return their outcomes, replies or errors, in order; all calls of a unit use this."""
         link = self._link
         if link is None or self._closed:
             link = self._bound()
@@ -719,27 +719,27 @@ def connect(
     select: Literal["first", "oldest"] | LinkSelection | None = None,
     **options: "Unpack[LinkOptions]",
 ) -> BlockingLink:
-    """A link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
+    """Open a link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
 
     Nothing is sent, and no connection made, before the first request.
 
     Args:
-        url: the endpoint; options behind ``?`` are those below.
-        shared: use one connection for all links of this process to the endpoint; False gives a connection of its own
-            (explicit connection management), of which an endpoint has ``max_connections`` at most.
-        select: have no connection at all, but send each request on one that other links have open to the endpoint:
-            ``first``, the one made first, or ``oldest``, the one that has stood longest (Messaging on TCP/IP V1.0b
-            §4.2.1.2). Its connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
-            stand beside it.
+        url: the endpoint; the query after ``?`` may set the options below.
+        shared: use one connection for all links of this process to the endpoint; False gives this link its own
+            connection (explicit connection management); an endpoint has at most ``max_connections`` of those.
+        select: make no connection, but send each request on one that other links have open to the endpoint:
+            ``first``, the link made first, or ``oldest``, the connection open longest (Messaging on TCP/IP V1.0b
+            §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
+            be given as well.
         options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
             `ManagementParameters`; where the framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters`
-            and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. What has no effect
-            with the scheme is refused.
+            and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. An option without
+            effect for the scheme is refused.
 
     Raises:
-        ConfigError: the URL or an option can not be, the endpoint is open with other settings of the connection, or
+        ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, or
             the serial port is in use in this process.
-        Overloaded: the endpoint has as many connections of explicit management as it may have. Nothing was sent.
+        Overloaded: the endpoint already has ``max_connections`` connections of explicit management. Nothing was sent.
     """
     settings = link_settings(url, options)
     rule = selection(select)

@@ -4,7 +4,7 @@ Knows when to connect, write, wait and look at the clock; knows nothing of what 
 
 1. The session is touched only under the lock; nothing that may wait happens under it.
 2. Of the threads that wait for replies one is the leader: it connects, waits at the socket and feeds the session. When
-   its own demand is complete, the next waiting thread takes over.
+   its own call is complete, the next waiting thread takes over.
 3. Every waiting thread looks after its own time, so nobody depends on how long the leader waits.
 4. Before the first request after a pause the socket is looked at: a peer that closed an idle connection is nothing
    to report, and a new connection is made. On a line, what has come meanwhile is read before each request: it is late,
@@ -108,7 +108,7 @@ class BlockingLinkDriver:
 
     @staticmethod
     def now() -> float:
-        """The clock of demands."""
+        """The clock of calls."""
         return time.monotonic()
 
     @property
@@ -117,14 +117,14 @@ class BlockingLinkDriver:
         return self._connection is not None
 
     def run(self, call: Call) -> None:
-        """Bring a demand to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
+        """Bring a call to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
         with self._turn:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
                 self._let_go(now)
             may_have_ended = now - self.last_used > _IDLE_SECONDS and self._line is None
             if may_have_ended and self._connection is not None and not self.session.in_flight:
-                # Before the session has the demand: what ends here has failed nobody.
+                # Before the session has the call: what ends here has failed nobody.
                 self._look_at_idle_connection(self._connection, now)
             self._refuse_while_down(call, now)
             self.session.submit(call, now)
@@ -235,7 +235,7 @@ class BlockingLinkDriver:
     # Turns.
 
     def _wait_for_turn(self, call: Call) -> bool:
-        """Wait until the demand is complete, or until this thread is to lead; the lock is held."""
+        """Wait until the call is complete, or until this thread is to lead; the lock is held."""
         while not call.ended:
             if not self._leading:
                 self._leading = True
@@ -344,7 +344,7 @@ class BlockingLinkDriver:
                 self._drop(now, network_reason(error))
 
     def _cancel(self, call: Call) -> None:
-        """The caller of a demand goes without its end."""
+        """The caller of a call goes without its end."""
         if self.session.cancel(call):
             self._end_if_stuck(time.monotonic())
 
@@ -401,7 +401,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _done(self) -> None:
-        """Wake the threads whose demands are complete."""
+        """Wake the threads whose calls are complete."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         if self.session.finished:
@@ -430,7 +430,7 @@ class BlockingLinkDriver:
 
     def _recycle(self, now: float) -> None:
         if self._connection is not None:
-            self._drop(now, f"made anew after {self.session.recycle}")
+            self._drop(now, f"reconnecting after {self.session.recycle}")
 
     def _drop(self, now: float, reason: str) -> None:
         """The connection has ended, or has to end."""

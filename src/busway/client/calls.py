@@ -1,4 +1,4 @@
-"""What both interfaces share between a call and a demand: options of a call, units, and who shares a link.
+"""What both interfaces share between a call and a call: options of a call, units, and who shares a link.
 
 Knows defaults and checks; knows no link and does no IO.
 """
@@ -68,7 +68,7 @@ def call_for(
     now: float,
     caller: object = None,
 ) -> Call:
-    """The demand of one call; ``caller`` may be named later, when it has to queue."""
+    """The call of one call; ``caller`` may be named later, when it has to queue."""
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries

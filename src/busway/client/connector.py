@@ -168,7 +168,7 @@ def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClie
     """The connector of an endpoint; ``user`` says who holds it, where nobody else may.
 
     Raises:
-        ConfigError: a carrier that a client can not use, or a serial port that this process uses already.
+        ConfigError: a carrier that a client cannot use, or a serial port that this process uses already.
     """
     endpoint = settings.endpoint
     if endpoint.carrier == "tcp":
@@ -184,4 +184,4 @@ def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClie
 
         assert isinstance(session, SerialClientSession)
         return SerialConnector(endpoint, settings.line.port, settings.line.opening, session, user=user)
-    raise ConfigError(f"{endpoint}: a client can not use {endpoint.scheme}:// yet")
+    raise ConfigError(f"{endpoint}: a client cannot use {endpoint.scheme}:// yet")

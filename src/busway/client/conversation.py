@@ -26,7 +26,7 @@ class ClientSession(Protocol):
 
     Attributes:
         counters: what happened.
-        finished: demands that have all their outcomes; the driver empties the list.
+        finished: calls that have all their outcomes; the driver empties the list.
         recycle: why the connection must be made anew; empty while it need not.
         valid_reply: whether this connection has brought a reply that answers a request.
     """
@@ -54,13 +54,13 @@ class ClientSession(Protocol):
 
     @property
     def queued(self) -> int:
-        """Demands with something left to send."""
+        """Calls with something left to send."""
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a demand. Raises `ModbusError`; nothing was sent then."""
+        """Take a call. Raises `ModbusError`; nothing was sent then."""
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """The frame of a demand that need not queue; None: `submit` it."""
+        """The frame of a call that need not queue; None: `submit` it."""
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn."""

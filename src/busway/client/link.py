@@ -5,7 +5,7 @@ Knows when to connect, write and look at the clock; knows nothing of what is ask
 1. It connects at the first need, and again when the connection has gone and something is asked.
 2. One timer, for the next deadline of all; it is moved only where a new one is nearer. On a serial port it is an
    `Alarm`, because the silence before a frame is shorter than what the loop's timers are late.
-3. What arrived is worked through in one call; demands that it completes wake their callers.
+3. What arrived is worked through in one call; calls that it completes wake their callers.
 4. A connection that is not held for ever is closed by that timer, or as soon as nothing is asked any more.
 5. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
    are those of ``time.monotonic``, as a port tells them.
@@ -51,7 +51,7 @@ COARSE_SPIN: Final = 0.0015
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
-    """Hands what the event loop reports to the link. One per connection, so that an old one can not speak."""
+    """Hands what the event loop reports to the link. One per connection, so that an old one cannot speak."""
 
     __slots__ = ("_buffer", "_link")
 
@@ -91,12 +91,12 @@ class AsyncLinkDriver:
     Attributes:
         shared: whether all users of the endpoint share it.
         home: the event loop it lives on.
-        watch: called when something has come, or time has passed, after the demands that are complete: for whoever
+        watch: called when something has come, or time has passed, after the calls that are complete: for whoever
             looks at those that are not.
         told: called with each event of the connection and its reason, after the state has followed it.
         opened, last_used: when the connection was made, and last used, in the clock of the loop.
         sent_bytes, received_bytes: of all its connections.
-        now: the clock of demands.
+        now: the clock of calls.
     """
 
     __slots__ = (
@@ -197,7 +197,7 @@ class AsyncLinkDriver:
     # What the interface asks.
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
-        """Begin a demand; the future is done when all its outcomes are in it. Raises `Overloaded`, `LinkDown`.
+        """Begin a call; the future is done when all its outcomes are in it. Raises `Overloaded`, `LinkDown`.
 
         Whoever stops waiting for the future calls `give_up`.
         """
@@ -207,9 +207,9 @@ class AsyncLinkDriver:
         return future
 
     def begin(self, call: Call, now: float) -> None:
-        """Begin a demand whose owner is there already: whatever has ``done()`` and ``set_result(None)``, like a future.
+        """Begin a call whose owner is there already: whatever has ``done()`` and ``set_result(None)``, like a future.
 
-        ``set_result`` is called when all outcomes are in the demand, out of the call that brought the last of them.
+        ``set_result`` is called when all outcomes are in the call, out of the call that brought the last of them.
 
         Raises:
             Overloaded, LinkDown, and on a serial line `InvalidRequest` and `UnitSuspended`: nothing was sent.
@@ -237,7 +237,7 @@ class AsyncLinkDriver:
             self._arm(soonest)
 
     def give_up(self, call: Call) -> None:
-        """Nobody waits for a demand any more."""
+        """Nobody waits for a call any more."""
         self._write_outgoing()
         now = self._clock()
         if self.session.cancel(call):
@@ -299,7 +299,7 @@ class AsyncLinkDriver:
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
-        """A timer in the clock of demands."""
+        """A timer in the clock of calls."""
         return self._loop.call_later(max(when - self._clock(), 0.0), callback)
 
     @property
@@ -464,7 +464,7 @@ class AsyncLinkDriver:
         """Close a connection that is out of step; what is still asked gets a new one."""
         if self._protocol is not None:
             self._abort()
-            self.lost(self._protocol, f"made anew after {self.session.recycle}")
+            self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
 
     def _end_if_stuck(self) -> None:
         """A call has ended: if bytes have not left yet, the connection ends too, or they would leave later."""
@@ -584,7 +584,7 @@ class AsyncLinkDriver:
         self._wake()
 
     def _wake(self) -> None:
-        """Tell the callers whose demands are complete."""
+        """Tell the callers whose calls are complete."""
         session = self.session
         finished = session.finished[:]
         session.finished.clear()

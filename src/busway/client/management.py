@@ -75,7 +75,7 @@ class ManagementParameters:
         if self.interface == "":
             raise ConfigError("must be the name of an interface", key="interface")
         if self.interface is not None and not hasattr(socket, "SO_BINDTODEVICE"):
-            raise ConfigError("this system can not bind a connection to an interface", key="interface")
+            raise ConfigError("this system cannot bind a connection to an interface", key="interface")
 
     @property
     def hold_seconds(self) -> float:

@@ -110,7 +110,7 @@ def write_values(
     """One value or a sequence of values to an address."""
     place = place_of(address)
     if place.table is None or not place.table.is_writable:
-        raise InvalidRequest(f"{place}: a {place.table.label if place.table else 'table'} can not be written")
+        raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
     several = is_several(values)
     items = listed(values, "values") if several else [values]
     if not items:
@@ -215,7 +215,7 @@ def _check_single(place: Address, items: int, limit: int, function: WriteFunctio
     if function not in ("auto", "single", "multiple"):
         raise InvalidRequest(f"function must be auto, single or multiple, not {function!r}")
     if function == "single" and items > 1:
-        raise InvalidRequest(f"{place}: {items} items can not be written with a function for one")
+        raise InvalidRequest(f"{place}: {items} items cannot be written with a function for one")
     if items > limit:
         assert place.table is not None
         raise InvalidRequest(f"{place}: {items} {place.table.label}s are more than the {limit} of one request")

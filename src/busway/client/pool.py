@@ -4,7 +4,7 @@ Knows who uses which link; knows nothing of what is asked.
 
 1. Automatic management: users of one endpoint share its link; the last one to leave closes it.
 2. Explicit management: a link that is not shared belongs to its user alone; there may be ``max_connections`` of them.
-3. Two users who want different connections can not share one: the second is told which setting differs.
+3. Two users who want different connections cannot share one: the second is told which setting differs.
 4. Where several links lead to one endpoint, a rule says which of them takes a request (§4.2.1.2).
 """
 

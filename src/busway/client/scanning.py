@@ -71,7 +71,7 @@ def scan(
         options: as in `connect`, except ``retries``: each unit is asked once.
 
     Raises:
-        ConfigError: an argument that can not be, or somebody talks on the line. Nothing was sent.
+        ConfigError: an argument that cannot be, or somebody talks on the line. Nothing was sent.
         LinkDown: no connection.
     """
     endpoint = parse_endpoint(url)

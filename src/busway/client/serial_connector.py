@@ -80,7 +80,7 @@ class SerialConnector:
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """What a link can fail with. A setting that can not be will not be different after a wait."""
+        """What a link can fail with. A setting that cannot be will not be different after a wait."""
         down = LinkDown(error.message, endpoint=self._endpoint.url)
         down.__cause__ = error
         return down

@@ -43,7 +43,7 @@ class TlsConnector:
     """TLS over TCP, by the parameters of both.
 
     Raises:
-        ConfigError: a file can not be used, or the authority is missing.
+        ConfigError: a file cannot be used, or the authority is missing.
     """
 
     def __init__(self, endpoint: Endpoint, sockets: SocketParameters, security: TlsParameters) -> None:

@@ -8,7 +8,7 @@ Knows characters and the times at which they were read; knows no port and no fun
 2. Between two characters at most ``character_timeout`` may pass, 1 s by default.
 3. At most 513 characters. What stands between frames is no frame and no error: it is skipped.
 4. Sent in upper case. Lower case is received too unless ``upper_case_only`` says otherwise: devices send it, and the
-   LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports that can not do 7 data bits give it.
+   LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports that cannot do 7 data bits give it.
 """
 
 from collections.abc import Container

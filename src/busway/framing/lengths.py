@@ -65,8 +65,8 @@ class FrameLengths:
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
         """Length of the frame that starts at ``at``, from what ``data[at:end]`` shows.
 
-        `NEED_MORE` while it can not be told, `UNKNOWN_LENGTH` where the content never tells it, and a number above
-        256 where the byte count can not be.
+        `NEED_MORE` while it cannot be told, `UNKNOWN_LENGTH` where the content never tells it, and a number above
+        256 where the byte count cannot be.
         """
         if end - at < 2:
             return NEED_MORE

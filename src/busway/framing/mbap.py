@@ -3,7 +3,7 @@
 Knows headers and streams of them; knows no socket, no transaction table and no function.
 
 1. ``transaction`` 2, ``protocol`` 2 (0), ``length`` 2 (unit and PDU), ``unit`` 1; then the PDU. Big-endian.
-2. The length alone finds the next frame. A length outside 2…254 can not be: the stream is broken and can not be
+2. The length alone finds the next frame. A length outside 2…254 cannot be: the stream is broken and cannot be
    followed further (Messaging on TCP/IP §4.4.2). It is found as soon as its two bytes are there; no byte is waited
    for behind it.
 3. A frame whose protocol is not 0 is complete but not Modbus: it is skipped and reported, and the stream goes on.
@@ -36,7 +36,7 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MbapFrame:
-    """One ADU. For ``BROKEN``, ``pdu`` holds what is left of the stream and ``reason`` says what can not be."""
+    """One ADU. For ``BROKEN``, ``pdu`` holds what is left of the stream and ``reason`` says what cannot be."""
 
     kind: FrameKind
     transaction: int
@@ -52,7 +52,7 @@ def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 def impossible_length(length: int) -> str:
-    """The sentence for a length that can not be."""
+    """The sentence for a length that cannot be."""
     return f"length field {length}, where {MIN_LENGTH}…{MAX_LENGTH} can be"
 
 

@@ -5,7 +5,7 @@ Knows values; knows no framing.
 1. A receiver gives good frames and damaged chunks. "Need more" is the empty list, and nothing is fatal: a serial line
    has no end, the next frame may be good.
 2. A damaged chunk is one disturbance, however long: it is one count of the communication errors (appendix A).
-3. Where a frame's direction can not be told from its bytes, its ``direction`` says so.
+3. Where a frame's direction cannot be told from its bytes, its ``direction`` says so.
 """
 
 from dataclasses import dataclass

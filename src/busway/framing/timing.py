@@ -48,7 +48,7 @@ def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: 
         stop_bits: 1, 1.5 or 2; by rule where it is None.
 
     Raises:
-        ValueError: data or stop bits that can not be.
+        ValueError: data or stop bits that cannot be.
     """
     if data_bits not in (7, 8):
         raise ValueError(f"a character has 7 or 8 data bits, not {data_bits}")
@@ -88,7 +88,7 @@ class SerialTiming:
         """The times of a line of ``baud`` bit/s (1 and above); the rest as in `character_bits`.
 
         Raises:
-            ValueError: a rate, data or stop bits that can not be.
+            ValueError: a rate, data or stop bits that cannot be.
         """
         if baud < 1:
             raise ValueError(f"the rate of a line is 1 bit/s or more, not {baud}")

@@ -1,1 +1,1 @@
-"""What can be set: endpoints as URLs, options as text or keywords, and presets of options. Pure."""
+"""Options: endpoints as URLs, options as text or keywords, and presets of options. Pure."""

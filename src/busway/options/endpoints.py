@@ -1,7 +1,7 @@
 """Endpoints: where a peer or a line is, as a URL.
 
-Knows the grammar of the URLs and which schemes there are; knows no transport. What an option means is checked by the
-component that takes it; an option that nobody takes is an error there.
+Knows the grammar of the URLs and the schemes; knows no transport. The component that takes an option checks it, and
+reports an option that it does not have.
 
 ::
 
@@ -9,10 +9,10 @@ component that takes it; an option that nobody takes is an error there.
     rtu:///dev/ttyUSB0?baud=19200&parity=even     ascii:///dev/ttyS1
     rtu+tcp://host:4001   ascii+tcp://host:4001   rtu+udp://host:4001   ascii+udp://host:4001
 
-An empty host is every interface for a listener and 127.0.0.1 for a client.
+An empty host means every interface for a listener and 127.0.0.1 for a client.
 
-Without a scheme an IP address is tcp. Any other text is refused with the URL that may be meant: the name of a serial
-port does not say whether RTU or ASCII is spoken there.
+An IP address without a scheme is tcp. Any other text without one is refused with a suggested URL: the name of a serial
+port does not say whether its framing is RTU or ASCII.
 """
 
 import re
@@ -26,7 +26,7 @@ from ..errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """What a scheme says: the framing, what carries it, and the port that is meant when none is named."""
+    """A URL scheme: the framing, the transport that carries it, and the default port."""
 
     framing: str
     carrier: str
@@ -60,7 +60,7 @@ _OTHER_NAMES = {
     "modbus+rtu": "rtu",
     "serial": "rtu",
 }
-"""What other programs call the schemes."""
+"""Names that other programs use for the schemes."""
 
 _HOST = re.compile(r"^[A-Za-z0-9._~%-]*$|^\[[0-9A-Fa-f:.%\w]+\]$")
 
@@ -95,7 +95,7 @@ class Endpoint:
 
     @property
     def url(self) -> str:
-        """The URL without options: the name of the endpoint in messages, and what tells endpoints apart."""
+        """The URL without options: the endpoint's name in messages, and its identity."""
         if self.carrier == "serial":
             return f"{self.scheme}://{quote(self.path)}"
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -109,11 +109,11 @@ class Endpoint:
 
 
 _LONGEST = 4096
-"""Characters of a URL that is shown whole where it can not be read."""
+"""Longest invalid URL, in characters, that an error message shows whole."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
-    """The endpoint of a URL; an `Endpoint` is returned as it is. Raises `ConfigError` that names what is wrong.
+    """Parse a URL; an `Endpoint` is returned unchanged. Raises `ConfigError` that names the fault.
 
     An IP address alone is ``tcp://``.
     """
@@ -131,7 +131,7 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
         parts = urlsplit(url)
         port = parts.port
     except ValueError as error:
-        # A port of thousands of digits, which Python does not even convert: it would say how to let it.
+        # Python refuses to convert a port of thousands of digits, and its message would advise raising that limit.
         sentence = f"{url[:60]}…: the port must be 0…65535" if len(url) > _LONGEST else f"{url}: {error}"
         raise ConfigError(sentence) from None
     if parts.fragment:
@@ -164,7 +164,7 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
 
 
 def _with_scheme(text: str) -> str:
-    """The URL of a text without one, where it can mean only that. Raises `ConfigError` with what it may mean."""
+    """Add the scheme to a text that can mean only one. Raises `ConfigError` with a suggestion otherwise."""
     place, mark, query = text.strip().partition("?")
     if re.fullmatch(_ADDRESS, place):
         return f"tcp://{place}{mark}{query}"
@@ -201,6 +201,6 @@ def _options(url: str, query: str) -> dict[str, str]:
     for name, value in pairs:
         name = name.replace("-", "_")
         if name in options:
-            raise ConfigError(f"{url}: the option {name} stands twice", key=name)
+            raise ConfigError(f"{url}: the option {name} is given twice", key=name)
         options[name] = value
     return options

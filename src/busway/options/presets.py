@@ -1,13 +1,13 @@
-"""Profiles: named sets of options. ``strict`` meets every must of the documents, where a default of ours does not.
+"""Presets: named sets of options. ``strict`` meets every "must" of the specifications, which the defaults do not.
 
-Knows names and values of options, and the clause each stands for; knows no component. What an option means is known
-where it is declared.
+Knows names and values of options, and the clause that requires each; knows no component. The meaning of an option is
+documented where it is declared.
 
-1. A profile is chosen with ``profile="strict"``, or ``?profile=strict`` in a URL. It sets what is listed here, of what
-   the scheme has; everything else stays as it is.
-2. An option that is given beside the profile and says something else is refused by name. Where a document leaves the
-   figure to the user it is *adaptable*: the profile proposes it, and whoever gives another gets the other.
-3. Defaults that meet their clause already are listed too, where an option could switch them off.
+1. A preset is chosen with ``profile="strict"``, or ``?profile=strict`` in a URL. It sets the options listed here that
+   the scheme has, and leaves all others alone.
+2. An option given beside the preset with another value is refused by name. Where a specification leaves the figure to
+   the user it is *adaptable*: the preset supplies a default, and an explicit value replaces it.
+3. Defaults that meet their clause already are listed too if an option could switch them off.
 """
 
 from collections.abc import Container, Iterable, Mapping
@@ -21,11 +21,11 @@ from ..framing.word import Word
 from .text import converted
 
 OPTION: Final = "profile"
-"""The name of the option that chooses one."""
+"""The name of the option that chooses a preset."""
 
 
 class Profile(Word):
-    """The profiles there are. STANDARD: the defaults. STRICT: every must of the documents."""
+    """The presets. STANDARD: the defaults. STRICT: every "must" of the specifications."""
 
     STANDARD = "standard"
     STRICT = "strict"
@@ -33,18 +33,18 @@ class Profile(Word):
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One option of a profile.
+    """One option of a preset.
 
     Attributes:
-        clause: the clause that asks for it.
+        clause: the clause of the specification that requires it.
         option: its name.
-        value: what it is set to; of an enum, the member's value.
-        adaptable: whether another value may be given beside the profile.
+        value: the value it is set to; of an enum, the member's value.
+        adaptable: whether another value may be given beside the preset.
     """
 
     clause: str
     option: str
-    value: Any  # of whatever type the option has
+    value: Any  # the type depends on the option
     adaptable: bool = False
 
 
@@ -72,13 +72,13 @@ STRICT_LINKS: Final = (
     *_GUIDE_FIGURES,
     *_LINE,
 )
-"""What a client's link is set to."""
+"""Settings of a client's link under the preset ``strict``."""
 
 STRICT_LINE_LISTENERS: Final = _LINE
-"""What the URL of a listener on a line is set to."""
+"""Settings of a listener on a serial line under the preset ``strict``."""
 
 STRICT_TLS_LISTENERS: Final = (Setting("M3", "require_purpose", True),)
-"""What the URL of a ``tls://`` listener is set to."""
+"""Settings of a ``tls://`` listener under the preset ``strict``."""
 
 STRICT_SERVERS: Final = (
     Setting("T3", "standard_port", True, adaptable=True),
@@ -88,11 +88,11 @@ STRICT_SERVERS: Final = (
     Setting("S17", "diagnostics_changes", True),
     *_GUIDE_FIGURES,
 )
-"""What a server is set to, all its listeners together."""
+"""Settings of a server, for all its listeners, under the preset ``strict``."""
 
 
 def profile_of(value: object) -> Profile:
-    """The profile that an option names; None names the standard one. Raises `ConfigError`."""
+    """The preset named by an option's value; None means the standard one. Raises `ConfigError`."""
     if value is None:
         return Profile.STANDARD
     if isinstance(value, Profile):
@@ -105,15 +105,15 @@ def profile_of(value: object) -> Profile:
 
 
 def with_profile(given: Mapping[str, object], strict: Iterable[Setting], *, takes: Container[str]) -> dict[str, object]:
-    """Options without the profile, and with what it sets.
+    """Replace the option ``profile`` by the options that it sets.
 
     Args:
-        given: options by name, ``profile`` among them or not.
-        strict: what the profile ``strict`` sets here.
+        given: options by name, with or without ``profile``.
+        strict: the settings of ``strict`` for this component.
         takes: the options that the component has; the others are left out.
 
     Raises:
-        ConfigError: there is no such profile, or an option contradicts it.
+        ConfigError: there is no such preset, or an option contradicts it.
     """
     options = dict(given)
     if profile_of(options.pop(OPTION, None)) is Profile.STANDARD:
@@ -132,9 +132,9 @@ def with_profile(given: Mapping[str, object], strict: Iterable[Setting], *, take
 
 
 def _characters(options: Mapping[str, object], takes: Container[str]) -> list[Setting]:
-    """The characters of a line: seven data bits in ASCII, which has ``upper_case_only``; stop bits by rule.
+    """Character settings of a serial line: seven data bits in ASCII (recognised by ``upper_case_only``); stop bits.
 
-    The rule depends on the parity (Serial Line V1.02 §2.5.1), so stop bits are judged where they are given.
+    The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only where given.
     """
     found = [Setting("S12", "data_bits", 7)] if "upper_case_only" in takes else []
     if options.get("stop_bits") is not None:
@@ -144,7 +144,7 @@ def _characters(options: Mapping[str, object], takes: Container[str]) -> list[Se
 
 
 def _agrees(given: object, setting: Setting) -> bool:
-    """Whether a value, or its text, is what the profile sets."""
+    """Whether a value, or its text, equals the value of the preset."""
     if isinstance(given, Enum):
         given = given.value
     return bool(converted(setting.option, given, type(setting.value)) == setting.value)

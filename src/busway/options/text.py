@@ -1,7 +1,7 @@
 """Options given as text (URLs, command line) or as keywords, turned into the fields of a parameter class.
 
-Knows the types that parameter classes use; knows no particular parameter. A type of its own is made by its ``parse``,
-from a list of texts.
+Knows the types that parameter classes use; knows no particular parameter. A type with a method ``parse`` is built by
+it from a list of texts.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,28 +15,28 @@ from ..errors import ConfigError
 Parameters = TypeVar("Parameters")
 
 NONE = "none"
-"""The text for no value, where an option may have none: files and URLs have no other word for it."""
+"""The text that means None for an option that may be None: files and URLs have no other word for it."""
 ALIASES: Final = {"baudrate": "baud", "bytesize": "data_bits", "stopbits": "stop_bits"}
-"""Other names of options: those that pyserial gave them, by which most programs know them."""
+"""Alternative names of options, from pyserial, which most programs use."""
 _OTHER_WORDS: Final = {"retry": "retries", "speed": "baud", "rate": "baud"}
-"""Words for an option that are too far from its name to be taken for a slip of the pen."""
+"""Names that users try for an option and that are too different from its name to be recognised as typing errors."""
 _WORDS_FOR_UNIT: Final = frozenset({"unit", "unit_id", "slave", "slave_id", "device_id", "station"})
 _NEAR: Final = 0.75
-"""How alike a name and an option are, of 1, for the option to be what was meant."""
+"""Similarity 0…1 of an unknown name and an option from which on the error suggests that option."""
 _TRUE = frozenset({"1", "true", "yes", "on"})
 _FALSE = frozenset({"0", "false", "no", "off"})
 
 
 def option_names(kind: type[Any]) -> tuple[str, ...]:  # any parameter class, which share no base
-    """The options that a parameter class takes."""
+    """Names of the options that a parameter class takes."""
     return tuple(field.name for field in fields(kind))
 
 
 def canonical(options: Mapping[str, object]) -> dict[str, object]:
-    """Options by their own names, where some stand under another (`ALIASES`).
+    """Replace alternative names of options (`ALIASES`) by their own names.
 
     Raises:
-        ConfigError: one stands there under both of its names.
+        ConfigError: an option is given under both names.
     """
     found: dict[str, object] = {}
     for given, value in options.items():
@@ -48,12 +48,12 @@ def canonical(options: Mapping[str, object]) -> dict[str, object]:
 
 
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
-    """The error for an option that a component does not have: with the one that may be meant, else with all there are.
+    """Build the error for an unknown option: it suggests the nearest known option, or else lists all.
 
     Args:
-        name: the option.
-        known: those that the component has.
-        of: what has them, if it needs a name.
+        name: the unknown option.
+        known: the options that the component has.
+        of: name of the component, if the message needs one.
     """
     from difflib import get_close_matches  # here: it is needed for this sentence alone
 
@@ -70,9 +70,9 @@ def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigEr
 
 
 def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> Parameters:
-    """An instance of the frozen dataclass ``kind`` from values or their texts. Raises `ConfigError` with the key.
+    """Build the frozen dataclass ``kind`` from values or their texts. Raises `ConfigError` with the key.
 
-    An option that ``kind`` does not have is an error that lists those it has.
+    An option that ``kind`` does not have is an error that lists the known ones.
     """
     hints = get_type_hints(kind)
     known = option_names(kind)
@@ -85,7 +85,7 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> P
 
 
 def converted(name: str, value: object, wanted: Any) -> object:  # a type, or a union of types
-    """A value, or its text, as the type that an option has. Raises `ConfigError` with the option as its key."""
+    """Convert a value, or its text, to the type of an option. Raises `ConfigError` with the option as its key."""
     kinds = get_args(wanted) if isinstance(wanted, UnionType) else (wanted,)
     if NoneType in kinds and (value is None or value == NONE):
         return None
@@ -120,7 +120,7 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
 
 
 def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
-    """A list of texts, or one text with commas between them, for a class that is made of such a list."""
+    """Build a class that has ``parse`` from a list of texts, or from one text separated by commas."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)

@@ -306,7 +306,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Source of the test that a value is out of range; empty where received bytes can not be."""
+    """Source of the test that a value is out of range; empty where received bytes cannot be."""
     if field.values is not None:
         return f"{name} not in {field.values}"
     whole = 0xFF if field.width == 1 else 0xFFFF

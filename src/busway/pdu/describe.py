@@ -183,7 +183,7 @@ def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator
 
 
 def _item_parts(pdu: bytes, at: int, tail: RepeatedField, name: str) -> Iterator[Part]:
-    """The items of a repeated field; what can not be an item comes as one last part."""
+    """The items of a repeated field; what cannot be an item comes as one last part."""
     number = 0
     while at < len(pdu):
         number += 1

@@ -84,7 +84,7 @@ class Item(Protocol):
 class RepeatedField:
     """Items of one kind to the end of the message."""
 
-    item: type[Any]  # any class with the two methods of Item; a Protocol type can not be called through type[]
+    item: type[Any]  # any class with the two methods of Item; a Protocol type cannot be called through type[]
     low: int
     high: int
     default: object

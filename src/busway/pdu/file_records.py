@@ -151,7 +151,7 @@ class ReadFileRecord(Request):
 
     @classmethod
     def of(cls, groups: Sequence[FileReference]) -> Self:
-        """The request for ``groups``; `InvalidRequest` where a record can not be or the reply would not fit."""
+        """The request for ``groups``; `InvalidRequest` where a record cannot be or the reply would not fit."""
         for group in groups:
             problem = _check_reference(group.file, group.record)
             if problem is not None:

@@ -4,11 +4,11 @@ Knows how declared fields become bytes and back; knows no particular function, n
 
 1. A subclass declares a code, perhaps a sub-code, and fields (`busway.pdu.fields`). When the class is made, its
    constructor, ``encode`` and ``decode`` are compiled; nothing is interpreted per message.
-2. An invalid message can not be built: the constructor raises `InvalidRequest`. A received one that breaks a limit
+2. An invalid message cannot be built: the constructor raises `InvalidRequest`. A received one that breaks a limit
    raises `MalformedPdu`, with the exception code that a server answers.
 3. Messages are frozen. Payloads stay bytes in wire order.
 4. What concerns the device (does an item exist?) is not a matter of the message: the range ``address + count``
-   beyond 65 536 can not be constructed, but is decoded, because a server answers it with 02 and not with 03.
+   beyond 65 536 cannot be constructed, but is decoded, because a server answers it with 02 and not with 03.
 """
 
 from dataclasses import dataclass
@@ -127,7 +127,7 @@ class Message(metaclass=_MessageType):
     def wire_length(cls, data: bytes, at: int, end: int) -> int:
         """Length in bytes of the PDU of this class that starts at ``at``, from what ``data[at:end]`` shows.
 
-        Gives `NEED_MORE` while the length can not be told yet, `UNKNOWN_LENGTH` if the content never tells it.
+        Gives `NEED_MORE` while the length cannot be told yet, `UNKNOWN_LENGTH` if the content never tells it.
         """
         layout = cls.layout
         if layout.length_at is not None:
@@ -211,7 +211,7 @@ class Request(Message):
 
     @classmethod
     def direct(cls, model: "DirectModel") -> "Answer | None":
-        """The short road of this function on a device, or None where there is none (see `busway.pdu.direct`)."""
+        """The fast path of this function on a device, or None where there is none (see `busway.pdu.direct`)."""
         return None
 
     if TYPE_CHECKING:  # slots that are filled later; declared so, they are no fields of the message

@@ -1,21 +1,21 @@
-"""How long to wait for units that may not be there: as short as the replies seen so far make safe.
+"""Adaptive timeout of a scan for units: as short as the replies seen so far make safe.
 
 Knows response times; knows no line and no clock.
 
-1. It begins with the longest time, and keeps it until somebody has answered.
+1. It begins with the longest time, and keeps it until a unit has answered.
 2. Then it is `FACTOR` times the slowest answer so far, and never below the floor: the next unit may be slower.
-3. A reply that comes after its time has run out shows that this was too short: the longest time holds again, and stays.
+3. A reply after the timeout shows that it was too short: from then on the longest time applies.
 """
 
 from typing import Final
 
 FACTOR: Final = 4.0
-"""Times the slowest answer. Units of one line differ by their processors and by what they do beside answering; those
-that differ by more betray themselves by a late reply."""
+"""Multiple of the slowest answer. Units of one line differ by their processors and their other work; a unit that
+differs by more is noticed by its late reply."""
 ROOM: Final = 0.1
-"""Seconds that any floor has beside the time of its characters: adapters and systems take up to 20 ms each way."""
+"""Seconds of any floor in addition to the time of its characters: adapters and systems take up to 20 ms each way."""
 CHARACTERS: Final = 32
-"""What request and reply of a probe have at most, in ASCII, with their silences."""
+"""Longest request and reply of a probe together, in characters, in ASCII and with their silences."""
 
 
 def floor_for(character: float) -> float:
@@ -24,7 +24,7 @@ def floor_for(character: float) -> float:
 
 
 class AdaptiveTimeout:
-    """What a scan waits.
+    """The adaptive timeout of one scan.
 
     Attributes:
         longest, floor: the limits in seconds.
@@ -36,7 +36,7 @@ class AdaptiveTimeout:
     __slots__ = ("floor", "learns", "longest", "slowest", "was_late")
 
     def __init__(self, longest: float, floor: float, *, learns: bool = True) -> None:
-        """Wait ``longest`` seconds at first, above 0, and never less than ``floor``, or ``longest`` if that is less."""
+        """Start with ``longest`` seconds (above 0); never go below ``floor``, or ``longest`` if that is less."""
         self.longest = longest
         self.floor = min(floor, longest)
         self.slowest = 0.0
@@ -51,9 +51,9 @@ class AdaptiveTimeout:
         return min(max(FACTOR * self.slowest, self.floor), self.longest)
 
     def answered(self, seconds: float) -> None:
-        """A unit has answered, after so long."""
+        """Note that a unit has answered after ``seconds``."""
         self.slowest = max(self.slowest, seconds)
 
     def late(self) -> None:
-        """A reply has come after its time."""
+        """Note that a reply came after its timeout (rule 3)."""
         self.was_late = True

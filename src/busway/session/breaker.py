@@ -1,14 +1,14 @@
-"""Which units behind a link are asked at all: one circuit breaker per unit.
+"""Circuit breakers: one per unit of a link, so that units which do not answer cost the others little time.
 
-Knows timeouts, replies and times; knows no bytes. ``jitter`` is handed in, a number 0…1 per call, so a test can fix it.
+Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1 and is passed in, so a test can fix it.
 
 1. Three timeouts in a row open the breaker of a unit: its requests fail at once and cost the line nothing.
-2. When the pause is over, the next real request probes, once and with a short timeout; nothing is sent for its own
-   sake. A probe that fails doubles the pause, up to ``longest_pause``; that limit, with the probe's own time, is how
-   long a revived unit may wait.
-3. A probe waits twice as long as the unit, or else the slowest on the line, usually takes, and ``probe_timeout`` at
-   least. With the defaults three dead units cost the others less than a twentieth of the line.
-4. Any valid reply of the unit, also a late one, closes it.
+2. After a pause the next request of a caller is the probe: it is sent once, with a short timeout. No request is made up
+   for probing. A failed probe doubles the pause, up to ``longest_pause``; a unit that is back is used again after at
+   most that limit plus the probe's own time.
+3. A probe waits twice as long as the unit (or, if unknown, the slowest on the line) usually takes, and at least
+   ``probe_timeout``. With the defaults three dead units cost the others less than a twentieth of the line.
+4. Any valid reply of the unit, even a late one, closes its breaker.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,19 +19,19 @@ from types import MappingProxyType
 from ..errors import ConfigError
 
 OPEN_AFTER_BY_FRAMING: Mapping[str, int] = MappingProxyType({"mbap": 0, "rtu": 3, "ascii": 3})
-"""The default of ``open_after``, by the framing of an endpoint: a device on TCP disturbs no other. Behind a gateway the
-units of a server share its connection, and the default is that of a line."""
+"""The default of ``open_after``, by the framing of an endpoint: a device on TCP delays no other. In a gateway the
+units of an upstream server share its connection, so the default is that of a serial line."""
 
 
 @dataclass(frozen=True, slots=True)
 class BreakerParameters:
-    """When a unit is given up, and when it is tried again.
+    """Options of the circuit breakers: when a unit is suspended, and when it is probed.
 
     Attributes:
-        open_after: timeouts in a row that open the breaker; 0 switches it off. Where nothing is said, the framing of
-            the endpoint decides; it is 3 behind a gateway.
-        first_pause, longest_pause: seconds until the first probe, and between probes at most.
-        probe_timeout: seconds that a probe waits for its reply at least, where the request's own timeout is not
+        open_after: timeouts in a row that open the breaker; 0 switches it off. The default depends on the framing of
+            the endpoint; it is 3 for the upstream links of a gateway.
+        first_pause, longest_pause: seconds until the first probe, and at most between probes.
+        probe_timeout: minimum seconds that a probe waits for its reply, unless the request's own timeout is
             shorter; a unit that never answered and is slower than all others needs a longer one.
     """
 
@@ -54,7 +54,7 @@ class BreakerParameters:
 
 
 class BreakerState(Enum):
-    """Where a unit's breaker stands."""
+    """State of a unit's breaker."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -80,17 +80,17 @@ class Breakers:
         self._units: dict[int, _UnitBreaker] = {}
 
     def state(self, unit: int) -> BreakerState:
-        """Where the breaker of a unit stands."""
+        """State of a unit's breaker."""
         breaker = self._units.get(unit)
         return BreakerState.CLOSED if breaker is None else breaker.state
 
     def states(self) -> dict[int, BreakerState]:
-        """All units that ever timed out, with their state."""
+        """The breaker states of all units that ever timed out, by unit."""
         return {unit: breaker.state for unit, breaker in self._units.items()}
 
     @property
     def doubtful(self) -> Mapping[int, object]:
-        """The units that timed out and have not answered since. The same one for ever: a look at it costs no call."""
+        """Units that timed out and have not answered since: always the same mapping object, so callers may keep it."""
         return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
@@ -101,7 +101,7 @@ class Breakers:
         return breaker.probe_at - now
 
     def asked(self, unit: int, now: float, timeout: float, usual: float = 0.0) -> float:
-        """A request goes to the unit, which usually takes ``usual`` seconds; its timeout, shorter for a probe."""
+        """Note that a request goes to the unit, which usually takes ``usual`` seconds. Returns the timeout to use."""
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED:
             return timeout
@@ -111,23 +111,23 @@ class Breakers:
         return probe
 
     def is_probing(self, unit: int) -> bool:
-        """Whether the request in flight to the unit is a probe: it is not repeated."""
+        """Whether the request in flight to the unit is a probe, which is not repeated."""
         breaker = self._units.get(unit)
         return breaker is not None and breaker.state is BreakerState.PROBING
 
     def not_decided(self, unit: int) -> None:
-        """The port was lost while the unit was asked: a probe is as if it had not been made."""
+        """Forget a request that ended without telling whether the unit answers; the next one probes again."""
         breaker = self._units.get(unit)
         if breaker is not None and breaker.state is BreakerState.PROBING:
             breaker.state = BreakerState.OPEN
 
     def answered(self, unit: int) -> bool:
-        """The unit gave a valid reply; whether that closed its breaker."""
+        """Note a valid reply of the unit. Returns whether that closed its breaker."""
         breaker = self._units.pop(unit, None)
         return breaker is not None and breaker.state is not BreakerState.CLOSED
 
     def timed_out(self, unit: int, now: float) -> bool:
-        """The unit did not answer; whether its breaker is open now."""
+        """Note that the unit did not answer. Returns whether its breaker is open now."""
         if not self.parameters.open_after:
             return False
         breaker = self._units.setdefault(unit, _UnitBreaker())
@@ -139,6 +139,6 @@ class Breakers:
         else:
             breaker.pause = self.parameters.first_pause
         breaker.state = BreakerState.OPEN
-        # Pauses are cut, never stretched, so that the longest one is a promise.
+        # Jitter only shortens pauses, so ``longest_pause`` holds.
         breaker.probe_at = now + breaker.pause * (0.9 + 0.1 * self._jitter())
         return True

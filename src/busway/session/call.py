@@ -1,4 +1,4 @@
-"""What a user application asks for: one request or many of one unit, and what became of them.
+"""A call of the application: one or many requests to one unit, and their outcomes.
 
 Knows its own progress; knows no connection and no bytes (Messaging on TCP/IP V1.0b §4.4.1: "user application demand").
 """
@@ -17,31 +17,31 @@ _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 
 
 class Call:
-    """Requests of one unit, asked for in one call; they complete together.
+    """One or many requests to one unit that complete together.
 
     Attributes:
         unit: unit identifier, 0…255.
-        requests: what is asked, in order.
-        caller: whoever asks; the queue is fair between callers.
+        requests: the requests, in order.
+        caller: identifies the caller; the queue is fair between callers.
         timeout: seconds per attempt.
-        deadline: when the whole must have ended, in the clock of ``now``; None for never.
+        deadline: when the whole call must have ended, in the clock of ``now``; None for no limit.
         retries: further attempts of each request.
         idempotent: whether its writes may be executed twice, so that they are repeated like reads.
         is_write: whether one of the requests may change something.
         outcomes: for each request the reply or the error, None while it is open.
         open: how many requests have no outcome yet.
         ended: whether it is finished or cancelled.
-        submitted: when it was asked for.
-        owner: whatever the driver wants to find here again.
+        submitted: when the call was made, in the clock of ``now``.
+        owner: an object that the driver stores here to find its caller again.
         attempts: attempts begun, by position; only positions that were tried more than once appear.
-        markers: requests of the session's own that its unit did not answer while this call waited for it.
-        repeated: further attempts that were no retries: the reply before them may have been the right one.
-        places: how many places of the queue it takes. A call takes one, whatever it asks; what a gateway asks for a
-            client takes one for each request.
+        markers: marker requests (`busway.session.doubt`) that its unit did not answer while this call waited.
+        repeated: further attempts that do not count as retries: the reply before them may have been the right one.
+        places: how many places of the queue it takes: one for an application's call, whatever its requests; one for
+            each request if a gateway makes the call for a client.
     """
 
-    # What most calls never set are class attributes, shared until they are: building a demand takes 0.5 µs so, and
-    # 1.1 µs with sixteen slots to fill. Named arguments of a class cost Python 0.6 µs more than those by position.
+    # Attributes that most calls never set are class attributes: building a call then takes 0.5 µs, instead of
+    # 1.1 µs with sixteen slots to fill. Keyword arguments cost 0.6 µs more than positional ones.
     caller: object = None
     deadline: float | None = None
     idempotent: bool = False
@@ -87,11 +87,11 @@ class Call:
 
     @property
     def next_position(self) -> int:
-        """Position of the request that is sent next. Only while there is one."""
+        """Position of the request that is sent next. Valid only while `has_more`."""
         return self.again[0] if self.again else self.next
 
     def take(self, at_most: int) -> Sequence[int]:
-        """Positions of the next requests to send, ``at_most`` of them: first what is repeated, then what is new."""
+        """Take the positions of up to ``at_most`` next requests to send: first repetitions, then new ones."""
         if self.again:
             taken, self.again = self.again[:at_most], self.again[at_most:]
             return taken
@@ -100,7 +100,7 @@ class Call:
         return range(first, self.next)
 
     def repeat(self, position: int) -> None:
-        """Let a request be sent once more."""
+        """Queue a request of this call to be sent once more."""
         self.attempts = {**self.attempts, position: self.attempts.get(position, 1) + 1}
         self.again = (*self.again, position)
 

@@ -1,11 +1,11 @@
-"""Demands from the moment they are asked until they have ended: what every client conversation has in common.
+"""Calls of a link from submission to outcome: queue, retries, deadlines; shared by all client sessions.
 
 Knows the queue, retries and the errors a request ends with; knows no framing, and no reply.
 
 1. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
-2. Every request gets exactly one outcome. A demand whose requests all have one is in ``finished``.
-3. A demand may have a deadline; time in the queue counts.
+2. Every request gets exactly one outcome. A call whose requests all have one is in ``finished``.
+3. A call may have a deadline; time in the queue counts.
 """
 
 from collections.abc import Callable, Collection
@@ -20,7 +20,7 @@ from .queue import RequestQueue
 
 @dataclass(slots=True)
 class ClientCounters:
-    """What happened on a link since it was made."""
+    """Counters of a link since it was made."""
 
     requests: int = 0
     replies: int = 0
@@ -44,15 +44,15 @@ class ClientCounters:
 
 
 class CallTracker:
-    """The demands of one link.
+    """The calls of one link: decides about retries and gives every request its outcome.
 
     Attributes:
         endpoint: URL of the link, for errors.
-        parameters: retries and the bound of the queue.
-        queue: what has something left to send.
-        counters: what happened.
-        finished: demands that have all their outcomes; the driver empties the list.
-        deadlines: how many living demands have a deadline.
+        parameters: retries and the limit of the queue.
+        queue: calls that have something left to send.
+        counters: counters of the link.
+        finished: calls that have all their outcomes; the driver empties the list.
+        deadlines: how many open calls have a deadline.
     """
 
     __slots__ = ("counters", "deadlines", "endpoint", "finished", "parameters", "queue")
@@ -66,7 +66,7 @@ class CallTracker:
         self.deadlines = 0
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a demand. Raises `Overloaded` where the queue is full; nothing was sent then."""
+        """Queue a call. Raises `Overloaded` if the queue is full; nothing was sent then."""
         try:
             self.queue.add(call)
         except Overloaded as error:
@@ -76,13 +76,13 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Take a demand that needs no place in the queue."""
+        """Track a call that is sent at once and needs no place in the queue."""
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1
 
     def withdraw(self, call: Call) -> None:
-        """The caller has gone: nothing more of the demand is sent."""
+        """Take a cancelled call out of the queue: nothing more of it is sent."""
         self.queue.remove(call)
         if call.open and not call.ended:
             self.counters.cancelled += 1
@@ -95,9 +95,9 @@ class CallTracker:
         reason: Callable[[], ModbusError],
         in_flight: Collection[tuple[int, int]] = (),
     ) -> None:
-        """What of a demand waits to be sent is not sent any more; each request gets an error of its own.
+        """End the unsent requests of a call, each with an error of its own.
 
-        ``in_flight`` holds (identity of demand, position) of what is sent, and goes on.
+        ``in_flight`` holds (``id`` of the call, position) of the requests already sent; those go on.
         """
         self.queue.remove(call)
         for position, outcome in enumerate(call.outcomes):
@@ -105,10 +105,10 @@ class CallTracker:
                 self._given_up(call, position, reason(), now)
 
     def suspended(self, call: Call, pause: float, timeouts: int) -> UnitSuspended:
-        """The error of a request whose unit is not asked, counted.
+        """Build and count the error of a request whose unit is suspended by its breaker.
 
         Args:
-            call: of it.
+            call: the call of the request.
             pause: seconds until the unit may be asked again.
             timeouts: how often in a row it did not answer.
         """
@@ -122,9 +122,9 @@ class CallTracker:
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """No connection could be had: everything that waits fails, at once and with the same reason.
+        """No connection could be opened: fail every waiting call at once with the same reason.
 
-        With ``keep_repeated`` a demand that is about to be repeated stays.
+        With ``keep_repeated`` a call that is about to be repeated stays in the queue.
         """
         for call in list(self.queue):
             if keep_repeated and call.again:
@@ -137,7 +137,7 @@ class CallTracker:
                     self._given_up(call, position, copy, now)
 
     def next_deadline(self) -> float | None:
-        """The nearest deadline of what waits in the queue."""
+        """The earliest deadline among the calls in the queue; None without any."""
         if not self.deadlines:
             return None
         return min((one.deadline for one in self.queue if one.deadline is not None), default=None)
@@ -148,12 +148,12 @@ class CallTracker:
         in_flight: set[tuple[int, int]],
         reason: Callable[[Call], NoReply | None] = lambda call: None,
     ) -> None:
-        """End what waited beyond its deadline.
+        """End the calls in the queue whose deadline has passed.
 
         Args:
             now: the time.
-            in_flight: (identity of demand, position) of what is sent.
-            reason: why a demand was not sent, where there is more to say than that it waited.
+            in_flight: (``id`` of the call, position) of the requests already sent.
+            reason: gives the error for a call that had a particular reason not to be sent, else None.
         """
         if not self.deadlines:
             return
@@ -172,7 +172,7 @@ class CallTracker:
                     self._given_up(call, position, error, now)
 
     def _given_up(self, call: Call, position: int, error: ModbusError, now: float) -> None:
-        """A request ends while it waits: as if never asked, unless it waits to be repeated and is a write."""
+        """End a waiting request with an error; a write that waits for its repetition ends as `WriteOutcomeUnknown`."""
         if position in call.attempts:
             error.attempt = call.attempts[position] - 1  # the one after it was never begun
         if error.attempt and call.requests[position].is_write:
@@ -181,7 +181,7 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def failed(self, call: Call, position: int, error: ModbusError, now: float, *, again: bool) -> None:
-        """A request that was sent got no valid answer: repeat it, or end it with the error that is true."""
+        """A request that was sent got no valid answer: repeat it if rule 1 allows, else end it with the right error."""
         request = call.requests[position]
         attempt = call.attempts.get(position, 1)
         guarded = request.is_write and not call.idempotent
@@ -196,7 +196,7 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def repeat(self, call: Call, position: int) -> None:
-        """Ask a read once more that was answered perhaps; none of its retries is spent."""
+        """Repeat a read that may have been answered; this uses up none of its retries."""
         call.repeated += 1
         self._again(call, position)
 
@@ -215,7 +215,7 @@ class CallTracker:
         self.conclude(call, position, self.placed(unknown, call, position, now))
 
     def placed(self, error: ModbusError, call: Call, position: int, now: float) -> ModbusError:
-        """Say where and when of an error."""
+        """Fill in endpoint, unit, function, address, attempt and elapsed time of an error."""
         request = call.requests[position]
         spans = request.spans()
         return error.at(
@@ -228,14 +228,14 @@ class CallTracker:
         )
 
     def conclude(self, call: Call, position: int, outcome: Message | ModbusError) -> None:
-        """Give one request its outcome."""
+        """Set the outcome of one request, and finish the call if it was the last one."""
         call.outcomes[position] = outcome
         call.open -= 1
         if not call.open:
             self.finish(call)
 
     def finish(self, call: Call) -> None:
-        """All requests of a demand have their outcome."""
+        """Move a call to ``finished``: all its requests have their outcome."""
         self.finished.append(call)
         self._leave(call)
 

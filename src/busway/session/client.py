@@ -1,4 +1,4 @@
-"""The client's side of a TCP connection: demands in, ADUs out, replies matched to what was asked.
+"""The client's side of a TCP connection: calls in, ADUs out, replies matched to what was asked.
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.1 and of devices that break them; knows no socket and no clock:
 times are ``now`` in seconds, and whoever drives a session calls `TcpClientSession.tick` at `deadline`.
@@ -10,15 +10,15 @@ times are ``now`` in seconds, and whoever drives a session calls `TcpClientSessi
    lasts; its late reply is dropped, and tells how slow the device is.
 4. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
-5. Where transactions can not be told apart (policies automatic and ignore), a timeout ends the connection: the next
+5. Where transactions cannot be told apart (policies automatic and ignore), a timeout ends the connection: the next
    reply could be the late one.
 6. A connection that brings nothing but timeouts, or late replies only, is made anew.
 7. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
    still working on it.
 8. Where units are watched, one that does not answer is not asked for a while, and its requests fail with
    `UnitSuspended`: one transaction at a time would else be lost to it, and all others wait (`breaker`).
-9. Reads of one demand fly as a volley, and are taken together when all of them are answered in their order. Whatever
-   else happens takes all volleys apart first (`_split_batches`), so that all rules are about single requests.
+9. Reads of one call are sent as a pipelined batch, and their replies are taken together when all come in order. Any
+   other event splits all batches first (`_split_batches`), so the other rules only deal with single requests.
 """
 
 from collections import deque
@@ -45,7 +45,7 @@ _PACE_FORGETS = 0.9
 """The usual time of a unit is its slowest lately: each faster reply takes a tenth off."""
 _LAUNCHES_APART = 32
 """So many times requests fly one by one after replies have come in another order, or one was an exception: to take a
-volley apart costs a fifth of what its requests cost."""
+pipelined batch apart costs a fifth of what its requests cost."""
 _LATE_FACTOR = 2
 _LATE_KNOWN = 60.0
 """Seconds for which a unit that answered too late is called slow."""
@@ -62,7 +62,7 @@ class TcpClientSession:
 
     Attributes:
         counters: what happened.
-        finished: demands that have all their outcomes; the driver empties the list.
+        finished: calls that have all their outcomes; the driver empties the list.
         recycle: why the connection must be closed and made anew; empty while it need not.
         late_units: by unit, when its last late reply came and how many seconds it had taken.
         valid_reply: whether this connection has brought a reply that answers a request, in time or late.
@@ -135,7 +135,7 @@ class TcpClientSession:
     # What the application asks.
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a demand. Raises `Overloaded` where the queue is full, `UnitSuspended`; nothing was sent then."""
+        """Take a call. Raises `Overloaded` where the queue is full, `UnitSuspended`; nothing was sent then."""
         if self.breakers is not None:
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
@@ -143,7 +143,7 @@ class TcpClientSession:
         self._tracker.submit(call, now)
 
     def cancel(self, call: Call) -> bool:
-        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen.
+        """The caller has gone: nothing more of the call is sent, and what is in flight finishes unseen.
 
         Returns:
             Whether something of it is in flight.
@@ -218,7 +218,7 @@ class TcpClientSession:
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """No connection could be had: everything that waits fails, at once and with the same reason.
 
-        With ``keep_repeated`` a demand that is about to be repeated waits for the next attempt.
+        With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
@@ -255,7 +255,7 @@ class TcpClientSession:
         return out
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """The ADUs of a demand, joined, if nothing waits and all of it may go at once; None: `submit` it."""
+        """The ADUs of a call, joined, if nothing waits and all of it may go at once; None: `submit` it."""
         count = len(call.requests)
         if (
             self._queue.size
@@ -287,7 +287,7 @@ class TcpClientSession:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _send(self, call: Call, now: float, out: list[bytes], *, at_most: int) -> None:
-        """Put up to ``at_most`` requests of a demand in flight; those of one demand leave joined."""
+        """Put up to ``at_most`` requests of a call in flight; those of one call leave joined."""
         if self._doubtful and self._is_doubted(call):
             at_most = 1  # it is a probe
         requests = len(call.requests)
@@ -304,10 +304,10 @@ class TcpClientSession:
             out.append(b"".join(adus))
 
     def _send_batch(self, call: Call, count: int, now: float) -> bytes | None:
-        """Put the next ``count`` requests in flight together, one for each free place; None if they can not go so.
+        """Send the next ``count`` requests as a pipelined batch and return its bytes; None if they cannot be batched.
 
-        Where others fly by themselves the device answers one by one, or in another order: a volley would only be taken
-        apart again.
+        While single requests are in flight the device answers one by one, or in another order, and a batch would be
+        split again.
         """
         if count < 2 or self._pending:
             return None
@@ -361,13 +361,13 @@ class TcpClientSession:
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
-        """Take all volleys apart: from here on each of their requests flies by itself."""
+        """Take all pipelined batches apart: from here on each of their requests flies by itself."""
         for batch in self._batches:
             self._pending.update(batch.apart())
         self._batches.clear()
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Work through the first ``size`` bytes of ``buffer``. Demands that are complete are in ``finished``."""
+        """Work through the first ``size`` bytes of ``buffer``. Calls that are complete are in ``finished``."""
         if self._buffer.kept:
             joined, size = self._buffer.join(buffer, size)
             data = bytes(joined)
@@ -425,7 +425,7 @@ class TcpClientSession:
     def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
         """Take replies that come in the order of what was asked; where those end that did.
 
-        This is the hot path of `execute_many`: 0.5 µs per reply where all of a volley are there, 0.9 where some are.
+        This is the hot path of `execute_many`: 0.5 µs per reply if all of a batch have arrived, 0.9 if only some have.
         """
         batches = self._batches
         at = good = 0
@@ -467,7 +467,7 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """The demands of several requests of which some are in flight, or are ended while others wait for their turn.
+        """The calls of several requests of which some are in flight, or are ended while others wait for their turn.
 
         One may be named more than once, and others that are in flight may be named too.
         """
@@ -530,7 +530,7 @@ class TcpClientSession:
         if kept:
             self._recycle("a frame began and did not end within the timeout")
         elif self._tolerant:
-            self._recycle("a timeout where transactions can not be told apart")
+            self._recycle("a timeout where transactions cannot be told apart")
         elif self._timeouts_in_row >= self.parameters.recycle_after_timeouts:
             self._recycle(f"{self._timeouts_in_row} timeouts in a row")
         elif self._timeouts_since_reply >= _LATE_FACTOR * self.parameters.recycle_after_timeouts:
@@ -699,7 +699,7 @@ class TcpClientSession:
             self._recycle(f"{self._foreign_in_row} replies in a row that answer nothing asked here")
 
     def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
-        """A length that can not be: nothing behind it can be read."""
+        """A length that cannot be: nothing behind it can be read."""
         self._recycle(reason)
         self._split_batches()
         for awaited in list(self._pending.values()):

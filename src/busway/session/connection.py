@@ -1,13 +1,13 @@
-"""The life of a link's connection: what the asyncio and the blocking driver of a client do alike.
+"""The life cycle of a client's connection, shared by the asyncio and the blocking driver.
 
-Knows a conversation, the states of `reconnect` and what calls are told of them; knows no socket, thread, loop or log.
-The driver makes and closes the connection, says what happened to it and when, and acts on what it is told.
+Knows a session, the states of `reconnect` and the errors that calls get; knows no socket, thread, loop or log.
+The driver opens and closes the connection, reports its events with their time, and acts on the results.
 
-1. A connection begins with `dialled` and `connected`, or `failed`; it ends with `lost`, or with `released` where nobody
-   needs it. What was in flight on it has then been repeated or has failed (`TcpClientSession.disconnected`).
-2. What was to be sent on it is the driver's, which drops it with the connection before it says so.
-3. Where attempts fail in a row, calls that wait fail at once, and new ones are refused until the next attempt is due.
-4. Calls that have ended are in ``finished`` of the conversation; the driver wakes their callers.
+1. A connection begins with `dialled` and `connected`, or `failed`; it ends with `lost`, or with `released` if it is no
+   longer needed. Requests in flight have then been repeated or have failed (`TcpClientSession.disconnected`).
+2. The driver owns the bytes that are not sent yet; it drops them with the connection before it reports the end.
+3. After several failed attempts waiting calls fail at once, and new ones are refused until the next attempt is due.
+4. Ended calls are in ``finished`` of the session; the driver wakes their callers.
 """
 
 from collections.abc import Callable
@@ -19,22 +19,22 @@ from .reconnect import ConnectionEvent, ConnectionState, Reconnect
 from .serial_client import SerialClientSession
 
 Moved = Callable[[ConnectionEvent, str, str], None]
-"""Called with each event, its reason, and what there is to tell an operator: an empty text where nothing is new."""
+"""Called with each event, its reason, and a message for the operator, empty if there is nothing new."""
 
 
 class ConnectionLife:
-    """The connections of one link, one after the other.
+    """Life cycle of a link's connections, one after the other.
 
     Args:
-        conversation: whose connection it is.
-        reconnect: its states and pauses.
+        conversation: the client session that uses the connection.
+        reconnect: states and pauses.
         endpoint: URL of the peer, for errors.
-        hold: seconds that a connection is kept while nobody uses it; 0 for no longer than it is used.
-        moved: method of the link that is called with every event; held weakly, so that a link that is dropped goes at
+        hold: seconds that an unused connection is kept; 0 closes it as soon as it is unused.
+        moved: method of the link that is called with every event; held weakly, so that a dropped link is freed at
             once.
 
     Attributes:
-        failure: why no connection could be had; None while one stands, and before the first attempt.
+        failure: why the last attempt failed; None while connected, and before the first attempt.
     """
 
     __slots__ = ("_asked_before", "_conversation", "_endpoint", "_moved", "failure", "hold", "reconnect")
@@ -56,42 +56,42 @@ class ConnectionLife:
         self.hold = hold
         self.failure: LinkDown | None = None
 
-    # How one begins.
+    # How a connection begins.
 
     def may_dial(self, now: float) -> bool:
-        """Whether a connection may be made now."""
+        """Whether a connection attempt may be made now."""
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:
-        """An attempt to connect has begun, where one may be made."""
+        """Report that an attempt to connect has begun; call it only after `may_dial` said yes."""
         self._move(ConnectionEvent.DIALLED, now)
 
     def connected(self, now: float) -> None:
-        """A connection stands."""
+        """Report that the connection is open."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)
         self._conversation.connected(now)
 
     def failed(self, now: float, failure: LinkDown) -> None:
-        """The attempt came to nothing, and with it everything that waited for it."""
+        """Report that the attempt failed; every call that waited for it fails too."""
         self.failure = failure
         self._move(ConnectionEvent.FAILED, now, failure.message)
         self._conversation.unreachable(now, failure)
 
     def interrupted(self, now: float) -> None:
-        """The attempt was interrupted, which says nothing of the peer: what waits goes on waiting."""
+        """Report that the attempt was cancelled, which says nothing about the peer: waiting calls keep waiting."""
         self._move(ConnectionEvent.FAILED, now, "interrupted")
 
-    # What happens to it.
+    # While it is open.
 
     def replied(self, now: float) -> None:
-        """Something was received, and the state is not up or attempts have failed: a valid reply ends all doubts."""
+        """Report received bytes while the state is not up or attempts have failed; a valid reply makes the state up."""
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """Let time take effect on the conversation; whether a request has run out of time."""
+        """Let the session handle timeouts. Returns whether a request has timed out."""
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -101,7 +101,7 @@ class ConnectionLife:
         return True
 
     def spent(self, now: float, last_used: float) -> str:
-        """Why a connection that nobody uses is to be closed; empty while it is to be kept."""
+        """The reason to close an unused connection now; empty while it is to be kept."""
         if now < last_used + self.hold:
             return ""
         return f"unused for {self.hold:g} s" if self.hold else "nothing more is asked"
@@ -109,7 +109,7 @@ class ConnectionLife:
     # How it ends.
 
     def lost(self, now: float, reason: str) -> None:
-        """It has ended, or had to. Where that goes on and on, nobody waits but who is about to be repeated."""
+        """Report that the connection ended; after repeated failures only calls about to be repeated go on waiting."""
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
             self._move(ConnectionEvent.LOST, now, reason, had_reply=conversation.valid_reply)
@@ -122,18 +122,18 @@ class ConnectionLife:
             conversation.unreachable(now, self.failure, keep_repeated=True)
 
     def released(self, now: float, reason: str) -> None:
-        """It was closed because nobody needs it."""
+        """Report that the connection was closed because it was not needed any more."""
         self._move(ConnectionEvent.RELEASED, now, reason)
         self._conversation.disconnected(now, reason, lost=False)
 
     def ended(self, now: float) -> None:
-        """The link was closed for good: what waits fails."""
+        """Report that the link was closed for good: waiting calls fail."""
         self._conversation.unreachable(now, LinkDown("the link was closed"))
 
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """The error of a call that needs a connection while none may be tried; None where it may wait for one."""
+        """The error of a call that needs a connection while none may be tried; None if the call may wait for one."""
         failure = self.failure
         if failure is None or self.may_dial(now) or self.reconnect.state is not ConnectionState.BACKING_OFF:
             return None
@@ -148,7 +148,7 @@ class ConnectionLife:
 
     @property
     def down_because(self) -> str:
-        """Why no connection could be had, in words; empty while one stands, and before the first attempt."""
+        """Why the last attempt to connect failed; empty while connected, and before the first attempt."""
         return "" if self.failure is None else self.failure.message
 
     def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:

@@ -5,7 +5,7 @@ Knows how a read and its answer look on TCP, and the slots of a connection; know
 1. A read is known by its ten bytes behind the transaction, as those that a server plans are; what they mean is asked
    of the handler once for all who have the same rights.
 2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). Where none is left, nothing is
-   taken here, and the long road says so.
+   taken here, and the generic path says so.
 3. Each read that was taken is answered once, by `answer` or `refuse`, with the unit and the transaction it was asked
    with; or it ends with the connection, and whoever works on it is told.
 4. What goes this road gets the same answers, and is counted as, what goes the long one.
@@ -93,7 +93,7 @@ class ForwardPlans:
 
     Attributes:
         known: those that are handed on.
-        others: those that go the long road.
+        others: those that go the generic path.
         sole_way: the way of all that are known; None where there are several.
     """
 
@@ -108,7 +108,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Keep what becomes of a read; None: it goes the long road."""
+        """Keep what becomes of a read; None: it goes the generic path."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -131,7 +131,7 @@ class ReadForwarder(Protocol):
         """What is known for whoever has the rights of ``context``, of all units; shared by all who have the same."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """What becomes of a read; None where it has to go the long road."""
+        """What becomes of a read; None where it has to go the generic path."""
 
 
 @lru_cache(maxsize=64)

@@ -1,11 +1,11 @@
-"""What answers requests, seen from the conversation: one protocol of four members.
+"""The interface of request handlers, which server sessions call: one protocol of four members.
 
-Knows the shape of a handler; knows no device, policy or gateway. Those are handlers.
+Knows no device, policy or gateway; those are handlers.
 
 1. `Handler.handle` gives the reply, an awaitable of it, `LATER` (then `RequestContext.reply` is called once), or
    `SILENCE`. Raising `Refusal` answers with its exception code.
-2. `Handler.direct` offers the short road for a unit: function code → compiled answer. What it leaves out takes the
-   long road. ``generation`` changes whenever an offer made earlier is no longer right.
+2. `Handler.direct` gives the fast path for a unit: function code → compiled answer. Functions missing there take the
+   generic path. ``generation`` changes whenever an earlier result of ``direct`` is no longer valid.
 """
 
 from collections.abc import Awaitable, Callable, Container, Mapping
@@ -21,7 +21,7 @@ from .diagnostics import CommunicationState
 
 
 class Deferral(Enum):
-    """The two outcomes that carry no reply."""
+    """The two outcomes of a handler that carry no reply: `LATER` and `SILENCE`."""
 
     LATER = "later"
     SILENCE = "silence"
@@ -36,18 +36,18 @@ Outcome = Message | Awaitable[Message] | Deferral
 
 
 class RequestContext:
-    """Who asks, by which way; and where a late reply goes.
+    """The client, unit and listener of one request, and the way to give a late reply.
 
     Attributes:
         peer: ``host:port`` of the client, or the name of a serial line.
-        listener: URL of the listener that the request came by.
+        listener: URL of the listener that received the request.
         role: role of the client's certificate; None without one.
         unit: the unit identifier asked, 0…255.
         transaction: the identifier of the request; 0 where the framing has none.
         diagnostics: counters, event log and mode of the unit asked.
-        executed: of a broadcast, which goes to every unit of a line: the ids of what has executed it, so that a device
-            with several units does it once. None otherwise.
-        gone: called if the client goes away while a late reply is awaited; whoever promised `LATER` may set it.
+        executed: for a broadcast, which goes to every unit of a line: ``id`` of each device that has executed it, so
+            that a device with several units executes it once. None otherwise.
+        gone: called if the client disconnects before its late reply; a handler that returned `LATER` may set it.
     """
 
     __slots__ = (
@@ -89,7 +89,7 @@ class RequestContext:
         self._finish = finish
 
     def abandon(self) -> None:
-        """The client has gone, or has given up: no reply can be given any more, and who works on one may stop."""
+        """The client disconnected or gave up: no reply can be given any more, and work on it may stop."""
         self._finish = None
         watchers, self._gone_seen = self._gone_seen, ()
         for seen in watchers:
@@ -99,9 +99,9 @@ class RequestContext:
             gone()
 
     def watch(self, seen: Callable[[Message | Deferral], None], *, gone: Callable[[], None] | None = None) -> None:
-        """Have ``seen`` called with the late reply, just before it goes its way; not where none can be given.
+        """Have ``seen`` called with the late reply just before it is sent; does nothing if none can be given any more.
 
-        ``gone`` is called instead if the client goes away first.
+        ``gone`` is called instead if the client disconnects first.
         """
         finish = self._finish
         if finish is None:
@@ -117,11 +117,11 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether the late reply was given already, or can not be given any more."""
+        """Whether the late reply was given, or cannot be given any more."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
-        """Give the reply that `LATER` promised; a second call does nothing. A client that has gone gets nothing."""
+        """Give the reply that `LATER` promised. Does nothing the second time, or after the client disconnected."""
         finish, self._finish = self._finish, None
         if finish is not None:
             finish(self, reply)
@@ -140,59 +140,58 @@ class Handler(Protocol):
 
     @property
     def generation(self) -> int:
-        """Changes when offers of ``direct`` end."""
+        """A number that changes when earlier results of ``direct`` become invalid."""
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """The short road for the unit, peer and role of ``context``; empty where there is none."""
+        """The compiled answers by function code for unit, peer and role of ``context``; empty without a fast path."""
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """The long road."""
+        """Answer any request: the generic path (rule 1)."""
 
 
 @runtime_checkable
 class ReadPlanner(Protocol):
-    """A handler that lets reads be planned (`busway.pdu.direct.ReadPlan`)."""
+    """A handler whose reads can be cached as plans (`busway.pdu.direct.ReadPlan`)."""
 
     def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
-        """The plans for whoever has the rights of ``context``, of all units; shared by all who have the same."""
+        """The plans, for all units, that all clients with the same rights as ``context`` share."""
 
     def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
-        """The plan of a read that was just answered by the short road, or None."""
+        """The plan of a read that the fast path has just answered, or None if it cannot be cached."""
 
 
 @runtime_checkable
 class WriteObserver(Protocol):
-    """A handler that shows what a write replaces, and executes it in one step with the look at it."""
+    """A handler that reports the values a write replaces, atomically with the write."""
 
     def observe_write(
         self, context: RequestContext, request: Request, see: Callable[[tuple[bytes | None, ...]], None]
     ) -> Outcome:
-        """As ``handle``; just before the request is executed, ``see`` is called with what it would replace.
+        """As ``handle``, but call ``see`` with the current values just before the request is executed.
 
-        That is one element for each range that it writes, in the order of `Request.spans`, of file records for each
-        group: the items in wire order, or None where they do not exist. Nothing else is executed between the look and
-        the request. If ``see`` raises `Refusal`, the request is not executed. ``see`` is not called for what is refused
-        before.
+        ``see`` gets one element for each range to be written, in the order of `Request.spans` (for file records, for
+        each group): the items in wire order, or None where they do not exist. Nothing else is executed in between.
+        If ``see`` raises `Refusal`, the request is not executed. ``see`` is not called for requests refused earlier.
         """
 
 
 @runtime_checkable
 class UnitHolder(Protocol):
-    """A handler that says which units it answers for: what a serial line needs, where nobody speaks for others."""
+    """A handler that lists the units it answers for: a serial line needs that, because other devices share it."""
 
     @property
     def serial_units(self) -> Container[int]:
-        """The units 1…247 that are its own; a live view is welcome."""
+        """The units 1…247 that this handler answers for; it may be a live view."""
 
 
 @runtime_checkable
 class ListedUnits(Protocol):
-    """A handler whose devices may answer to other units than those they are listed as."""
+    """A handler whose devices may answer as more units than the one they are configured as."""
 
     def listed_unit(self, unit: int) -> int:
-        """The unit as which the device is listed that answers for ``unit``; ``unit`` itself where that is so.
+        """The configured unit of the device that answers for ``unit``; often ``unit`` itself.
 
-        Rights are asked for both: whoever may not write to unit 1 shall not do it by another name of the same device.
+        Rights are checked for both: a client denied on unit 1 must not reach the same device by another unit.
         """
 
 

@@ -1,4 +1,4 @@
-"""What can be set about a conversation. Checked once, here; whoever holds one can rely on it."""
+"""Options of client and server sessions, checked at construction."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,18 +24,19 @@ class MismatchPolicy(Enum):
 
 
 class Scope(Enum):
-    """What a server's limit of transactions counts for."""
+    """Scope of a server's limit of transactions."""
 
     CONNECTION = "connection"
     SERVER = "server"
 
 
 class TransactionScope(Enum):
-    """What a client's limit of transactions counts for.
+    """Scope of a client's limit of transactions.
 
     Attributes:
-        CONNECTION: each connection has that many.
-        CLIENT: all connections of a client together: those of an event loop, or the blocking ones of the process.
+        CONNECTION: the limit applies to each connection.
+        CLIENT: it applies to all connections of a client together: those of an event loop, or the blocking ones of the
+            process.
     """
 
     CONNECTION = "connection"
@@ -44,10 +45,10 @@ class TransactionScope(Enum):
 
 TIMEOUT_BY_FRAMING: Mapping[str, float] = MappingProxyType({"mbap": 3.0, "rtu": 1.0, "ascii": 1.0})
 """The default of ``timeout``, by the framing of an endpoint. Behind TCP, TLS and UDP there may be a gateway: it answers
-within `CLIENT_DEADLINE`, so that its client hears 0A or 0B from it before its own patience ends."""
+within `CLIENT_DEADLINE`, so that its client gets exception 0A or 0B before its own timeout."""
 CLIENT_DEADLINE = 2.5
-"""Seconds within which a gateway answers a request, where nothing else is said: one second on a line and one more for
-the repetition, and half a second less than its clients wait."""
+"""Default seconds within which a gateway answers a request: one second on a line and one more for the repetition, and
+half a second less than its clients wait."""
 
 
 def _within(key: str, value: float, low: float, high: float) -> None:
@@ -57,23 +58,24 @@ def _within(key: str, value: float, low: float, high: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ClientParameters:
-    """How a client converses.
+    """Options of a client session.
 
     Attributes:
-        timeout: seconds from the last byte of a request to the last of its reply, per attempt. Where nothing is said,
-            the framing of the endpoint decides.
+        timeout: seconds from the last byte of a request to the last of its reply, per attempt. The default depends on
+            the framing of the endpoint.
         retries: further attempts of a read after a timeout or a lost connection.
         write_retries: further attempts of a write that may have been executed. 0 unless every write is idempotent.
         deadline: seconds a call may take in all, waiting in the queue included; None for no limit.
         max_transactions: NumberMaxOfClientTransaction, 1…16 requests in flight.
-        scope: whether each connection has that many, or all of the client together (Messaging on TCP/IP V1.0b
-            §4.4.1.1): those of an event loop, or the blocking ones of the process.
+        scope: whether that limit applies to each connection, or to all of the client together (Messaging on TCP/IP
+            V1.0b §4.4.1.1): those of an event loop, or the blocking ones of the process.
         queue: calls that may wait on a link; one more is refused with `Overloaded`.
-        transaction_policy, unit_policy: what is done with replies that name another transaction or unit.
-        recycle_after_timeouts: timeouts in a row, with no sign of life, after which the connection is made anew;
-            twice as many while only late replies come.
-        recycle_after_foreign: replies of foreign transactions in a row after which the connection is made anew.
-        join: whether requests that are asked for in one turn leave in one segment, and not each by itself.
+        transaction_policy, unit_policy: how replies that name another transaction or unit are handled.
+        recycle_after_timeouts: timeouts in a row, without any reply, after which the connection is closed and opened
+            again; twice as many while only late replies come.
+        recycle_after_foreign: replies of foreign transactions in a row after which the connection is closed and opened
+            again.
+        join: whether requests made in one turn of the event loop leave in one segment instead of one each.
         single_adu_segments: whether even the requests of `execute_many` leave one by one, as Messaging on TCP/IP
             V1.0b §4.3.2 advises.
         connect_delay: seconds to wait after connecting before the first request.
@@ -129,13 +131,13 @@ class ClientParameters:
 
 @dataclass(frozen=True, slots=True)
 class ServerParameters:
-    """How a server converses.
+    """Options of a server session.
 
     Attributes:
         max_transactions: NumberMaxOfServerTransaction, 1…16 requests that may be waiting for a slow handler.
-        scope: whether the server or each connection has that many.
+        scope: whether that limit applies to the server or to each connection.
         diagnostics_changes: whether sub-functions of 08 that change the listener (01, 03, 04, 0A, 14) are offered;
-            None: on serial lines, and not over a network, where one packet could mute the server for everybody.
+            None: on serial lines, but not over a network, where one packet could mute the server for all clients.
     """
 
     max_transactions: int = 16

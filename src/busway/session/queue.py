@@ -1,15 +1,15 @@
-"""Who is served next: the bounded queue in front of a line.
+"""The bounded queue of calls of one link, and the order in which they are served.
 
 Knows callers, units and the order among them; knows no clock and no bytes.
 
-1. Round robin over callers, one request each. Who comes anew is served before the one that was served last: a flood
-   costs others the request that is on the line, and no second one.
-2. Of one caller, its writes go before its reads to other units, never past its own earlier requests to the same unit.
+1. Round robin over callers, one request each. A new caller is served before the one that was served last: a flood
+   of one caller delays the others by the request on the line and no more.
+2. Of one caller, writes go before reads to other units, but never past its own earlier requests to the same unit.
 3. A unit that must not be asked now (``eligible``) holds up its own requests only.
-4. The queue is bounded; what does not fit is refused before anything was sent.
-5. Where a caller stands for many (a client of a gateway), its units can be served in turn too (``units_in_turn``).
-6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``): what leaves
-   together comes back together. It waits for no room: where one request may be sent, one is a turn.
+4. The queue is bounded; a call that does not fit is refused before anything was sent.
+5. For a caller that acts for many (a client of a gateway), its units can be served in turn too (``units_in_turn``).
+6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``), because
+   requests that leave together are answered together. A turn never waits for more room: if one request may be sent, it is one.
 """
 
 from collections import deque
@@ -19,16 +19,16 @@ from ..errors import Overloaded
 from .call import Call
 
 BURST = 8
-"""What is a turn of a gateway's client at most, where others wait and there is room. What leaves together comes back
-together, and is one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, and one by one
-they take 45. Half of what may be in flight, so that two clients have their turns at once."""
+"""Largest turn, in requests, of a gateway's client while others wait. Requests that leave together are answered
+together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single ones 45.
+Half of the requests that may be in flight, so that two clients have their turns at once."""
 
 Eligible = Callable[[Call], bool]
-"""Whether the unit of a demand may be asked now."""
+"""Whether the unit of a call may be asked now."""
 
 
 class _Caller:
-    """The demands of one caller, in the order they came."""
+    """The queued calls of one caller, in order of arrival."""
 
     __slots__ = ("calls", "key", "served", "units", "writes")
 
@@ -36,7 +36,7 @@ class _Caller:
         self.key = key
         self.calls: deque[Call] = deque()
         self.writes = 0
-        self.units: dict[int, int] = {}  # demands by unit, where units are served in turn
+        self.units: dict[int, int] = {}  # calls by unit, where units are served in turn
         self.served: dict[int, None] | None = None  # units in the order in which they were served, if that matters
 
     def pick(self, eligible: Eligible | None) -> Call | None:
@@ -60,7 +60,7 @@ class _Caller:
         return chosen
 
     def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
-        """The oldest demand of the unit that was served longest ago."""
+        """The oldest call to the unit whose last turn is longest ago."""
         oldest: dict[int, Call] = {}
         for call in self.calls:
             oldest.setdefault(call.unit, call)
@@ -69,15 +69,15 @@ class _Caller:
 
 
 class RequestQueue:
-    """Demands that have something left to send.
+    """The queue of the calls that have something left to send.
 
     Attributes:
-        limit: how many there may be.
-        size: how many there are.
-        waiting: how many places they take (`Call.places`): what the limit is about.
-        burst: requests of one caller that may be sent before the next one's turn, where there is room for all of them.
-        begun: those of which some requests were sent and others wait, where turns may be more than one request.
-        units_in_turn: whether the units of a caller are served in turn, and not its requests in their order.
+        limit: how many places there are.
+        size: how many calls are queued.
+        waiting: how many places they take (`Call.places`); ``limit`` applies to this number.
+        burst: requests of one caller that may be sent before the next caller's turn, if there is room for all of them.
+        begun: calls with both sent and waiting requests; kept only if ``burst`` is above 1.
+        units_in_turn: whether the units of a caller are served in turn, instead of its requests in their order.
     """
 
     __slots__ = ("_callers", "_last", "_ring", "begun", "burst", "limit", "size", "units_in_turn", "waiting")
@@ -91,10 +91,10 @@ class RequestQueue:
         self.units_in_turn = False
         self._callers: dict[object, _Caller] = {}
         self._ring: deque[_Caller] = deque()
-        self._last: _Caller | None = None  # who was served last
+        self._last: _Caller | None = None  # the caller served last
 
     def add(self, call: Call) -> None:
-        """Put a demand behind the others of its caller. Raises `Overloaded` where the queue is full."""
+        """Queue a call after the others of its caller. Raises `Overloaded` if the queue is full."""
         if self.waiting + call.places > self.limit:
             raise Overloaded(f"{self.limit} calls wait on this link already; nothing was sent")
         caller = self._callers.get(call.caller) or self._new_caller(call.caller)
@@ -102,10 +102,10 @@ class RequestQueue:
         self._count(caller, call)
 
     def add_again(self, call: Call) -> None:
-        """Put a demand with a request to repeat before the others of its caller; the limit does not count here."""
+        """Queue a call that has a request to repeat before the others of its caller, whatever the limit."""
         caller = self._callers.get(call.caller) or self._new_caller(call.caller)
         if call not in caller.calls:  # else its other requests still wait
-            call.places = 1  # those of its others were free when they were sent
+            call.places = 1  # its other requests gave up their places when they were sent
             caller.calls.appendleft(call)
             self._count(caller, call)
         elif self.burst > 1:
@@ -133,14 +133,14 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """How many requests are a turn, where ``room`` of them may be sent at once: the burst, or more for few."""
+        """Requests in one turn if ``room`` may be sent at once: the burst, or more if few callers wait."""
         callers = len(self._ring)
         if callers == 1:
             return room
         return 1 if self.burst == 1 else max(self.burst, room // callers)
 
     def sent(self, call: Call, count: int) -> None:
-        """So many requests of a demand that was picked were sent; with the last one it leaves the queue."""
+        """Note that ``count`` requests of a picked call were sent; the call leaves the queue with its last request."""
         if not call.has_more:
             self.remove(call)
             return
@@ -151,7 +151,7 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """The next demand of the caller that was picked last, while it is its turn; None where it has no more."""
+        """The next call of the caller picked last, within the same turn; None if it has no more."""
         caller = self._last
         if caller is None or not caller.calls:
             return None
@@ -168,7 +168,7 @@ class RequestQueue:
             served[call.unit] = None
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
-        """The demand whose next request is due, or None. Its caller goes to the end of the round."""
+        """The call whose next request is to be sent, or None. Its caller goes to the end of the round."""
         ring = self._ring
         for _ in range(len(ring)):
             caller = ring[0]
@@ -181,11 +181,11 @@ class RequestQueue:
         return None
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
-        """What `pick` would give now; the round stays where it is."""
+        """The call that `pick` would return now, without ending its caller's turn."""
         return next((call for caller in self._ring if (call := caller.pick(eligible)) is not None), None)
 
     def remove(self, call: Call) -> bool:
-        """Take a demand out, sent to the end or given up; whether it was in."""
+        """Remove a call that is completely sent or given up. Returns whether it was queued."""
         caller = self._callers.get(call.caller)
         if caller is None:
             return False
@@ -208,7 +208,7 @@ class RequestQueue:
             self.begun.pop(call, None)
         if not calls:
             del self._callers[call.caller]
-            if self._ring[-1] is caller:  # who was just served
+            if self._ring[-1] is caller:  # the caller just served
                 self._ring.pop()
             else:
                 self._ring.remove(caller)

@@ -1,12 +1,12 @@
-"""When a connection may be made anew: one table of states, and a backoff.
+"""When to reconnect: a state table, and a backoff.
 
-Knows outcomes and times; knows no socket. ``jitter`` is handed in (a number 0…1 per call), so a test can fix it.
+Knows outcomes and times; knows no socket. ``jitter`` is passed in (it returns a number 0…1), so a test can fix it.
 
-1. A connection that brought a valid reply and ends is made anew at the next need, at once.
-2. One that could not be had, or ended without a valid reply, is followed by a pause that doubles each time. Only a
+1. After a connection that brought a valid reply, the next request reconnects at once.
+2. After one that could not be opened, or ended without a valid reply, there is a pause that doubles each time. Only a
    valid reply resets it: a peer that accepts and closes is not a peer that works.
-3. One that ends while nothing was ever asked on it, or is closed because nobody uses it, proves nothing either way.
-4. Every change is news once. Attempts that fail in a row are counted, and told when something answers again.
+3. A connection that ends without any request sent, or is closed because it is unused, changes neither pause nor count.
+4. Every change of state is reported once. Failed attempts in a row are counted, and reported when the peer answers.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from typing import Final
 
 
 class ConnectionState(Enum):
-    """Where a link stands."""
+    """States of a link's connection."""
 
     DOWN = "down"
     CONNECTING = "connecting"
@@ -25,7 +25,7 @@ class ConnectionState(Enum):
 
 
 class ConnectionEvent(Enum):
-    """What moves it."""
+    """Events that change the state."""
 
     DIALLED = "dialled"
     CONNECTED = "connected"
@@ -53,20 +53,20 @@ TRANSITIONS: dict[tuple[ConnectionState, ConnectionEvent], ConnectionState] = {
     (_S.UP, _E.RELEASED): _S.DOWN,
     (_S.SUSPECT, _E.RELEASED): _S.DOWN,
 }
-"""LOST leads to BACKING_OFF instead where the connection brought no valid reply (rule 2). RELEASED is an end that
-proves nothing (rule 3)."""
+"""State after each event. LOST leads to BACKING_OFF instead if the connection brought no valid reply (rule 2). RELEASED
+is an end that counts neither way (rule 3)."""
 
 FIRST_PAUSE: Final = 0.1
 """Seconds of the first pause."""
 LONGEST_PAUSE: Final = 5.0
-"""Seconds of the longest pause: so long an operator waits at most for a device that is back."""
+"""Seconds of the longest pause: the longest wait for a device that is back."""
 
 
 class Reconnect:
-    """The state of one link's connection.
+    """State of one link's connection and the pause before its next attempt.
 
     Attributes:
-        state: where it stands.
+        state: the current state.
         failures: connections in a row that brought no valid reply.
         not_before: when the next attempt may be made, in the clock of ``now``.
     """
@@ -82,16 +82,16 @@ class Reconnect:
         self.not_before = 0.0
 
     def move(self, event: ConnectionEvent, now: float, *, reason: str = "", had_reply: bool = False) -> str:
-        """Follow an event. One that the table does not know in this state changes nothing.
+        """Apply an event to the state; an event without an entry in the table changes nothing.
 
         Args:
             event: what happened.
             now: when, in seconds.
             reason: why, in words.
-            had_reply: of a connection that was lost, whether it had brought a valid reply.
+            had_reply: for `LOST`: whether the connection had brought a valid reply.
 
         Returns:
-            What there is to tell about it, or an empty text where nothing is new.
+            A message for the operator, or an empty text if there is nothing new.
         """
         before, failed = self.state, self.failures
         target = TRANSITIONS.get((before, event))
@@ -109,18 +109,18 @@ class Reconnect:
 
     @property
     def is_flapping(self) -> bool:
-        """Whether it backs off after more than one attempt: then nobody is kept waiting for the next one."""
+        """Whether it backs off after more than one failed attempt: then calls fail instead of waiting for the next."""
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
     def may_dial(self, now: float) -> bool:
-        """Whether a connection may be made now; ends a pause that is over."""
+        """Whether an attempt may be made now; leaves BACKING_OFF if the pause is over."""
         if self.state is ConnectionState.BACKING_OFF and now >= self.not_before:
             self.move(ConnectionEvent.PAUSE_OVER, now)
         return self.state is ConnectionState.DOWN
 
 
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
-    """What is new about an event, after ``failed`` attempts in a row without a valid reply."""
+    """The operator's message about an event after ``failed`` attempts in a row without a valid reply, or empty."""
     if event is ConnectionEvent.VALID_REPLY:
         if failed:
             return f"up: it answers again, after {failed} {'attempt' if failed == 1 else 'attempts'} without a reply"

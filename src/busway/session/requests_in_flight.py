@@ -1,13 +1,13 @@
-"""Requests on their way over TCP: one by one, or together in a volley that is answered in its order.
+"""Requests in flight over TCP: single ones, and pipelined batches that are answered in their order.
 
-Knows how ADUs lie one behind the other; knows no connection, no queue, and no reply that does not simply fit: whoever
-meets one takes the volley apart (`PipelinedBatch.apart`) and looks at each request by itself.
+Knows the layout of consecutive ADUs; knows no connection, no queue, and only replies that fit exactly: on any other
+the session splits the batch (`PipelinedBatch.apart`) and matches each request by itself.
 
-1. What does not depend on transactions is made once and kept with the requests (`Request.memo`): a poller asks the same
-   again and again.
-2. A reply is known by its transaction and by the seven bytes behind it: protocol, length, unit, function, byte count.
-3. While a volley is in flight nothing that was sent after it has ended: who takes another reply takes it apart before.
-   So its identifiers are the latest ones, and need not be looked for among those of later requests.
+1. What does not depend on transactions is computed once and kept with the requests (`Request.memo`): a poller sends the
+   same requests again and again.
+2. A reply is recognised by its transaction and the seven bytes after it: protocol, length, unit, function, byte count.
+3. While a batch is in flight no request sent after it has ended, because any other reply splits the batch first. So its
+   identifiers are the latest ones, and need not be looked up among those of later requests.
 """
 
 import struct
@@ -19,22 +19,22 @@ from ..pdu.message import Message, Request
 from .call import Call
 
 _BEHIND = struct.Struct(">HHB")
-"""What stands behind the transaction: protocol, length, unit."""
+"""The MBAP header after the transaction: protocol, length, unit."""
 HEAD_SIZE = 9
-"""Bytes of a reply by which it is known: transaction and the seven behind it."""
+"""Bytes that identify a reply: the transaction and the seven bytes after it."""
 
 
 class EncodedRequest:
-    """What a request to a unit looks like on TCP but for its transaction.
+    """The bytes of a request to one unit on TCP, and of its expected reply, without the transaction.
 
     Attributes:
-        unit: which unit.
+        unit: the unit identifier.
         tail: the ADU of the request without its transaction.
-        head: the seven bytes behind the transaction of a reply that fits. Empty where they do not tell whether it does.
-        reply_size: bytes of the ADU of a reply that fits.
-        take: what makes that reply of its data.
+        head: the seven bytes after the transaction of a fitting reply; empty if they do not suffice to recognise it.
+        reply_size: bytes of the ADU of a fitting reply.
+        take: builds the reply from its data.
         others: the routes of the same request to all units, if it was sent to more than one.
-        plan: of the last volley that this request was the first of.
+        plan: the plan of the last pipelined batch that began with this request.
     """
 
     __slots__ = ("head", "others", "plan", "reply_size", "tail", "take", "unit")
@@ -53,7 +53,7 @@ class EncodedRequest:
 
 
 def route_of(request: Request, unit: int) -> EncodedRequest:
-    """The route of a request to a unit; made when it is first asked for, and kept with the request."""
+    """The route of a request to a unit; made at the first use and kept with the request."""
     try:
         route: EncodedRequest = request.memo
     except AttributeError:
@@ -67,7 +67,7 @@ def route_of(request: Request, unit: int) -> EncodedRequest:
 
 
 def _other_route(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """The route to a unit where another one is kept already; from now on each finds the others."""
+    """The route to a unit for a request that has routes to others; all of them share one table by unit."""
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
     found = known.others.get(unit)
@@ -78,7 +78,7 @@ def _other_route(request: Request, unit: int, known: EncodedRequest) -> EncodedR
 
 
 class RequestInFlight:
-    """One place among the requests in flight; the same few objects serve a connection for ever."""
+    """A slot for one request in flight; a connection reuses the same few objects."""
 
     __slots__ = ("call", "expires", "position", "route", "sent")
 
@@ -90,24 +90,24 @@ class RequestInFlight:
 
 
 Places = list[RequestInFlight]
-"""Places for requests in flight that are free."""
+"""The free slots for requests in flight."""
 
 
 def places(count: int) -> Places:
-    """So many places, all free: of one session, or shared by the sessions of a client."""
+    """Make ``count`` free slots for requests in flight, for one session or shared by the sessions of a client."""
     return [RequestInFlight() for _ in range(count)]
 
 
 class BatchPlan:
-    """What requests to a unit look like together but for their transactions.
+    """The bytes of several requests to one unit, and of their expected replies, without the transactions.
 
     Attributes:
-        following: the requests behind the first, which keeps the plan and is not kept by it: a batch that is made for
-            one call would else be a ring of references.
-        fits: whether all their replies can be known by their first bytes; if not, there is no volley of them.
-        heads: of each reply, the seven bytes behind its transaction.
-        reply_sizes, reply_size: bytes of the ADUs of each reply, and of all.
-        takers: what makes each reply of its data.
+        following: the requests after the first. The first request holds the plan, so the plan does not refer to it:
+            that would be a reference cycle for each call.
+        fits: whether all replies can be recognised by their first bytes; otherwise the requests cannot be batched.
+        heads: the seven bytes after the transaction of each reply.
+        reply_sizes, reply_size: bytes of the ADU of each reply, and of all together.
+        takers: builds each reply from its data.
     """
 
     __slots__ = (
@@ -131,20 +131,20 @@ class BatchPlan:
         self.reply_sizes = tuple(route.reply_size for route in routes)
         self.reply_size = sum(self.reply_sizes)
         self.takers = tuple(route.take for route in routes)
-        self._is_plain = set(self.takers) == {bytes}  # whoever asks wants the data as they came (a gateway)
+        self._is_plain = set(self.takers) == {bytes}  # the caller wants the data as they came (a gateway)
         self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
         if self.fits:
             out, back = _shapes(tuple(len(route.tail) for route in routes), self.reply_sizes)
             self._pack, self._unpack_from = out.pack, back.unpack_from
 
     def encode(self, transactions: Sequence[int]) -> bytes:
-        """The ADUs, joined."""
-        fields = self._fields.copy()  # another thread may be at the same plan
+        """The ADUs of all requests with these transactions, joined."""
+        fields = self._fields.copy()  # another thread may use the same plan
         fields[0::2] = transactions
         return self._pack(*fields)
 
     def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
-        """All the replies, if ``buffer`` from ``at`` on begins with them in the order of the requests."""
+        """All replies, if ``buffer`` from ``at`` on holds them complete and in the order of the requests, else None."""
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
             return None
@@ -155,14 +155,14 @@ class BatchPlan:
 
 @lru_cache(maxsize=256)
 def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
-    """How the requests and the replies of a volley lie; ``tails`` and ``replies`` are numbers of bytes."""
+    """Struct layouts of the requests and of the replies of a batch; ``tails`` and ``replies`` are sizes in bytes."""
     out = "".join(f"H{size}s" for size in tails)
     back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
     return struct.Struct(">" + out), struct.Struct(">" + back)
 
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """The plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
+    """The batch plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
     route = route_of(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
     plan = route.plan
@@ -172,16 +172,16 @@ def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> B
 
 
 class PipelinedBatch:
-    """Requests of one demand that are in flight, and whose replies are expected in their order.
+    """Consecutive requests of one call that were sent together and whose replies are expected in order.
 
     Attributes:
-        call: whose.
-        first: position of the first request in the demand.
-        plan: how they look.
-        transactions: their identifiers.
-        places: those that they take, one for each request that still wants its reply.
-        answered: how many of them have their reply; the first ones.
-        sent, expires: as of each request.
+        call: the call they belong to.
+        first: position of the first request in the call.
+        plan: their bytes without transactions.
+        transactions: their transaction identifiers.
+        places: the slots they take, one for each request still without its reply.
+        answered: how many of them, counted from the first, have their reply.
+        sent, expires: when they were sent and when they time out, in the clock of ``now``.
     """
 
     __slots__ = ("answered", "call", "expires", "first", "places", "plan", "sent", "transactions")
@@ -205,7 +205,7 @@ class PipelinedBatch:
         self.expires = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
-        """Whether the frame that begins at ``at`` is the reply that is next."""
+        """Whether the frame that begins at ``at`` is the next expected reply."""
         following = self.answered
         return (
             buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
@@ -213,7 +213,7 @@ class PipelinedBatch:
         )
 
     def apart(self) -> Iterator[tuple[int, RequestInFlight]]:
-        """Each request that still wants its reply as one by itself, with its transaction."""
+        """Split the batch: give each request that has no reply yet as a single one, with its transaction."""
         call = self.call
         for index in range(self.answered, len(self.transactions)):
             awaited = self.places.pop()

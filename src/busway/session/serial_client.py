@@ -214,7 +214,7 @@ class SerialClientSession:
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a demand.
+        """Take a call.
 
         Raises:
             InvalidRequest: a unit above 247, or a broadcast of something that is no write.
@@ -245,7 +245,7 @@ class SerialClientSession:
             for request in call.requests:
                 if not request.broadcast:
                     raise InvalidRequest(
-                        "can not be broadcast: nobody answers on unit 0, only writes go there; nothing was sent",
+                        "cannot be broadcast: no unit answers on 0, so only writes are allowed; nothing was sent",
                         endpoint=endpoint,
                         unit=BROADCAST_UNIT,
                         function=function_of(request),
@@ -255,7 +255,7 @@ class SerialClientSession:
         return self._tracker.suspended(call, pause, self.breakers.parameters.open_after)
 
     def cancel(self, call: Call) -> bool:
-        """The caller has gone: nothing more of the demand is sent, and what is in flight finishes unseen.
+        """The caller has gone: nothing more of the call is sent, and what is in flight finishes unseen.
 
         Returns:
             Whether something of it is in flight.
@@ -283,7 +283,7 @@ class SerialClientSession:
 
     @property
     def queued(self) -> int:
-        """Demands with something left to send."""
+        """Calls with something left to send."""
         return self._tracker.queue.size
 
     @property
@@ -329,9 +329,9 @@ class SerialClientSession:
             )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """The port can not be opened: everything that waits fails, at once and with the same reason.
+        """The port cannot be opened: everything that waits fails, at once and with the same reason.
 
-        With ``keep_repeated`` a demand that is about to be repeated waits for the next attempt.
+        With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
@@ -400,7 +400,7 @@ class SerialClientSession:
         return max(at, doubt.waits_until(function_of(request), call, position, now))
 
     def _marker_before(self, call: Call) -> Marker | None:
-        """What has to be asked before the next request of a demand; None where it may go out as it is.
+        """What has to be asked before the next request of a call; None where it may go out as it is.
 
         A restart may: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
@@ -425,7 +425,7 @@ class SerialClientSession:
         return marker
 
     def _is_in_doubt(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether the reply to the next request of a demand could be taken for another one."""
+        """Whether the reply to the next request of a call could be taken for another one."""
         position = call.next_position
         request = call.requests[position]
         if not hasattr(request, "wire"):
@@ -458,7 +458,7 @@ class SerialClientSession:
         return frame
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
-        """Send a request of our own to the unit of a demand, which stays where it is in the queue."""
+        """Send a request of our own to the unit of a call, which stays where it is in the queue."""
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
         doubt = self.doubts.of(call.unit)

@@ -2,15 +2,15 @@
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no device.
 
-1. A frame with a protocol other than 0 is discarded and the stream goes on; a length that can not be ends the
+1. A frame with a protocol other than 0 is discarded and the stream goes on; a length that cannot be ends the
    connection (``broken``), after the requests before it were answered.
 2. Order of checks: protocol → slot (06) → function (01) → what the handler says. A service that is finished within
-   its call holds no slot, and the short road needs none. In listen-only mode there is no answer of any kind.
+   its call holds no slot, and the fast path needs none. In listen-only mode there is no answer of any kind.
 3. A function code above 127 is discarded: it would be a reply. Function 0 is answered 80 01.
 4. Requests start in order. Replies of deferred requests leave when they are there, each with the unit and the
    transaction it was asked with, and only while the connection lasts.
 5. Every request that gets no answer is counted.
-6. Reads that the handler hands on (`ReadForwarder`) go together, as far as they are known, and past the long road.
+6. Reads that the handler hands on (`ReadForwarder`) go together, as far as they are known, and past the generic path.
 7. With a share, so many requests are worked through in one call, planned reads aside; what came behind them waits
    (``rest``) until the driver goes on with it.
 """
@@ -37,7 +37,7 @@ _cut_reads = Struct("2s10s").iter_unpack
 _MEMO_LIMIT = 256
 _PLAN_LIMIT = 4096
 """Plans that all connections with the same rights share. A poller of 4096 different ranges is planned whole; whoever
-comes when there is no more room takes the short road, 1.9 µs for 0.7."""
+comes when there is no more room takes the fast path, 1.9 µs for 0.7."""
 _UNIT = 6
 """Where the unit stands in an ADU."""
 _unit_of = itemgetter(_UNIT)
@@ -89,7 +89,7 @@ class TcpServerSession:
     """One connection's conversation.
 
     Attributes:
-        broken: why the stream can not be followed any more; empty while it can. The driver closes the connection.
+        broken: why the stream cannot be followed any more; empty while it can. The driver closes the connection.
         deferred: what the driver has to await; it empties the list.
         failures: failures of handlers to log; the driver empties the list.
         unfinished: bytes of a frame that has begun and not ended.
@@ -205,7 +205,7 @@ class TcpServerSession:
             if self._reads is not None and isinstance(self._handler, ReadForwarder):
                 self._reads.plans = self._forwarded(self._handler)
         diagnostics = self._diagnostics
-        muted = diagnostics.listen_only_units  # one is enough: what is silent has no short road
+        muted = diagnostics.listen_only_units  # one is enough: what is silent has no fast path
         plans = self._plans if not muted else {}
         out: list[bytes] = []
         at = 0
@@ -235,9 +235,9 @@ class TcpServerSession:
         learns = self._planner is not None and len(self._plans) < _PLAN_LIMIT
         left = self._share
         last = size - _LEAST_SIZE
-        counted = 0  # of ``out``; those behind are the short road's, and counted together
+        counted = 0  # of ``out``; those behind are the fast path's, and counted together
         # The loop below is the hot path of a server whose clients ask in many ways. A read that was asked before needs
-        # one look-up of its ten bytes behind the transaction. Another request of the short road takes 1.0 µs, of which
+        # one look-up of its ten bytes behind the transaction. Another request of the fast path takes 1.0 µs, of which
         # the call of the compiled answer is the half.
         while at <= last:
             plan = plans.get(buffer[at + 2 : at + 12])
@@ -275,7 +275,7 @@ class TcpServerSession:
                             learns = self._learn(unit, buffer[at:end])
                         at = end
                         continue
-                # What went the short road so far counts before the long road looks at the counters.
+                # What went the fast path so far counts before the generic path looks at the counters.
                 if len(out) > counted:
                     self._count(bytes(map(_unit_of, out[counted:])))
                     counted = len(out)
@@ -363,7 +363,7 @@ class TcpServerSession:
         """Ask, once, what becomes of a read: whether it is handed on from now on."""
         key = adu[2:]
         if not is_read(adu) or key in reads.plans or not isinstance(self._handler, ReadForwarder):
-            return False  # where it is known, no slot is left, or it has to go the long road
+            return False  # where it is known, no slot is left, or it has to go the generic path
         plan = self._handler.forward_plan(self._context(unit, adu[7], 0), adu[7:])
         reads.plans.learn(key, plan)
         return plan is not None
@@ -373,7 +373,7 @@ class TcpServerSession:
             self._deliver(adu)
 
     def _count(self, units: bytes | bytearray) -> None:
-        """Count requests that the short road has answered: the unit of each."""
+        """Count requests that the fast path has answered: the unit of each."""
         direct = len(units)
         self.requests += direct
         exchanged = self._diagnostics.exchanged

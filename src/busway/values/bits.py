@@ -86,7 +86,7 @@ class BitCodec:
         # The masks are for the register as the device sees it: with swapped bytes the bit lies in the other byte.
         wire_bit = self._bit ^ 8 if self._swaps else self._bit
         raise InvalidRequest(
-            f"{self._name} can not be written: the register's other bits would be overwritten; use a mask write"
+            f"{self._name} cannot be written: the register's other bits would be overwritten; use a mask write"
             f" (function 22) with AND mask 0x{0xFFFF ^ 1 << wire_bit:04X} and OR mask 0x{1 << wire_bit:04X}"
             " to set it, 0x0000 to clear it"
         )

@@ -20,6 +20,6 @@ def shown(value: object) -> str:
 
 
 def unfit(values: list[object], index: int, name: str, expects: str, hint: str = "") -> InvalidRequest:
-    """The error for ``values[index]``, which the type ``name`` can not hold; says which, if there are several."""
+    """The error for ``values[index]``, which the type ``name`` cannot hold; says which, if there are several."""
     place = f"values[{index}] = " if len(values) > 1 else ""
     return InvalidRequest(f"{place}{shown(values[index])} does not fit {name}, which takes {expects}{hint}")

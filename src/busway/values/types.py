@@ -24,7 +24,7 @@ Rules:
 
 1. A `ValueType` is compiled once and kept: whoever reads often holds it or asks `value_type` again.
 2. Bytes are in wire order, as in the messages: each register high byte first, unless the order says otherwise.
-3. What the caller gives and can not be is `InvalidRequest`; what a device sent and can not be is `BadReply`.
+3. What the caller gives and cannot be is `InvalidRequest`; what a device sent and cannot be is `BadReply`.
 """
 
 from collections.abc import Callable, Iterable
