@@ -194,7 +194,7 @@ def _parsed(
 ) -> tuple[ValueType[Any] | None, list[Any], bytes]:  # Any: what the type says
     """Type (None for bits), values and their bytes."""
     if place.table is None or not place.table.is_writable:
-        raise InvalidRequest(f"{place}: a {place.table.label if place.table else 'table'} can not be written")
+        raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
     if place.table.holds_bits or place.bit is not None:
         if kind is not None:
             raise InvalidRequest(f"{place} is one bit and has no type {kind}")
