@@ -610,7 +610,7 @@ def test_where_transactions_can_not_be_told_apart_a_timeout_ends_the_connection(
     call = wire.ask(read(3), retries=1)
     late = wire.send_one()
     wire.wait(1.0)
-    assert "can not be told apart" in wire.session.recycle
+    assert "cannot be told apart" in wire.session.recycle
     assert wire.transmit() == []
     wire.reconnect()
     frame = wire.send_one()
