@@ -1,6 +1,6 @@
 """Circuit breakers: one per unit of a link, so that units which do not answer cost the others little time.
 
-Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1 and is passed in, so a test can fix it.
+Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1; a test can fix it.
 
 1. Three timeouts in a row open the breaker of a unit: its requests fail at once and cost the line nothing.
 2. After a pause the next request of a caller is the probe: it is sent once, with a short timeout. No request is made up

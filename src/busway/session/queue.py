@@ -9,7 +9,8 @@ Knows callers, units and the order among them; knows no clock and no bytes.
 4. The queue is bounded; a call that does not fit is refused before anything was sent.
 5. For a caller that acts for many (a client of a gateway), its units can be served in turn too (``units_in_turn``).
 6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``), because
-   requests that leave together are answered together. A turn never waits for more room: if one request may be sent, it is one.
+   requests that leave together are answered together. A turn never waits for more room: if only one request may be
+   sent, it is one.
 """
 
 from collections import deque
