@@ -22,7 +22,8 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler, UnitPolicy
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import LATER, SILENCE, Handler, ListedUnits, ReadPlanner, RequestContext, UnitHolder
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)
 READ_FAR = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 8, 2)

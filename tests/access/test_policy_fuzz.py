@@ -30,7 +30,8 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 ITEMS = 40
 PEERS = (("10.0.0.7:5000", None), ("10.0.0.7:5001", "op"), ("[fe80::9]:5002", None), ("192.168.1.1:9", "guest"))

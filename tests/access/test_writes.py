@@ -16,7 +16,8 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import RequestContext
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 ZONES = Policy.of(
     Rule.of(name="small", addresses="holding:0-4", values=(0, 9)),

@@ -28,7 +28,8 @@ from busway.session.client import TcpClientSession
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
 from busway.session.parameters import ClientParameters
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 from busway.transport.tcp import SocketParameters
 
 pytestmark = pytest.mark.clause("T4")

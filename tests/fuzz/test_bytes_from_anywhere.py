@@ -22,7 +22,8 @@ from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 PDUS = st.one_of(
     st.binary(min_size=1, max_size=PDU_LIMIT),

@@ -18,8 +18,8 @@ from waiting import until
 import busway
 from busway.errors import ConfigError
 from busway.server.listener import Listener
-from busway.server.secure import SecurityStatus
 from busway.server.serving import ServerThread
+from busway.server.status import SecurityStatus
 from busway.testing.certificates import CertificateFiles, CertificateStore
 from busway.transport.tls.parameters import TlsParameters, TlsVersion
 

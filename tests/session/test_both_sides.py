@@ -16,7 +16,8 @@ from busway.pdu.model import Context, DataModel
 from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 
 class ReadPressure(Request):  # ten lines, from here …

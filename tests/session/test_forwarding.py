@@ -18,7 +18,8 @@ from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
 from busway.session.handler import Outcome, RequestContext
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 UNITS = 3
 NOT_HANDED_ON = 100

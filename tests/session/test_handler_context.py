@@ -5,7 +5,8 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import LATER, Outcome, RequestContext
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 
 class _Promises:

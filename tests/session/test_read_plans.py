@@ -11,7 +11,8 @@ from busway.server.device import Device
 from busway.server.hooks import Access
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 SIZE = 200
 

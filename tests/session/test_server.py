@@ -21,7 +21,8 @@ from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import LATER, SILENCE, Deferral, Outcome, Refusal, RequestContext
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 READ = bytes.fromhex("03 0000 0001")
 ANSWER = ReadHoldingRegisters.Reply(b"\x00\x07")

@@ -6,7 +6,8 @@ import pytest
 
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
 
 

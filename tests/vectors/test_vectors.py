@@ -23,7 +23,8 @@ from busway.pdu.message import Message
 from busway.server.cells import Cells
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))
 ASKED = [vector for vector in VECTORS if "expect" in vector and vector.get("map") == "S"]

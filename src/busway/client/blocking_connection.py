@@ -12,7 +12,7 @@ import socket
 from collections import deque
 
 from ..transport.tcp import discard_on_close
-from .connector import Channel
+from .channel import Channel
 from .polling import ExactPoll, Poll
 
 

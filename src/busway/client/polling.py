@@ -7,7 +7,7 @@ import select
 from typing import Final
 
 from ..transport.serial.waiting import wait_ready
-from .connector import Channel
+from .channel import Channel
 
 _LONGEST_WAIT: Final = 0.25
 """Seconds at a port without a look around: closing it does not wake a thread that waits there."""

@@ -19,7 +19,7 @@ from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.opening import Claim, OpeningParameters
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.settings import SerialSettings
-from .connector import Channel, LinkEnd
+from .channel import Channel, LinkEnd
 
 if TYPE_CHECKING:
     from ..transport.serial.connection import SerialConnection

@@ -17,7 +17,8 @@ from ..access.repeats import Repeats, so_often
 from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler, ListedUnits
 from ..session.parameters import Scope, ServerParameters
-from ..session.server import HandlerFailure, TcpServerSession, TransactionSlots
+from ..session.server import HandlerFailure, TcpServerSession
+from ..session.slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
 from .authorisation import Authorise, allow_all
 from .connection_tap import ConnectionTap, TappedConnection, stay
@@ -31,7 +32,7 @@ from .pools import Pool
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 if TYPE_CHECKING:
-    from .secure import SecurityStatus
+    from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
 

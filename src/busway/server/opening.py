@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..options.endpoints import Endpoint
 from ..session.handler import Handler, UnitHolder
 from ..session.parameters import ServerParameters
-from ..session.server import TransactionSlots
+from ..session.slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import SocketParameters, network_reason
 from .authorisation import Authorise, both

@@ -16,7 +16,6 @@ Knows connections that are not admitted yet; knows no request. What a role may d
 import asyncio
 import logging
 from collections import Counter
-from dataclasses import dataclass
 from time import time as now  # by a name that tests can move
 from typing import TYPE_CHECKING, Final, cast
 
@@ -28,6 +27,7 @@ from ..transport.tls.parameters import TlsParameters
 from ..transport.tls.roles import require_cryptography, role_of_certificate
 from .connection import ServerConnection
 from .peers import host_of, peer_name
+from .status import SecurityStatus
 
 if TYPE_CHECKING:
     from .connections import ConnectionManagement
@@ -35,33 +35,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.server")
 
 _FIRST_SUBJECT: Final = 0
-
-
-@dataclass(frozen=True, slots=True)
-class SecurityStatus:
-    """TLS of a listener, as a status shows it.
-
-    Attributes:
-        subject: of the listener's own certificate.
-        not_after: when it expires, seconds since 1970.
-        days_left: until then; negative behind that.
-        reloads: how often the files were read anew since the start.
-        handshakes: under way.
-        established: agreed on so far.
-        resumed: of these, sessions that were resumed.
-        refused: refusals by reason, as "expired" or "no certificate".
-        without_role: established with a certificate that has no role.
-    """
-
-    subject: str
-    not_after: float
-    days_left: float
-    reloads: int
-    handshakes: int
-    established: int
-    resumed: int
-    refused: dict[str, int]
-    without_role: int
 
 
 def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":

@@ -3,16 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from ..session.diagnostics import Counters
 from ..transport.interfaces import Interface
 from .counters import ServerCounters
 from .diagnosis import StatusIndicators
 from .pools import Pool
-
-if TYPE_CHECKING:
-    from .secure import SecurityStatus
 
 
 class ServedConnectionState(Enum):
@@ -65,6 +61,33 @@ class ConnectionStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class SecurityStatus:
+    """TLS of a listener, as a status shows it.
+
+    Attributes:
+        subject: of the listener's own certificate.
+        not_after: when it expires, seconds since 1970.
+        days_left: until then; negative behind that.
+        reloads: how often the files were read anew since the start.
+        handshakes: under way.
+        established: agreed on so far.
+        resumed: of these, sessions that were resumed.
+        refused: refusals by reason, as "expired" or "no certificate".
+        without_role: established with a certificate that has no role.
+    """
+
+    subject: str
+    not_after: float
+    days_left: float
+    reloads: int
+    handshakes: int
+    established: int
+    resumed: int
+    refused: dict[str, int]
+    without_role: int
+
+
+@dataclass(frozen=True, slots=True)
 class ListenerStatus:
     """One listener.
 
@@ -101,7 +124,7 @@ class ListenerStatus:
     priority_connections: int = 0
     other_connections: int = 0
     interfaces: tuple[Interface, ...] = ()
-    security: "SecurityStatus | None" = None
+    security: SecurityStatus | None = None
 
 
 @dataclass(frozen=True, slots=True)

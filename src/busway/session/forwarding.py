@@ -23,7 +23,7 @@ from ..pdu.message import Request
 if TYPE_CHECKING:
     from .diagnostics import LineDiagnostics
     from .handler import RequestContext
-    from .server import TransactionSlots
+    from .slots import TransactionSlots
 
 READ_SIZE = 12
 """Bytes of a read of one of the four tables."""

@@ -29,6 +29,7 @@ from ..pdu.message import Message
 from .diagnostics import LineDiagnostics
 from .forwarding import READ_SIZE, DeliverTogether, ForwardedReads, ForwardPlans, ReadForwarder, is_read
 from .handler import LATER, Deferral, Handler, Outcome, ReadPlanner, Refusal, RequestContext
+from .slots import TransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
@@ -47,19 +48,6 @@ _LEAST_SIZE = 8
 """Bytes of the shortest request."""
 _NO_SHARE = 1 << 62
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
-
-
-class TransactionSlots:
-    """NumberMaxOfServerTransaction: how many requests may be in work at once, 1…16 (Messaging on TCP/IP §4.4.2.1).
-
-    One object per connection, or one shared by all connections of a server: that is the whole difference of scope.
-    """
-
-    __slots__ = ("limit", "used")
-
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self.used = 0
 
 
 class Deliver(Protocol):

@@ -26,7 +26,8 @@ from busway.session.client import TcpClientSession
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ReadForwarder
 from busway.session.handler import Outcome, RequestContext
-from busway.session.server import TcpServerSession, TransactionSlots
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 SIZE = 500
 """Registers of the device; each holds its address."""

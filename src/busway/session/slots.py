@@ -1,0 +1,14 @@
+"""How many requests a server works on at once (Messaging on TCP/IP V1.0b §4.4.2.1)."""
+
+
+class TransactionSlots:
+    """NumberMaxOfServerTransaction: how many requests may be in work at once, 1…16 (Messaging on TCP/IP §4.4.2.1).
+
+    One object per connection, or one shared by all connections of a server: that is the whole difference of scope.
+    """
+
+    __slots__ = ("limit", "used")
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self.used = 0
