@@ -46,6 +46,11 @@ class KeptDoubts:
         if kept is not None:
             doubts.add(kept)
 
+    def clear(self) -> None:
+        """Forget what is kept: other units are behind the same URLs now, as in a test."""
+        with self._lock:
+            self._by_url.clear()
+
 
 KEPT: Final = KeptDoubts()
 """Those of this process."""
