@@ -111,7 +111,7 @@ async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes]
 def plan(routes: Sequence[Route]) -> GatewayPlan:
     line = UpstreamSettings.of("line", "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
     return GatewayPlan(
-        (GatewayListener("front", busway.Listener(TCP)),), (line,), RoutingTable(tuple(routes)), own_unit=None
+        (GatewayListener("listener", busway.Listener(TCP)),), (line,), RoutingTable(tuple(routes)), own_unit=None
     )
 
 

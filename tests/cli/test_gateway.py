@@ -25,8 +25,8 @@ BAUD = 115_200
 
 FILE = """\
 [[listener]]
-name = "front"
-url = "{front}"
+name = "office"
+url = "{listener}"
 
 [[line]]
 name = "hall"
@@ -46,8 +46,8 @@ def running(*arguments: str, control: str = "off") -> Iterator[tuple[Busway, lis
     with Busway("gateway", *arguments, "--control", control) as program:
         stdout = program.process.stdout
         assert stdout is not None
-        fronts = sum("://" in one for one in arguments) - 1 if "://" in arguments[0] else 1
-        endpoints = [stdout.readline().decode().strip() for _ in range(fronts)]
+        listeners = sum("://" in one for one in arguments) - 1 if "://" in arguments[0] else 1
+        endpoints = [stdout.readline().decode().strip() for _ in range(listeners)]
         assert all(endpoints), program.end()[1]
         yield program, [endpoint.replace("0.0.0.0", "127.0.0.1") for endpoint in endpoints]
 
@@ -76,9 +76,9 @@ def tcp_device(*units: int) -> Iterator[str]:
 def write_file(tmp_path: Path) -> Callable[..., Path]:
     """Writes a gateway file."""
 
-    def write(line: str, *, front: str = LOOPBACK, units: str = "1", rest: str = "") -> Path:
+    def write(line: str, *, listener: str = LOOPBACK, units: str = "1", rest: str = "") -> Path:
         file = tmp_path / "plant.toml"
-        file.write_text(FILE.format(front=front, line=line, units=units) + rest)
+        file.write_text(FILE.format(listener=listener, line=line, units=units) + rest)
         return file
 
     return write
@@ -163,7 +163,7 @@ def test_check_prints_the_routing_table_and_what_is_odd(write_file: Callable[...
 def test_check_refuses_what_can_not_work_with_line_and_key(write_file: Callable[..., Path]) -> None:
     twice = '[[route]]\nunits = "1"\nline = "hall"\n'
     file = write_file("rtu:///dev/not-there", rest=twice)
-    file.write_text(file.read_text().replace('name = "front"', 'name = "front"\nclient_deadline = 0.2'))
+    file.write_text(file.read_text().replace('name = "office"', 'name = "office"\nclient_deadline = 0.2'))
     for arguments in (["check", str(file)], [str(file)]):
         with Busway("gateway", *arguments) as program:
             out, said = program.end()
@@ -176,7 +176,7 @@ def test_check_refuses_what_can_not_work_with_line_and_key(write_file: Callable[
 
 
 @pytest.mark.clause("T20")
-def test_a_front_that_the_network_reaches_is_read_only_without_a_policy_and_the_command_says_so() -> None:
+def test_a_listener_that_the_network_reaches_is_read_only_without_a_policy_and_the_command_says_so() -> None:
     with tcp_device() as line, running(NETWORK, LOOPBACK, line) as (program, (network, loopback)):
         assert write(network) == "exception 01"
         assert write(loopback) == "done"
@@ -188,7 +188,7 @@ def test_a_front_that_the_network_reaches_is_read_only_without_a_policy_and_the_
         assert write(network) == "done"
 
 
-def test_lists_of_who_may_connect_hold_at_every_front() -> None:
+def test_lists_of_who_may_connect_hold_at_every_listener() -> None:
     with (
         tcp_device() as line,
         running(LOOPBACK, "tcp://[::1]:0", line, "--deny", "127.0.0.0/8") as (_, (fourth, sixth)),
@@ -218,7 +218,7 @@ def test_the_audit_log_has_a_line_for_each_write_through_the_gateway(tmp_path: P
 
 @pytest.mark.clause("M6")
 @pytest.mark.real_time
-def test_roles_decide_at_a_secure_front_what_reaches_the_serial_line(
+def test_roles_decide_at_a_secure_listener_what_reaches_the_serial_line(
     tmp_path: Path, write_file: Callable[..., Path]
 ) -> None:
     store = CertificateStore(tmp_path)
@@ -236,7 +236,7 @@ roles = ["operator"]
 action = "allow"
 """
     with serial_line() as (line, behind):
-        file = write_file(line, front="tls://127.0.0.1:0", rest=rest)
+        file = write_file(line, listener="tls://127.0.0.1:0", rest=rest)
         with running(str(file)) as (_, (url,)):
             place = url.replace("127.0.0.1", "localhost")
             for role, outcome in (("operator", "done"), ("guest", "exception 01"), (None, "exception 01")):
@@ -352,7 +352,7 @@ def test_a_service_manager_is_told_of_start_reading_and_end(
 
 @pytest.mark.clause("T26")
 @pytest.mark.real_time
-def test_status_shows_fronts_lines_and_units_that_are_not_asked() -> None:
+def test_status_shows_listeners_lines_and_units_that_are_not_asked() -> None:
     with short_directory() as folder, serial_line() as (line, _):
         control = str(folder / "control")
         options = "&timeout=0.05&retries=0&first_pause=60&longest_pause=60"
@@ -363,8 +363,8 @@ def test_status_shows_fronts_lines_and_units_that_are_not_asked() -> None:
                     with pytest.raises(busway.ExceptionReply, match="exception 0B"):
                         link.unit(9).read_holding_registers(0, count=1)
                 status = ask(Running(parse_control_address(control)))["status"]
-            (front,), (told,) = status["fronts"], status["lines"]
-            assert front["server"]["endpoints"] == [url]
+            (listener,), (told,) = status["gateway_listeners"], status["upstreams"]
+            assert listener["server"]["endpoints"] == [url]
             assert told["counters"]["no_answer"] == 4
             (unit,) = told["links"][0]["suspended"]
             assert (unit["unit"], unit["state"]) == (9, "open")
@@ -376,7 +376,7 @@ def test_status_shows_fronts_lines_and_units_that_are_not_asked() -> None:
             assert re.search(r"^line  unit 9  does not answer  asked again in \d+ s$", out, re.MULTILINE)
 
 
-def test_metrics_tell_of_fronts_and_lines_and_count_the_requests_of_all_fronts() -> None:
+def test_metrics_tell_of_listeners_and_lines_and_count_the_requests_of_all_listeners() -> None:
     with tcp_device() as line, running(LOOPBACK, LOOPBACK, line, "--metrics", "127.0.0.1:0") as (program, urls):
         place = re.search(r"http://\S+", program.wait_for("metrics"))
         assert place is not None
@@ -384,20 +384,20 @@ def test_metrics_tell_of_fronts_and_lines_and_count_the_requests_of_all_fronts()
             assert write(url) == "done"
         with urllib.request.urlopen(place[0], timeout=10) as answer:
             text = answer.read().decode()
-        assert 'busway_line_forwarded_total{line="line"} 4.0' in text
-        assert 'busway_line_answered_total{line="line"} 4.0' in text
-        assert 'busway_line_connections{line="line",state="up"} 1.0' in text
-        assert 'busway_line_queued{line="line"} 0.0' in text
-        assert 'busway_line_late_replies_total{line="line"} 0.0' in text
-        assert 'busway_line_markers_total{line="line"} 0.0' in text
-        assert 'busway_line_units_in_doubt{line="line"} 0.0' in text
-        assert f'busway_front_no_route_total{{front="{LOOPBACK}"}} 0.0' in text
+        assert 'busway_upstream_forwarded_total{upstream="line"} 4.0' in text
+        assert 'busway_upstream_answered_total{upstream="line"} 4.0' in text
+        assert 'busway_upstream_connections{state="up",upstream="line"} 1.0' in text
+        assert 'busway_upstream_queued{upstream="line"} 0.0' in text
+        assert 'busway_upstream_late_replies_total{upstream="line"} 0.0' in text
+        assert 'busway_upstream_markers_total{upstream="line"} 0.0' in text
+        assert 'busway_upstream_units_in_doubt{upstream="line"} 0.0' in text
+        assert f'busway_gateway_listener_no_route_total{{listener="{LOOPBACK}"}} 0.0' in text
         assert 'busway_requests_total{exception="none",function="6",peer_class="other",unit="1"} 2.0' in text
 
 
 def test_the_unit_file_for_systemd_starts_what_the_same_words_start(tmp_path: Path) -> None:
     file = tmp_path / "plant.toml"
-    file.write_text(FILE.format(front=LOOPBACK, line="rtu:///dev/not-there", units="1"))
+    file.write_text(FILE.format(listener=LOOPBACK, line="rtu:///dev/not-there", units="1"))
     options = ["--policy", "read-only", "--audit=a.jsonl", "--control", "off"]
     with Busway("gateway", "--systemd-unit", str(file), *options) as program:
         out, said = program.end()

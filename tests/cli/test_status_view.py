@@ -113,7 +113,7 @@ def test_the_expiry_of_a_certificate_is_told(days: float, words: str) -> None:
     assert section.rows[1][2] == "5 handshakes agreed, 2 refused: expired"
 
 
-def line_told(**links: object) -> dict[str, object]:
+def upstream_told(**links: object) -> dict[str, object]:
     link = {"state": "up", "in_flight": 1, "queued": 2, "suspended": [], **links}
     counters = {"forwarded": 7, "answered": 4, "shared": 0}
     return {"name": "hall", "endpoint": "rtu:///dev/ttyUSB0", "links": [link], "counters": counters}
@@ -123,9 +123,9 @@ def line_told(**links: object) -> dict[str, object]:
 def test_why_a_line_cannot_be_reached_is_shown_with_its_lamp_and_the_next_attempt(
     pause: float | None, words: str
 ) -> None:
-    line = line_told(state="backing off", reason="/dev/ttyUSB0 can not be opened", next_attempt=pause)
+    line = upstream_told(state="backing off", reason="/dev/ttyUSB0 can not be opened", next_attempt=pause)
     line["lamps"] = {"communication": "off", "error": "flashing", "device_status": "off"}
-    *_, table, down = sections_of(told(lines=[line]))
+    *_, table, down = sections_of(told(upstreams=[line]))
     assert table.rows[0][table.columns.index("error")] == "flashing"
     assert table.style_of(table.columns.index("error"), "flashing") == "yellow"
     assert (down.title, down.rows) == (
@@ -135,24 +135,24 @@ def test_why_a_line_cannot_be_reached_is_shown_with_its_lamp_and_the_next_attemp
 
 
 def test_units_that_owe_replies_are_shown_in_a_section_of_their_own() -> None:
-    *_, doubtful = sections_of(told(lines=[line_told(in_doubt=[3])]))
+    *_, doubtful = sections_of(told(upstreams=[upstream_told(in_doubt=[3])]))
     assert (doubtful.title, doubtful.rows) == (
         "in doubt",
         [["hall", "unit 3", "owes a reply", "is asked behind a marker"]],
     )
 
 
-def test_the_fronts_of_a_gateway_are_shown_as_servers_and_its_lines_as_a_table() -> None:
+def test_the_listeners_of_a_gateway_are_shown_as_servers_and_its_lines_as_a_table() -> None:
     server = {"supported_connections": 5, "connections": [{"peer": "10.0.0.9:1"}]}
-    front = {"name": "office", "server": server, "counters": {"no_route": 3, "own": 0}}
-    sections = sections_of(told(fronts=[front], lines=[line_told()]))
+    listener = {"name": "office", "server": server, "counters": {"no_route": 3, "own": 0}}
+    sections = sections_of(told(gateway_listeners=[listener], upstreams=[upstream_told()]))
     titles = [section.title for section in sections]
-    assert "front office" in titles
+    assert "listener office" in titles
     assert "1 remote connection of 5 supported" in titles
     assert next(section.rows for section in sections if section.title == "of them") == [["no route", "3"]]
-    assert sections[-1].columns == ["line", "behind", "state", "in flight", "queued", "forwarded", "answered"]
+    assert sections[-1].columns == ["upstream", "url", "state", "in flight", "queued", "forwarded", "answered"]
     assert sections[-1].rows == [["hall", "rtu:///dev/ttyUSB0", "up", "1", "2", "7", "4"]]
-    assert list_of_programs([told(fronts=[front])]).rows[0][4] == "1"
+    assert list_of_programs([told(gateway_listeners=[listener])]).rows[0][4] == "1"
 
 
 def test_units_of_a_line_that_are_not_asked_are_named_with_the_time_of_the_next_attempt() -> None:
@@ -160,7 +160,7 @@ def test_units_of_a_line_that_are_not_asked_are_named_with_the_time_of_the_next_
         {"unit": 9, "state": "open", "next_probe": 2.25},
         {"unit": 12, "state": "open", "next_probe": 0.0},
     ]
-    sections = sections_of(told(lines=[line_told(state="suspect", suspended=suspended)]))
+    sections = sections_of(told(upstreams=[upstream_told(state="suspect", suspended=suspended)]))
     assert sections[-1].title == "not asked now"
     assert sections[-1].rows == [
         ["hall", "unit 9", "does not answer", "asked again in 2.2 s"],

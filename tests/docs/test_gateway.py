@@ -10,7 +10,7 @@ import pytest
 
 from busway.apps.gateway.assembly import parse_gateway
 from busway.apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
-from busway.config.files.gateway import FrontSection, GatewaySection, LineSection, RouteSection
+from busway.config.files.gateway import GatewayListenerSection, GatewaySection, LineSection, RouteSection
 from busway.config.files.listeners import ListenerSection
 from busway.config.files.system import LinkKeys
 
@@ -67,7 +67,7 @@ def test_every_key_of_listeners_lines_and_routes_is_explained(text: str) -> None
     own_of_lines = set(LineSection.model_fields) - set(LinkKeys.model_fields)
     known = {name for kind in LineSection.kinds for name in kind.__dataclass_fields__}
     for keys in (
-        set(FrontSection.model_fields) - set(ListenerSection.model_fields),
+        set(GatewayListenerSection.model_fields) - set(ListenerSection.model_fields),
         own_of_lines - known,
         set(RouteSection.model_fields) - {"name"},
         set(GatewaySection.model_fields),

@@ -34,7 +34,7 @@ class FaultyLine:
     """The gateway, what is behind it, and what goes wrong there.
 
     Attributes:
-        gateway: the gateway, whose only front is on TCP.
+        gateway: the gateway, whose only listener is on TCP.
         server: the units.
         faults: on the line.
         devices: by unit.
@@ -65,14 +65,14 @@ class FaultyLine:
 
 @contextlib.asynccontextmanager
 async def faulty_line(
-    carrier: str, *, route: Route | None = None, front: str = ANY_PORT, **options: object
+    carrier: str, *, route: Route | None = None, listener: str = ANY_PORT, **options: object
 ) -> AsyncIterator[FaultyLine]:
     """A gateway in front of such a line.
 
     Args:
         carrier: scheme of the line: ``tcp``, ``rtu+tcp``, ``ascii+tcp``, ``rtu`` or ``ascii``.
         route: the one to the line, ``line``; all units as they are by default.
-        front: where clients come.
+        listener: where clients come.
         options: of the line.
     """
     with contextlib.ExitStack() as stack:
@@ -92,7 +92,7 @@ async def faulty_line(
             base = route or Route(line="line", units=frozenset(range(1, 248)))
             patient = replace(base, units=frozenset({2}), timeout=ADAPTIVE_TIMEOUT)  # who behaves has time
             plan = GatewayPlan(
-                fronts=(GatewayListener("front", Listener(front)),),
+                listeners=(GatewayListener("office", Listener(listener)),),
                 lines=(UpstreamSettings.of("line", dial or server.endpoints[0], **options),),
                 table=RoutingTable((patient, base)),
             )

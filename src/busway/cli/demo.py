@@ -261,7 +261,7 @@ class LiveView:
         from rich.table import Table
 
         table = Table(title=f"{url}: three devices behind a gateway", caption=f"{elapsed:.0f} s, {_counted(polled)}")
-        for heading in ("BlockingUnit", "Tag", "Value", "", "Address", "Type"):
+        for heading in ("Unit", "Tag", "Value", "", "Address", "Type"):
             table.add_column(heading, justify="right" if heading == "Value" else "left")
         for cells in _rows(tags, polled):
             table.add_row(*cells)

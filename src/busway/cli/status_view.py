@@ -21,11 +21,11 @@ _CONNECTION_COLUMNS: Final = (
     *("peer", "listener", "pool", "state", "role", "subject"),
     *("age", "idle", "received", "sent", "requests", "waiting"),
 )
-_LINE_COLUMNS: Final = ("name", "behind", "state", "error", "in_flight", "queued", "forwarded", "answered")
+_UPSTREAM_COLUMNS: Final = ("name", "url", "state", "error", "in_flight", "queued", "forwarded", "answered")
 _ALWAYS: Final = frozenset(
     {
         "name",
-        "behind",
+        "url",
         "state",
         "forwarded",
         "answered",
@@ -40,7 +40,7 @@ _ALWAYS: Final = frozenset(
     }
 )
 _HEADINGS: Final = {
-    "name": "line",
+    "name": "upstream",
     "endpoint": "listener",
     "peer": "connection",
     "is_open": "open",
@@ -91,14 +91,14 @@ def sections_of(told: JsonObject) -> list[StatusSection]:
     state = told["status"]
     sections = [StatusSection(headline(told))]
     sections += server_sections(state)
-    for front in state.get("fronts") or ():
-        server = front.get("server") or {}
-        sections.append(StatusSection(f"front {front.get('name', '')}".rstrip()))
+    for listener in state.get("gateway_listeners") or ():
+        server = listener.get("server") or {}
+        sections.append(StatusSection(f"listener {listener.get('name', '')}".rstrip()))
         sections += server_sections(server)
-        counted = list(_counted(front.get("counters") or {}))
+        counted = list(_counted(listener.get("counters") or {}))
         if counted:
             sections.append(StatusSection("of them", (), counted))
-    sections += line_sections(state.get("lines") or ())
+    sections += upstream_sections(state.get("upstreams") or ())
     return sections
 
 
@@ -127,34 +127,34 @@ def server_sections(state: JsonObject) -> list[StatusSection]:
     return sections
 
 
-def line_sections(lines: Sequence[JsonObject]) -> list[StatusSection]:
-    """The lines of a gateway: how they are, what became of requests, why one is down, and which units are not asked."""
-    if not lines:
+def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
+    """The upstreams of a gateway: state, counters of requests, why one is down, and which units are not asked."""
+    if not upstreams:
         return []
     rows, down, suspended, doubtful = [], [], [], []
-    for line in lines:
-        links = line.get("links") or ()
+    for upstream in upstreams:
+        links = upstream.get("links") or ()
         states = [link["state"] for link in links]
         rows.append(
             {
-                "name": line["name"],
-                "behind": line["endpoint"],
+                "name": upstream["name"],
+                "url": upstream["endpoint"],
                 "state": ", ".join(dict.fromkeys(states)) or "closed",
-                **({"error": line["lamps"]["error"]} if "lamps" in line else {}),
+                **({"error": upstream["lamps"]["error"]} if "lamps" in upstream else {}),
                 "in_flight": sum(link["in_flight"] for link in links),
                 "queued": sum(link["queued"] for link in links),
-                **(line.get("counters") or {}),
+                **(upstream.get("counters") or {}),
             }
         )
         for link in links:
             if link.get("reason"):
-                down.append([line["name"], link["reason"], f"tried again {_when(link['next_attempt'])}"])
+                down.append([upstream["name"], link["reason"], f"tried again {_when(link['next_attempt'])}"])
             for unit in link.get("suspended") or ():
                 when = _when(unit["next_probe"])
-                suspended.append([line["name"], f"unit {unit['unit']}", "does not answer", f"asked again {when}"])
+                suspended.append([upstream["name"], f"unit {unit['unit']}", "does not answer", f"asked again {when}"])
             for number in link.get("in_doubt") or ():
-                doubtful.append([line["name"], f"unit {number}", "owes a reply", "is asked behind a marker"])
-    sections = [_table(rows, _LINE_COLUMNS, "")]
+                doubtful.append([upstream["name"], f"unit {number}", "owes a reply", "is asked behind a marker"])
+    sections = [_table(rows, _UPSTREAM_COLUMNS, "")]
     if down:
         sections.append(StatusSection("cannot be reached", (), down))
     if suspended:
@@ -296,6 +296,7 @@ def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
 
 
 def _connections(state: JsonObject) -> list[Any]:
-    """The connections of a server, or of all fronts of a gateway."""
-    fronts = [(front.get("server") or {}).get("connections") or [] for front in state.get("fronts") or ()]
-    return [*(state.get("connections") or ()), *(one for front in fronts for one in front)]
+    """The connections of a server, or of all listeners of a gateway."""
+    servers = [listener.get("server") or {} for listener in state.get("gateway_listeners") or ()]
+    of_listeners = (one for server in servers for one in server.get("connections") or ())
+    return [*(state.get("connections") or ()), *of_listeners]

@@ -99,7 +99,7 @@ class ServiceUnit:
 
     @property
     def _places(self) -> list[Endpoint]:
-        return [parse_endpoint(front.listener.endpoint) for front in self.plan.fronts]
+        return [parse_endpoint(listener.settings.endpoint) for listener in self.plan.listeners]
 
     @property
     def _has_ports(self) -> bool:

@@ -19,18 +19,18 @@ GOOD = Path(__file__).parents[2] / "config" / "files" / "gateway.toml"
 ANY_PORT = "tcp://127.0.0.1:0"
 
 
-def test_sections_become_fronts_lines_routes_and_options_of_servers() -> None:
+def test_sections_become_listeners_lines_routes_and_options_of_servers() -> None:
     configuration = load_gateway(GOOD)
     plan = configuration.plan
-    assert [(front.name, front.deadline) for front in plan.fronts] == [("scada", 8.0), ("plc", 8.0)]
-    limits = plan.fronts[0].listener.limits
+    assert [(listener.name, listener.deadline) for listener in plan.listeners] == [("scada", 8.0), ("plc", 8.0)]
+    limits = plan.listeners[0].settings.limits
     assert limits is not None
     assert (limits.max_connections, limits.idle_timeout) == (20, 600)
     hall, inverter = plan.lines
     assert (hall.link.parameters.timeout, hall.link.parameters.retries) == (0.5, 1)
     assert (inverter.connections, inverter.share_reads, inverter.broadcast) == (4, False, True)
     first, second, third, fourth = plan.table.routes
-    assert (first.action, first.code, first.fronts) == (RouteAction.REFUSE, 1, frozenset({"scada"}))
+    assert (first.action, first.code, first.listeners) == (RouteAction.REFUSE, 1, frozenset({"scada"}))
     assert (second.line, second.max_registers, second.timeout) == ("hall", 50, 0.6)
     assert third.addresses == AddressRange(busway.codes.Table.HOLDING_REGISTERS, 0, 100)
     assert (third.unit, third.shift, third.cache) == (1, 1000, 0.5)
@@ -40,25 +40,25 @@ def test_sections_become_fronts_lines_routes_and_options_of_servers() -> None:
     assert plan.server["listener"] == ListenerParameters(idle_timeout=600)
 
 
-def test_the_profile_strict_and_the_options_of_servers_hold_at_every_front() -> None:
+def test_the_profile_strict_and_the_options_of_servers_hold_at_every_listener() -> None:
     text = f'listen = ["{ANY_PORT}", "rtu:///dev/not-there"]\n[server]\nprofile = "strict"\nmax_transactions = 3\n'
     plan = parse_gateway(text + '[[line]]\nname = "x"\nurl = "tcp://10.0.0.5"\n', "x").plan
     assert plan.server["parameters"].max_transactions == 3
     assert plan.server["parameters"].scope is Scope.SERVER
     assert plan.server["standard_port"] is True
     assert plan.server["listener"].single_adu_segments
-    endpoint = plan.fronts[1].listener.endpoint
+    endpoint = plan.listeners[1].settings.endpoint
     assert not isinstance(endpoint, str)
     assert endpoint.options["profile"] == "strict"
 
 
 def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> None:
     plan = simple_gateway([ANY_PORT, "udp://127.0.0.1:0"], "rtu:///dev/not-there?baud=9600").plan
-    assert [front.name for front in plan.fronts] == [ANY_PORT, "udp://127.0.0.1:0"]
+    assert [listener.name for listener in plan.listeners] == [ANY_PORT, "udp://127.0.0.1:0"]
     twice = simple_gateway([ANY_PORT, ANY_PORT], "tcp://10.0.0.5").plan
-    assert [front.name for front in twice.fronts] == [ANY_PORT, f"{ANY_PORT} (2)"]
+    assert [listener.name for listener in twice.listeners] == [ANY_PORT, f"{ANY_PORT} (2)"]
     assert [line.link.endpoint.path for line in plan.lines] == ["/dev/not-there"]
-    for fronts, line, sentence in (
+    for listeners, line, sentence in (
         ([ANY_PORT], "rtu:///dev/x?baud=9", "baud: must be 50"),
         (["tcp://127.0.0.1:0?timeout=3"], "tcp://h", "timeout: unknown option of a listener"),
         (["tcp://127.0.0.1:99"] * 2, "tcp://h", "tcp://127.0.0.1:99 is taken by tcp://127.0.0.1:99"),
@@ -66,7 +66,7 @@ def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> N
         (["smtp://h"], "tcp://h", "smtp"),
     ):
         with pytest.raises(busway.ConfigError) as caught:
-            simple_gateway(fronts, line)
+            simple_gateway(listeners, line)
         assert sentence in str(caught.value)
         assert caught.value.file is None
 
@@ -111,7 +111,7 @@ class Files:
         return Service(self.read, Wishes(control="off", can_reload=True, **wishes))  # type: ignore[arg-type]
 
 
-FRONT = '[[listener]]\nname = "front"\nurl = "tcp://127.0.0.1:0"\n'
+LISTENER = '[[listener]]\nname = "office"\nurl = "tcp://127.0.0.1:0"\n'
 ROUTES = '[[route]]\nunits = "1"\nline = "a"\n[[route]]\nunits = "2"\nline = "b"\n'
 
 
@@ -129,37 +129,37 @@ async def test_new_routes_hold_at_once_and_no_connection_ends() -> None:
         busway.serve(ANY_PORT, units={1: device(300), 2: device(400)}) as two,
     ):
         files = Files(one.endpoints[0], two.endpoints[0])
-        files.text = FRONT + ROUTES
+        files.text = LISTENER + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             assert [await read_from(link, unit) for unit in (1, 2)] == [[100], [400]]
             assert await service.reload() == ["nothing has changed"]
-            files.text = FRONT + ROUTES.replace('line = "b"', 'line = "a"')
+            files.text = LISTENER + ROUTES.replace('line = "b"', 'line = "a"')
             assert await service.reload() == ["2 routes"]
             assert [await read_from(link, unit) for unit in (1, 2)] == [[100], [200]]
-            files.text = FRONT + ROUTES + "[gateway]\ndrain = 7\n[server]\nmax_connections = 3\n"
+            files.text = LISTENER + ROUTES + "[gateway]\ndrain = 7\n[server]\nmax_connections = 3\n"
             assert await service.reload() == ["2 routes", "only the next start will see server, gateway"]
             assert link.counters.connections == 1
             assert len(one.status().connections) == 1
 
 
-async def test_a_front_that_is_renamed_changed_or_added_leaves_the_others_alone() -> None:
+async def test_a_listener_that_is_renamed_changed_or_added_leaves_the_others_alone() -> None:
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + ROUTES
+        files.text = LISTENER + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             assert await read_from(link, 1) == [100]
-            second = FRONT.replace("front", "second")
-            files.text = FRONT + second + ROUTES
-            assert await service.reload() == ["front second added"]
+            second = LISTENER.replace("office", "second")
+            files.text = LISTENER + second + ROUTES
+            assert await service.reload() == ["listener second added"]
             at = service.server.endpoints[1]
             async with busway.open(at) as other:
                 assert await read_from(other, 1) == [100]
             # Under another name at the address that it has.
             third = second.replace("second", "third").replace("127.0.0.1:0", at.removeprefix("tcp://"))
-            files.text = FRONT + second.replace("127.0.0.1:0", at.removeprefix("tcp://")) + ROUTES
-            assert await service.reload() == ["front second changed"]
-            files.text = FRONT + third + ROUTES
-            assert await service.reload() == ["front third added", "front second closed"]
+            files.text = LISTENER + second.replace("127.0.0.1:0", at.removeprefix("tcp://")) + ROUTES
+            assert await service.reload() == ["listener second changed"]
+            files.text = LISTENER + third + ROUTES
+            assert await service.reload() == ["listener third added", "listener second closed"]
             assert service.server.endpoints[1] == at
             async with busway.open(at) as other:
                 assert await read_from(other, 1) == [100]
@@ -167,17 +167,17 @@ async def test_a_front_that_is_renamed_changed_or_added_leaves_the_others_alone(
             assert link.counters.connections == 1
 
 
-async def test_what_a_front_tells_its_requests_changes_without_its_connections() -> None:
+async def test_what_a_listener_tells_its_requests_changes_without_its_connections() -> None:
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + ROUTES
+        files.text = LISTENER + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             assert await read_from(link, 1) == [100]
-            files.text = FRONT + "client_deadline = 4.5\n" + ROUTES
-            assert await service.reload() == ["front front changed"]
+            files.text = LISTENER + "client_deadline = 4.5\n" + ROUTES
+            assert await service.reload() == ["listener office changed"]
             gateway = service.server
             assert isinstance(gateway, Gateway)
-            assert gateway.plan.fronts[0].deadline == 4.5
+            assert gateway.plan.listeners[0].deadline == 4.5
             assert await read_from(link, 2) == [200]
             assert link.counters.connections == 1
 
@@ -188,7 +188,7 @@ async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_r
         near, far = (f"rtu://{path}?baud=115200" for path in wire.paths)
         async with busway.serve(far, units={1: device(100), 2: device(200)}):
             options = ["timeout = 0.3\n"]
-            text = FRONT + f'[[line]]\nname = "a"\nurl = "{near}"\n'
+            text = LISTENER + f'[[line]]\nname = "a"\nurl = "{near}"\n'
             service = Service(
                 lambda: parse_gateway(text + options[0], "x.toml"), Wishes(control="off", can_reload=True)
             )
@@ -197,8 +197,10 @@ async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_r
                 options[0] = "timeout = 0.4\n"
                 assert await service.reload() == ["line a changed"]
                 assert await read_from(link, 2) == [200]
-                # The front that is added can not be had: the line has its port, and its options, again.
-                options[0] = "timeout = 0.5\n" + FRONT.replace("front", "x").replace("127.0.0.1:0", "192.0.2.1:5020")
+                # The listener that is added can not be had: the line has its port, and its options, again.
+                options[0] = "timeout = 0.5\n" + LISTENER.replace("office", "x").replace(
+                    "127.0.0.1:0", "192.0.2.1:5020"
+                )
                 with pytest.raises(busway.LinkDown, match="can not listen"):
                     await service.reload()
                 gateway = service.server
@@ -214,28 +216,28 @@ async def test_what_can_not_be_had_changes_nothing_neither_routes_nor_policy() -
         busway.serve(ANY_PORT, units={1: device(0)}) as neighbour,
     ):
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + ROUTES
+        files.text = LISTENER + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             await link.unit(1).write_single_register(1, 5)
             taken = f'[[listener]]\nname = "taken"\nurl = "{neighbour.endpoints[0]}"\n'
-            files.text = FRONT + taken + '[policy]\ndefault = "deny"\n' + ROUTES.replace("2", "3")
+            files.text = LISTENER + taken + '[policy]\ndefault = "deny"\n' + ROUTES.replace("2", "3")
             with pytest.raises(busway.LinkDown, match="the port is taken"):
                 await service.reload()
             await link.unit(2).write_single_register(1, 6)
-            files.text = FRONT + ROUTES + "[[route]]\n"
+            files.text = LISTENER + ROUTES + "[[route]]\n"
             with pytest.raises(busway.ConfigError, match=r"x\.toml:10: route\[2\]: needs exactly one"):
                 await service.reload()
             await link.unit(2).write_single_register(1, 7)
 
 
-async def test_a_new_front_that_the_network_reaches_is_read_only_from_its_first_request_on() -> None:
+async def test_a_new_listener_that_the_network_reaches_is_read_only_from_its_first_request_on() -> None:
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + ROUTES
+        files.text = LISTENER + ROUTES
         async with files.service(standard_port=False) as service:
             assert service.read_only == ()
-            files.text = FRONT + FRONT.replace("127.0.0.1", "0.0.0.0").replace("front", "wide") + ROUTES
-            assert await service.reload() == ["front wide added"]
+            files.text = LISTENER + LISTENER.replace("127.0.0.1", "0.0.0.0").replace("office", "wide") + ROUTES
+            assert await service.reload() == ["listener wide added"]
             assert service.read_only == (service.server.endpoints[1],)
             wide = service.server.endpoints[1].replace("0.0.0.0", "127.0.0.1")
             async with busway.open(wide) as link, busway.open(service.server.endpoints[0]) as loopback:
@@ -247,10 +249,10 @@ async def test_a_new_front_that_the_network_reaches_is_read_only_from_its_first_
 async def test_lists_of_a_listener_are_replaced_and_connections_of_hosts_that_are_now_denied_end() -> None:
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + 'allow = ["127.0.0.1"]\n' + ROUTES
+        files.text = LISTENER + 'allow = ["127.0.0.1"]\n' + ROUTES
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             assert await read_from(link, 1) == [100]
-            files.text = FRONT + 'deny = ["127.0.0.1"]\n' + ROUTES
+            files.text = LISTENER + 'deny = ["127.0.0.1"]\n' + ROUTES
             assert await service.reload() == [
                 "the address lists of listeners were replaced",
                 "connections of hosts that may no longer connect were ended: 1",
@@ -260,17 +262,17 @@ async def test_lists_of_a_listener_are_replaced_and_connections_of_hosts_that_ar
             async with busway.open(service.server.endpoints[0], shared=False, retries=0) as refused:
                 with pytest.raises((busway.LinkDown, busway.NoReply)):
                     await read_from(refused, 1)
-            files.text = FRONT + 'allow = ["127.0.0.0/8"]\n' + ROUTES
+            files.text = LISTENER + 'allow = ["127.0.0.0/8"]\n' + ROUTES
             assert await service.reload() == ["the address lists of listeners were replaced"]
             async with busway.open(service.server.endpoints[0], shared=False) as welcome:
                 assert await read_from(welcome, 1) == [100]
 
 
-async def test_a_rate_counts_for_all_fronts_together() -> None:
+async def test_a_rate_counts_for_all_listeners_together() -> None:
     rule = '[policy]\ndefault = "allow"\n[[policy.rule]]\nname = "slowly"\naction = "allow"\nrate = 0.001\n'
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + FRONT.replace("front", "second") + ROUTES + rule
+        files.text = LISTENER + LISTENER.replace("office", "second") + ROUTES + rule
         async with files.service() as service:
             first, second = service.server.endpoints
             async with busway.open(first) as link:
@@ -280,13 +282,16 @@ async def test_a_rate_counts_for_all_fronts_together() -> None:
                     await read_from(link, 1)
             gateway = service.server
             assert isinstance(gateway, Gateway)
-            assert [dict(front.server.refusals) for front in gateway.status().fronts] == [{}, {"slowly": 1}]
+            assert [dict(listener.server.refusals) for listener in gateway.status().gateway_listeners] == [
+                {},
+                {"slowly": 1},
+            ]
 
 
-async def test_counters_are_reset_and_the_sum_of_fronts_is_that_of_the_gateway() -> None:
+async def test_counters_are_reset_and_the_sum_of_listeners_is_that_of_the_gateway() -> None:
     async with busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one:
         files = Files(one.endpoints[0], one.endpoints[0])
-        files.text = FRONT + FRONT.replace("front", "second") + ROUTES
+        files.text = LISTENER + LISTENER.replace("office", "second") + ROUTES
         async with files.service() as service:
             gateway = service.server
             assert isinstance(gateway, Gateway)
@@ -299,8 +304,8 @@ async def test_counters_are_reset_and_the_sum_of_fronts_is_that_of_the_gateway()
             status = gateway.status()
             assert (status.counters.requests, status.counters.other.accepted) == (4, 2)
             assert (status.local_connections, status.supported_connections) == (1, 128)
-            assert [front.counters.no_route for front in status.fronts] == [1, 1]
+            assert [listener.counters.no_route for listener in status.gateway_listeners] == [1, 1]
             gateway.reset_counters()
             status = gateway.status()
-            assert (status.counters.requests, status.lines[0].counters.forwarded) == (0, 0)
-            assert [front.counters.no_route for front in status.fronts] == [0, 0]
+            assert (status.counters.requests, status.upstreams[0].counters.forwarded) == (0, 0)
+            assert [listener.counters.no_route for listener in status.gateway_listeners] == [0, 0]

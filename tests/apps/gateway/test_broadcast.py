@@ -20,7 +20,7 @@ from busway.pdu.functions import AnyRequest
 from busway.server.listener import Listener
 
 ANY_PORT = "tcp://127.0.0.1:0"
-FRONT = GatewayListener("front", Listener(ANY_PORT))
+LISTENER = GatewayListener("office", Listener(ANY_PORT))
 OTHERS = frozenset(range(1, 248))
 
 pytestmark = pytest.mark.clause("T32")
@@ -50,13 +50,17 @@ async def bus() -> AsyncIterator[Bus]:
 
 @contextlib.asynccontextmanager
 async def gateway(
-    *routes: Route, lines: dict[str, str], front: GatewayListener = FRONT, own_unit: int | None = 255, **options: object
+    *routes: Route,
+    lines: dict[str, str],
+    listener: GatewayListener = LISTENER,
+    own_unit: int | None = 255,
+    **options: object,
 ) -> AsyncIterator[tuple[Gateway, busway.AsyncLink]]:
     settings = tuple(
         UpstreamSettings.of(name, url, **({"turnaround_delay": 0.01} if url.startswith("rtu") else {}), **options)
         for name, url in lines.items()
     )
-    plan = GatewayPlan(fronts=(front,), lines=settings, table=RoutingTable(routes), own_unit=own_unit)
+    plan = GatewayPlan(listeners=(listener,), lines=settings, table=RoutingTable(routes), own_unit=own_unit)
     async with Gateway(plan) as made:
         endpoint = made.endpoints[0]
         calls = {"max_transactions": 4} if endpoint.startswith("tcp") else {}
@@ -97,10 +101,10 @@ async def test_the_echo_comes_after_the_broadcast_was_sent_and_the_turnaround_is
 
 
 async def test_silence_is_an_option_and_the_write_is_made_all_the_same() -> None:
-    front = GatewayListener("front", Listener(ANY_PORT), silent_broadcasts=True)
+    listener = GatewayListener("office", Listener(ANY_PORT), silent_broadcasts=True)
     async with (
         bus() as line,
-        gateway(Route(line="line", units=OTHERS), lines={"line": line.url}, front=front) as (made, link),
+        gateway(Route(line="line", units=OTHERS), lines={"line": line.url}, listener=listener) as (made, link),
     ):
         asked = asyncio.create_task(link.unit(0).write_single_register(5, 55))
         await until(lambda: line.registers(5, 1) == [[55], [55]] and not made.open_requests)
@@ -109,29 +113,31 @@ async def test_silence_is_an_option_and_the_write_is_made_all_the_same() -> None
         asked.cancel()
 
 
-async def test_a_silent_front_still_says_that_a_broadcast_was_not_sent() -> None:
-    front = GatewayListener("front", Listener(ANY_PORT), silent_broadcasts=True)
-    async with gateway(Route(line="down", units=OTHERS), lines={"down": "rtu+tcp://127.0.0.1:1"}, front=front) as (
+async def test_a_silent_listener_still_says_that_a_broadcast_was_not_sent() -> None:
+    listener = GatewayListener("office", Listener(ANY_PORT), silent_broadcasts=True)
+    async with gateway(
+        Route(line="down", units=OTHERS), lines={"down": "rtu+tcp://127.0.0.1:1"}, listener=listener
+    ) as (
         _,
         link,
     ):
         assert await refusal(link.unit(0).write_single_register(5, 55)) == 0x0A
 
 
-async def test_several_lines_hear_it_each_once_and_lines_of_other_fronts_do_not() -> None:
+async def test_several_lines_hear_it_each_once_and_lines_of_other_listeners_do_not() -> None:
     async with bus() as one, bus() as two, bus() as foreign:
-        fronts = (FRONT, GatewayListener("other", Listener(ANY_PORT)))
+        listeners = (LISTENER, GatewayListener("other", Listener(ANY_PORT)))
         plan = GatewayPlan(
-            fronts=fronts,
+            listeners=listeners,
             lines=tuple(
                 UpstreamSettings.of(name, line.url, turnaround_delay=0.01)
                 for name, line in {"one": one, "two": two, "foreign": foreign}.items()
             ),
             table=RoutingTable(
                 (
-                    Route(line="one", fronts=frozenset({"front"}), units=frozenset({1, 2})),
-                    Route(line="two", fronts=frozenset({"front"}), units=frozenset({11, 12}), unit_offset=-10),
-                    Route(line="foreign", fronts=frozenset({"other"})),
+                    Route(line="one", listeners=frozenset({"office"}), units=frozenset({1, 2})),
+                    Route(line="two", listeners=frozenset({"office"}), units=frozenset({11, 12}), unit_offset=-10),
+                    Route(line="foreign", listeners=frozenset({"other"})),
                 )
             ),
         )
@@ -139,8 +145,8 @@ async def test_several_lines_hear_it_each_once_and_lines_of_other_fronts_do_not(
             await link.unit(0).write_single_register(5, 55)
             assert one.registers(5, 1) == two.registers(5, 1) == [[55], [55]]
             assert foreign.registers(5, 1) == [[105], [205]]
-            assert [line.counters.broadcasts for line in made.status().lines] == [1, 1, 0]
-            assert made.status().fronts[0].counters.broadcasts == 1
+            assert [line.counters.broadcasts for line in made.status().upstreams] == [1, 1, 0]
+            assert made.status().gateway_listeners[0].counters.broadcasts == 1
 
 
 async def test_one_of_two_lines_that_is_down_is_told_and_the_other_hears_it() -> None:
@@ -228,7 +234,7 @@ async def test_a_dropped_broadcast_is_neither_sent_nor_answered() -> None:
         ) as (made, link),
     ):
         asked = asyncio.create_task(link.unit(0).write_single_register(5, 55))
-        await until(lambda: made.status().fronts[0].counters.dropped == 1)
+        await until(lambda: made.status().gateway_listeners[0].counters.dropped == 1)
         assert await link.unit(1).read_holding_registers(5, count=1) == [105]
         assert not asked.done()
         asked.cancel()
@@ -240,7 +246,7 @@ async def test_addresses_are_moved_and_long_writes_split_as_for_one_unit() -> No
         await link.unit(0).write_multiple_registers(5, [1, 2, 3, 4, 5])
         assert line.registers(15, 5) == [[1, 2, 3, 4, 5]] * 2
         assert line.registers(5, 5) == [[105 + n for n in range(5)], [205 + n for n in range(5)]]
-        assert made.status().lines[0].links[0].counters.requests == 3
+        assert made.status().upstreams[0].links[0].counters.requests == 3
         assert await refusal(link.unit(0).write_single_register(65_530, 1)) == 2
 
 
@@ -279,7 +285,7 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
     policy = Policy(rules, default=Judged.ALLOW)
     async with bus() as line:
         plan = GatewayPlan(
-            fronts=(GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0")),),
+            listeners=(GatewayListener("office", Listener(f"{scheme}://127.0.0.1:0")),),
             lines=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
             table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
         )
@@ -288,7 +294,7 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
                 assert await refusal(link.unit(0).write_single_register(5, 55)) == 1
             else:
                 await link.unit(0).write_single_register(5, 55)
-                await until(lambda: made.status().fronts[0].counters.refused == 1)
+                await until(lambda: made.status().gateway_listeners[0].counters.refused == 1)
             await link.unit(1).write_single_register(6, 66)
             assert line.registers(5, 2) == [[105, 66], [205, 206]]
             if scheme == "tcp":
@@ -306,7 +312,7 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
     policy = Policy(rules, default=Judged.ALLOW)
     async with bus() as line:
         plan = GatewayPlan(
-            fronts=(GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0")),),
+            listeners=(GatewayListener("office", Listener(f"{scheme}://127.0.0.1:0")),),
             lines=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
             table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
         )
@@ -321,7 +327,7 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
                 assert await refusal(allow_all.write_single_register(7, 77)) == 6
             else:
                 await allow_all.write_single_register(7, 77)
-                await until(lambda: made.status().lines[0].counters.broadcasts == 2)
+                await until(lambda: made.status().upstreams[0].counters.broadcasts == 2)
                 with pytest.raises(busway.ExceptionReply, match="exception 06"):
                     await link.unit(2).write_single_register(8, 88)
             assert line.registers(5, 3) == [[55, 66, 107], [55, 66, 207]]
@@ -330,7 +336,7 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
 # --- serial masters ------------------------------------------------------------------------------
 
 
-async def test_a_serial_front_reaches_serial_lines_once_and_servers_on_tcp_unit_by_unit() -> None:
+async def test_a_serial_listener_reaches_serial_lines_once_and_servers_on_tcp_unit_by_unit() -> None:
     on_tcp = {unit: busway.Device(holding_registers=10) for unit in (5, 6)}
     heard: list[bytes] = []
 
@@ -338,26 +344,26 @@ async def test_a_serial_front_reaches_serial_lines_once_and_servers_on_tcp_unit_
         heard.append(frame.pdu)  # type: ignore[attr-defined]
         return encode_mbap(frame.transaction, frame.unit, frame.pdu)  # type: ignore[attr-defined]
 
-    front = GatewayListener("front", Listener("rtu+tcp://127.0.0.1:0"))
+    listener = GatewayListener("office", Listener("rtu+tcp://127.0.0.1:0"))
     async with bus() as line, busway.serve(ANY_PORT, units=on_tcp) as server, ScriptedPeer(answer) as told:
         async with gateway(
             Route(line="line", units=frozenset({1, 2})),
             Route(line="tcp", units=frozenset({5, 6})),
             Route(line="told", units=frozenset({7}), functions=frozenset({3})),
             lines={"line": line.url, "tcp": server.endpoints[0], "told": told.endpoint},
-            front=front,
+            listener=listener,
         ) as (made, link):
             await link.unit(0).write_multiple_registers(3, [33, 34])
             await until(lambda: not made.open_requests and on_tcp[6].holding_registers[3] == 33)
             await until(lambda: line.registers(3, 2) == [[33, 34]] * 2)
             assert [list(one.holding_registers[3:5]) for one in on_tcp.values()] == [[33, 34]] * 2
-            assert made.status().lines[0].links[0].counters.requests == 1
+            assert made.status().upstreams[0].links[0].counters.requests == 1
             assert await link.unit(5).read_holding_registers(3, count=1) == [33]  # and nobody has answered
             assert link.counters.foreign_replies == 0
         assert heard == []
 
 
-async def test_a_serial_front_whose_route_names_no_units_reaches_a_server_on_tcp_once() -> None:
+async def test_a_serial_listener_whose_route_names_no_units_reaches_a_server_on_tcp_once() -> None:
     heard: list[int] = []
 
     def answer(context: busway.RequestContext, request: AnyRequest) -> busway.Message:
@@ -365,13 +371,13 @@ async def test_a_serial_front_whose_route_names_no_units_reaches_a_server_on_tcp
         assert isinstance(request, busway.WriteSingleRegister)
         return request
 
-    front = GatewayListener("front", Listener("rtu+tcp://127.0.0.1:0"))
+    listener = GatewayListener("office", Listener("rtu+tcp://127.0.0.1:0"))
     async with bus() as line, busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
         async with gateway(
             Route(line="line", units=frozenset({1, 2})),
             Route(line="tcp"),
             lines={"line": line.url, "tcp": server.endpoints[0]},
-            front=front,
+            listener=listener,
         ) as (made, link):
             await link.unit(0).write_single_register(3, 33)
             await until(lambda: line.registers(3, 1) == [[33], [33]] and heard and not made.open_requests)
@@ -393,19 +399,19 @@ async def test_units_that_lead_elsewhere_do_not_keep_a_line_from_hearing_it() ->
         assert one.registers(5, 1) == two.registers(5, 1) == [[55], [55]]
 
 
-async def test_a_serial_front_must_not_write_to_all_what_it_may_not_write_to_one() -> None:
-    front = GatewayListener("front", Listener("rtu+tcp://127.0.0.1:0"))
+async def test_a_serial_listener_must_not_write_to_all_what_it_may_not_write_to_one() -> None:
+    listener = GatewayListener("office", Listener("rtu+tcp://127.0.0.1:0"))
     async with (
         bus() as line,
         gateway(
             Route(line="line", units=frozenset({1})),
             Route(line="line", units=frozenset({2}), functions=frozenset({3})),
             lines={"line": line.url},
-            front=front,
+            listener=listener,
         ) as (made, link),
     ):
         await link.unit(0).write_single_register(3, 33)
-        await until(lambda: made.status().fronts[0].counters.refused == 1)
+        await until(lambda: made.status().gateway_listeners[0].counters.refused == 1)
         assert await link.unit(1).read_holding_registers(3, count=1) == [103]
         assert line.registers(3, 1) == [[103], [203]]
 
@@ -417,7 +423,7 @@ async def test_a_client_that_goes_away_takes_its_queued_broadcasts_with_it() -> 
     async with bus() as line, ScriptedPeer(lambda peer, frame: None) as stuck:
         lines = {"line": line.url, "stuck": stuck.endpoint}
         plan = GatewayPlan(
-            fronts=(FRONT,),
+            listeners=(LISTENER,),
             lines=(
                 UpstreamSettings.of("line", lines["line"], turnaround_delay=0.01),
                 UpstreamSettings.of("stuck", lines["stuck"], broadcast=True, timeout=5.0),
@@ -433,7 +439,7 @@ async def test_a_client_that_goes_away_takes_its_queued_broadcasts_with_it() -> 
             await leaving.close()
             await asyncio.gather(*asked, return_exceptions=True)
             await until(lambda: made.open_requests == 1)  # what is on the wire
-            status = made.status().lines[1]
+            status = made.status().upstreams[1]
             assert (status.counters.abandoned, status.links[0].queued) == (4, 0)
             async with busway.open(made.endpoints[0], timeout=3) as link:
                 assert await link.unit(1).read_holding_registers(3, count=1) == [3]

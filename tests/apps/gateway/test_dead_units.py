@@ -1,6 +1,6 @@
 """Units that never answer do not stall those that do: a gateway's line in virtual time.
 
-The front's handler, the line and the master's session are the real ones; the wire and the clock are not.
+The listener's handler, the line and the master's session are the real ones; the wire and the clock are not.
 """
 
 from dataclasses import dataclass, field
@@ -126,7 +126,7 @@ def polled(dead: frozenset[int], *, asked: range = UNITS, timeout: float = 0.5) 
     bus.servers({unit: busway.Device(holding_registers=1000) for unit in UNITS if unit not in dead})
     line = Line("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
     line._links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
-    handler = ListenerHandler("front", busway.STANDARD)
+    handler = ListenerHandler("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(line="line", units=frozenset(UNITS))]), {"line": line})
     pollers = Pollers(bus, handler, port=_Nothing())
     bus.ends.append(pollers)

@@ -28,9 +28,9 @@ pytestmark = pytest.mark.clause("T32")
 async def gateway(
     line: str, *, deadlines: tuple[float | None, ...] = (None,), route: Route | None = None, **options: Any
 ) -> AsyncIterator[Gateway]:
-    """A gateway with one front for each deadline."""
+    """A gateway with one listener for each deadline."""
     plan = GatewayPlan(
-        tuple(GatewayListener(f"front {n}", Listener(ANY_PORT), deadline=one) for n, one in enumerate(deadlines)),
+        tuple(GatewayListener(f"listener {n}", Listener(ANY_PORT), deadline=one) for n, one in enumerate(deadlines)),
         (UpstreamSettings.of("line", line, **options),),
         RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
     )
@@ -38,8 +38,8 @@ async def gateway(
         yield made
 
 
-def client(made: Gateway, front: int = 0, **options: Any) -> busway.AsyncLink:
-    return busway.open(made.endpoints[front], shared=False, **{"timeout": 5.0, "retries": 0, **options})
+def client(made: Gateway, listener: int = 0, **options: Any) -> busway.AsyncLink:
+    return busway.open(made.endpoints[listener], shared=False, **{"timeout": 5.0, "retries": 0, **options})
 
 
 async def code_of(asked: Any) -> int:
@@ -82,7 +82,7 @@ async def test_what_waited_beyond_its_clients_deadline_is_never_sent_and_0a() ->
         slow.allowed.release()
         assert await first == [7]
         assert len(slow.asked) == 1
-        assert made.status().lines[0].links[0].queued == made.open_requests == 0
+        assert made.status().upstreams[0].links[0].queued == made.open_requests == 0
 
 
 async def test_the_request_on_the_wire_at_the_deadline_is_0b() -> None:
@@ -126,7 +126,7 @@ async def test_who_shares_a_read_has_his_own_deadline_and_not_that_of_another(la
         first = asyncio.create_task(hurried.unit(1).read_holding_registers(1, count=1))
         await until(lambda: made.open_requests == 2)
         second = asyncio.create_task(patient.unit(1).read_holding_registers(1, count=1))
-        counters = made.status().lines[0].counters
+        counters = made.status().upstreams[0].counters
         await until(lambda: counters.shared == 1)
         with pytest.raises(busway.ExceptionReply, match="exception 0A"):  # it was not sent yet
             await first
@@ -150,7 +150,7 @@ async def test_who_joins_a_read_with_less_time_than_the_first_has_0b_when_his_is
         first = asyncio.create_task(patient.unit(1).read_holding_registers(1, count=1))
         await until(lambda: slow.asked)
         assert await code_of(hurried.unit(1).read_holding_registers(1, count=1)) == 0x0B
-        assert made.status().lines[0].counters.shared == 1
+        assert made.status().upstreams[0].counters.shared == 1
         assert not first.done()
         slow.allowed.release()
         assert await first == [7]
@@ -179,12 +179,12 @@ async def test_a_read_for_which_nobody_has_time_left_is_taken_back(cache: float 
 
 
 async def test_where_nothing_is_said_a_request_is_answered_within_two_and_a_half_seconds() -> None:
-    front = GatewayListener("front", Listener(ANY_PORT))
-    assert front.deadline == 2.5
+    listener = GatewayListener("office", Listener(ANY_PORT))
+    assert listener.deadline == 2.5
     line = UpstreamSettings.of("line", "tcp://127.0.0.1:1")
     assert line.link.parameters.timeout == 1.0
     adaptive_timeout = busway.open("tcp://127.0.0.1:1").parameters.timeout
-    assert worst_case(line, Route(line="line")).seconds < front.deadline < adaptive_timeout == 3.0
+    assert worst_case(line, Route(line="line")).seconds < listener.deadline < adaptive_timeout == 3.0
 
 
 @pytest.mark.real_time
@@ -258,7 +258,7 @@ async def test_a_silent_unit_of_a_server_on_tcp_is_not_asked_for_a_while_and_the
             assert await code_of(link.unit(9).read_holding_registers(0, count=1)) == 0x0B
             assert await link.unit(1).read_holding_registers(7, count=1) == [7]
         assert [frame.unit for frame in peer.frames].count(9) == 3
-        (unit,) = made.status().lines[0].links[0].suspended
+        (unit,) = made.status().upstreams[0].links[0].suspended
         assert (unit.unit, unit.state, 0 < unit.next_probe <= 60) == (9, "open", True)
 
 
@@ -273,8 +273,8 @@ async def test_a_repeated_read_that_is_answered_brings_its_data_and_a_client_see
     ):
         for n in range(3):
             assert await link.unit(1).read_holding_registers(n, count=1) == [n]
-        assert made.status().lines[0].links[0].counters.retries == 6
-        assert made.status().lines[0].counters.no_answer == 0
+        assert made.status().upstreams[0].links[0].counters.retries == 6
+        assert made.status().upstreams[0].counters.no_answer == 0
 
 
 async def test_a_retry_is_not_begun_for_a_client_whose_deadline_is_over() -> None:

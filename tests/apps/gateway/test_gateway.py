@@ -23,7 +23,7 @@ from busway.session.parameters import ServerParameters
 from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
-FRONT = GatewayListener("front", Listener(ANY_PORT))
+LISTENER = GatewayListener("office", Listener(ANY_PORT))
 BAUD = 115_200
 
 
@@ -31,9 +31,9 @@ def device(first: int = 0) -> busway.Device:
     return busway.Device(holding_registers=[first + n for n in range(300)], coils=[n % 3 == 0 for n in range(300)])
 
 
-def plan(*routes: Route, lines: dict[str, str], front: GatewayListener = FRONT, **options: object) -> GatewayPlan:
+def plan(*routes: Route, lines: dict[str, str], listener: GatewayListener = LISTENER, **options: object) -> GatewayPlan:
     settings = tuple(UpstreamSettings.of(name, url, **options) for name, url in lines.items())
-    return GatewayPlan(fronts=(front,), lines=settings, table=RoutingTable(routes))
+    return GatewayPlan(listeners=(listener,), lines=settings, table=RoutingTable(routes))
 
 
 @contextlib.asynccontextmanager
@@ -99,9 +99,9 @@ async def test_what_can_not_be_asked_is_0a_and_what_does_not_answer_is_0b() -> N
             with pytest.raises(busway.WriteOutcomeUnknown):  # a client of ours takes 0B to a write for what it is
                 await link.unit(1).write_single_register(0, 1)
             status = gateway.status()
-            assert status.fronts[0].counters.no_route == 1
-            assert [line.counters.no_answer for line in status.lines] == [2, 0]
-            assert [line.counters.no_path for line in status.lines] == [0, 1]
+            assert status.gateway_listeners[0].counters.no_route == 1
+            assert [line.counters.no_answer for line in status.upstreams] == [2, 0]
+            assert [line.counters.no_path for line in status.upstreams] == [0, 1]
 
 
 @pytest.mark.clause("T32")
@@ -119,11 +119,11 @@ async def test_a_full_queue_of_a_line_is_0a_at_once() -> None:
 
 @pytest.mark.clause("T27")
 @pytest.mark.clause("T32")
-async def test_transaction_slots_of_the_front_exhausted_are_06() -> None:
+async def test_transaction_slots_of_the_listener_exhausted_are_06() -> None:
     async with ScriptedPeer(lambda peer, frame: None) as silent:
         made = simple_plan([ANY_PORT], silent.endpoint, timeout=0.2, retries=0, share_reads=False)
         made = GatewayPlan(
-            made.fronts, made.lines, made.table, server={"parameters": ServerParameters(max_transactions=2)}
+            made.listeners, made.lines, made.table, server={"parameters": ServerParameters(max_transactions=2)}
         )
         async with through(made, max_transactions=4, timeout=5) as (_, link):
             asked = [code_of(link.unit(1).read_holding_registers(n, count=1)) for n in range(4)]
@@ -138,15 +138,15 @@ async def test_the_gateway_itself_answers_on_unit_255_and_on_0() -> None:
         assert (await link.unit(255).read_device_identification())[1] == b"gateway"
         assert (await link.unit(0).read_device_identification())[0] == b"busway"
         await code_of(link.unit(1).read_holding_registers(0, count=1))
-        uptime, fronts, lines = await link.unit(255).read_input_registers(1, count=3)
-        assert (uptime < 60, fronts, lines) == (True, 1, 1)
+        uptime, listeners, lines = await link.unit(255).read_input_registers(1, count=3)
+        assert (uptime < 60, listeners, lines) == (True, 1, 1)
         assert await link.unit(255).read("3x113", "uint32") == 1  # requests of the first line answered 0A
 
 
 @pytest.mark.clause("T32")
 async def test_without_an_own_unit_255_is_no_path() -> None:
     made = plan(Route(line="line", units=frozenset({1})), lines={"line": "tcp://127.0.0.1:1"})
-    made = GatewayPlan(made.fronts, made.lines, made.table, own_unit=None)
+    made = GatewayPlan(made.listeners, made.lines, made.table, own_unit=None)
     async with through(made) as (_, link):
         assert await code_of(link.unit(255).read_device_identification()) == 0x0A
 
@@ -187,19 +187,19 @@ async def test_a_write_to_unit_0_is_broadcast_to_the_serial_lines_and_echoed() -
             await link.unit(0).write_multiple_registers(4, [71, 72])
             assert one.holding_registers[4:6] == two.holding_registers[4:6] == [71, 72]
             assert await link.unit(2).read_holding_registers(4, count=1) == [71]
-            assert gateway.status().lines[0].counters.broadcasts == 1
+            assert gateway.status().upstreams[0].counters.broadcasts == 1
 
 
 @pytest.mark.clause("T32")
 @pytest.mark.real_time
-async def test_a_serial_front_is_silent_for_units_that_it_does_not_route() -> None:
+async def test_a_serial_listener_is_silent_for_units_that_it_does_not_route() -> None:
     with PacedLine(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         async with busway.serve(ANY_PORT, units={3: device(300)}) as server:
             made = plan(
                 Route(line="line", units=frozenset({3})),
                 lines={"line": server.endpoints[0]},
-                front=GatewayListener("serial", Listener(urls[0])),
+                listener=GatewayListener("serial", Listener(urls[0])),
             )
             async with Gateway(made), busway.open(urls[1], timeout=5, retries=0) as link:
                 assert await link.unit(3).read_holding_registers(1, count=2) == [301, 302]
@@ -217,7 +217,7 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
             made = plan(
                 Route(line="line", units=frozenset({3, 4})),
                 lines={"line": server.endpoints[0]},
-                front=GatewayListener("serial", Listener(urls[0])),
+                listener=GatewayListener("serial", Listener(urls[0])),
             )
             async with Gateway(made), busway.open(urls[1]) as link:
                 await link.unit(0).write_single_register(9, 4711)
@@ -234,7 +234,7 @@ async def test_identical_reads_in_flight_are_asked_once() -> None:
                 for _ in range(5)
             ]
             asked = [asyncio.create_task(link.unit(1).read_holding_registers(1000, count=1)) for link in links]
-            counters = gateway.status().lines[0].counters
+            counters = gateway.status().upstreams[0].counters
             await until(lambda: counters.shared == 4)
             gate.opened.set()
             assert await asyncio.gather(*asked) == [[1000]] * 5
@@ -250,7 +250,7 @@ async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_wri
             assert await unit.read_holding_registers(0, count=20) == list(range(20))
             behind.holding_registers[5] = 999  # by the device itself: may be seen later
             assert await unit.read_holding_registers(4, count=3) == [4, 5, 6]
-            assert gateway.status().lines[0].counters.recalled == 1
+            assert gateway.status().upstreams[0].counters.recalled == 1
             await unit.write_single_register(6, 888)
             assert await unit.read_holding_registers(4, count=3) == [4, 999, 888]
 
@@ -270,7 +270,7 @@ async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> No
             gate.opened.set()
             async with busway.open(gateway.endpoints[0], timeout=5) as link:
                 assert await link.unit(1).read_holding_registers(1, count=1) == [1]
-            assert gateway.status().lines[0].counters.abandoned == 5
+            assert gateway.status().upstreams[0].counters.abandoned == 5
             assert len(handler.contexts) == 2  # what was on the wire, and the other client's
 
 
@@ -294,7 +294,7 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "rtu+tcp"])
-async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) -> None:
+async def test_draining_takes_nothing_new_from_any_network_listener(scheme: str) -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with busway.serve(ANY_PORT, handler=handler) as server:
@@ -319,7 +319,7 @@ async def test_draining_takes_nothing_new_from_any_network_front(scheme: str) ->
 
 
 @pytest.mark.real_time
-async def test_draining_takes_nothing_new_from_a_serial_front() -> None:
+async def test_draining_takes_nothing_new_from_a_serial_listener() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     with PacedLine(ports=2, baud=BAUD) as line:
@@ -383,7 +383,7 @@ async def test_a_change_that_can_not_be_leaves_everything_as_it_was() -> None:
         async with through(plan(Route(line="line"), lines=lines)) as (gateway, link):
             assert await link.unit(1).read_holding_registers(0, count=1) == [0]
             worse = GatewayPlan(
-                fronts=(FRONT, GatewayListener("taken", Listener(server.endpoints[0]))),
+                listeners=(LISTENER, GatewayListener("taken", Listener(server.endpoints[0]))),
                 lines=gateway.plan.lines,
                 table=gateway.plan.table,
             )
@@ -413,10 +413,10 @@ async def test_several_connections_to_one_server_share_the_clients_and_keep_each
             lambda: plan(Route(line="nowhere"), lines={"line": "tcp://127.0.0.1:1"}),
             "there is no line 'nowhere', but line",
         ),
-        (lambda: GatewayPlan((), (), RoutingTable(())), "at least one front"),
+        (lambda: GatewayPlan((), (), RoutingTable(())), "at least one listener"),
         (
-            lambda: plan(Route(line="line", fronts=frozenset({"x"})), lines={"line": "tcp://127.0.0.1:1"}),
-            "there is no front 'x', but front",
+            lambda: plan(Route(line="line", listeners=frozenset({"x"})), lines={"line": "tcp://127.0.0.1:1"}),
+            "there is no listener 'x', but office",
         ),
     ],
 )

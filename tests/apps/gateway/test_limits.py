@@ -35,7 +35,7 @@ async def test_three_hundred_clients_are_served_over_one_connection_and_leave_no
     device = busway.Device(holding_registers=list(range(2000)))
     async with busway.serve(ANY_PORT, units={1: device}) as server:
         plan = GatewayPlan(
-            (GatewayListener("front", Listener(ANY_PORT, limits=limits)),),
+            (GatewayListener("office", Listener(ANY_PORT, limits=limits)),),
             (UpstreamSettings.of("line", server.endpoints[0], queue=300, timeout=10, max_transactions=16),),
             RoutingTable((Route(line="line"),)),
         )
@@ -69,9 +69,9 @@ async def test_the_queue_of_a_line_is_bounded_for_all_clients_together_and_serve
             links = [await stack.enter_async_context(busway.open(gateway.endpoints[0], **options)) for _ in range(20)]
             assert await links[0].unit(1).read_holding_registers(99, count=1) == [99]
             asked = [asyncio.create_task(link.unit(1).read_holding_registers(1, count=1)) for link in links]
-            counters = gateway.status().lines[0].counters
+            counters = gateway.status().upstreams[0].counters
             await until(lambda: counters.no_path == 9)  # one is on the wire, ten wait
-            assert gateway.status().lines[0].links[0].queued == 10
+            assert gateway.status().upstreams[0].links[0].queued == 10
             await asyncio.sleep(0)
             assert counters.no_path == 9
             for task in asked:
@@ -114,7 +114,7 @@ def lines_of(connections: int) -> tuple[Line, list[Taking]]:
 @pytest.mark.parametrize("goes", [False, True])
 def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) -> None:
     line, links = lines_of(4)
-    handler = ListenerHandler("front", busway.STANDARD)
+    handler = ListenerHandler("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(line="line", units=ALL_UNITS, cache=60.0)]), {"line": line})
     diagnostics = CommunicationState()
 
@@ -158,7 +158,7 @@ def _ignored(context: RequestContext, reply: object) -> None:
 
 def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_come() -> None:
     line, links = lines_of(4)
-    handler = ListenerHandler("front", busway.STANDARD)
+    handler = ListenerHandler("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(line="line")]), {"line": line})
 
     def ask(peer: str, address: int) -> Taking:

@@ -73,7 +73,7 @@ async def test_reads_never_go_back_behind_a_write_or_another_read(seed: int, cac
     history = History()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(device.decide)) as server:  # type: ignore[arg-type]
         plan = GatewayPlan(
-            fronts=(GatewayListener("front", Listener(ANY_PORT)),),
+            listeners=(GatewayListener("office", Listener(ANY_PORT)),),
             lines=(
                 UpstreamSettings.of(
                     "line", server.endpoints[0], max_transactions=16, queue=1000, connections=3, timeout=20
@@ -105,7 +105,7 @@ async def test_reads_never_go_back_behind_a_write_or_another_read(seed: int, cac
             await writer()
             stop.set()
             await asyncio.gather(*readers)
-            counters = gateway.status().lines[0].counters
+            counters = gateway.status().upstreams[0].counters
     history.check()
     assert len(history.read) > 60
     assert (counters.recalled if cache else counters.shared) > 0  # or nothing was tried

@@ -1,4 +1,4 @@
-"""Every front with every line behind: one suite of requests, the same answers."""
+"""Every listener with every line behind: one suite of requests, the same answers."""
 
 import contextlib
 import itertools
@@ -64,12 +64,12 @@ class SocketAddresses:
 
 
 @contextlib.asynccontextmanager
-async def gateway_between(front: str, line: str, files: Files) -> AsyncIterator[busway.AsyncLink]:
+async def gateway_between(listener: str, line: str, files: Files) -> AsyncIterator[busway.AsyncLink]:
     with contextlib.ExitStack() as lines:
-        outer, inner = SocketAddresses(front, files, lines), SocketAddresses(line, files, lines)
+        outer, inner = SocketAddresses(listener, files, lines), SocketAddresses(line, files, lines)
         async with busway.serve(inner.listen, units={unit: device(unit) for unit in UNITS}) as server:
             plan = GatewayPlan(
-                fronts=(GatewayListener("front", Listener(outer.listen)),),
+                listeners=(GatewayListener("office", Listener(outer.listen)),),
                 lines=(UpstreamSettings.of("line", inner.client(server.endpoints[0]), timeout=2.0),),
                 table=RoutingTable((Route(line="line", units=frozenset({*UNITS, 30})),)),
                 own_unit=None,
@@ -82,9 +82,9 @@ async def gateway_between(front: str, line: str, files: Files) -> AsyncIterator[
 
 
 @pytest.mark.clause("T32")
-@pytest.mark.parametrize(("front", "line"), list(itertools.product(KINDS, KINDS)))
-async def test_every_front_serves_every_line(front: str, line: str, files: Files) -> None:
-    async with gateway_between(front, line, files) as link:
+@pytest.mark.parametrize(("listener", "line"), list(itertools.product(KINDS, KINDS)))
+async def test_every_listener_serves_every_line(listener: str, line: str, files: Files) -> None:
+    async with gateway_between(listener, line, files) as link:
         for number in UNITS:
             unit = link.unit(number)
             assert await unit.read_holding_registers(7, count=3) == [1000 * number + n for n in (7, 8, 9)]

@@ -85,7 +85,7 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
     with PacedLine(ports=2, baud=19200) as line:
         async with Gateway(plan) as gateway:
             await until(lambda: told(caplog))
-            (status,) = gateway.status().lines
+            (status,) = gateway.status().upstreams
             assert status.lamps.error.value == "flashing"
             assert status.lamps.device_status.value == "off"
             (link,) = status.links
@@ -96,7 +96,7 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
                 f"rtu://{port}: {port} can not be opened: it is not there; waiting for it",
                 f"rtu://{port}: open again",
             ]
-            (status,) = gateway.status().lines
+            (status,) = gateway.status().upstreams
             assert (status.links[0].reason, status.links[0].next_attempt) == ("", None)
             assert status.lamps.error.value == "off"
         assert len(told(caplog)) == 2  # that the gateway ends is no news of its line
@@ -131,5 +131,5 @@ async def test_a_server_that_refuses_is_told_when_it_is_asked(caplog: pytest.Log
         with pytest.raises(busway.ExceptionReply, match="exception 0A"):
             await link.unit(1).read_holding_registers(0, count=1)
         assert told(caplog)[0].endswith("; tried again when something is asked")
-        (status,) = gateway.status().lines
+        (status,) = gateway.status().upstreams
         assert status.links[0].reason.startswith("no connection: ")

@@ -33,7 +33,7 @@ class Serving(ScriptedHandler):
 
 @contextlib.asynccontextmanager
 async def between(
-    front: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, adaptive_timeout: float = 2.0
+    listener: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, adaptive_timeout: float = 2.0
 ) -> AsyncIterator[busway.AsyncUnit]:
     """Unit 3 of ``handler`` on a line, seen through a gateway."""
     with contextlib.ExitStack() as wires:
@@ -44,10 +44,10 @@ async def between(
             wire = wires.enter_context(PacedLine(ports=2, baud=BAUD, data_bits=8 if scheme == "rtu" else 7))
             return tuple(f"{scheme}://{path}?baud={BAUD}" for path in wire.paths)  # type: ignore[return-value]
 
-        outer, inner = ends(front), ends(line)
+        outer, inner = ends(listener), ends(line)
         async with busway.serve(inner[0], handler=handler) as server:
             plan = GatewayPlan(
-                (GatewayListener("front", Listener(outer[0])),),
+                (GatewayListener("office", Listener(outer[0])),),
                 (UpstreamSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),
                 RoutingTable((Route(line="line", units=frozenset({3})),)),
                 functions=functions,
@@ -69,10 +69,10 @@ def turned_round(context: busway.RequestContext, request: AnyRequest) -> busway.
 
 
 @pytest.mark.parametrize(
-    ("front", "line"), [("tcp", "rtu"), ("rtu", "tcp"), ("rtu", "rtu"), ("ascii", "rtu"), ("rtu+tcp", "ascii")]
+    ("listener", "line"), [("tcp", "rtu"), ("rtu", "tcp"), ("rtu", "rtu"), ("ascii", "rtu"), ("rtu+tcp", "ascii")]
 )
-async def test_unknown_functions_of_any_length_go_through_unread(front: str, line: str) -> None:
-    async with between(front, line, Serving(turned_round)) as unit:
+async def test_unknown_functions_of_any_length_go_through_unread(listener: str, line: str) -> None:
+    async with between(listener, line, Serving(turned_round)) as unit:
         for function, size in itertools.product((0x41, 0x64, 0x7F), SIZES):
             data = bytes((function + n) & 0xFF for n in range(size))
             reply = await unit.execute(OpaqueRequest(function, data))
@@ -82,15 +82,15 @@ async def test_unknown_functions_of_any_length_go_through_unread(front: str, lin
         assert error.value.code == 0x55
 
 
-@pytest.mark.parametrize(("front", "line"), [("tcp", "rtu"), ("rtu", "tcp")])
-async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(front: str, line: str) -> None:
+@pytest.mark.parametrize(("listener", "line"), [("tcp", "rtu"), ("rtu", "tcp")])
+async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(listener: str, line: str) -> None:
     asked: list[bytes] = []
 
     def silent(context: busway.RequestContext, request: AnyRequest) -> Outcome:
         asked.append(request.encode())
         return busway.SILENCE
 
-    async with between(front, line, Serving(silent), adaptive_timeout=0.2) as unit:
+    async with between(listener, line, Serving(silent), adaptive_timeout=0.2) as unit:
         with pytest.raises((busway.WriteOutcomeUnknown, busway.NoReply)):
             await unit.execute(OpaqueRequest(0x41, b"\1"))
         assert len(asked) == 1
@@ -117,9 +117,9 @@ class SetTorque(Request):
 
 
 @pytest.mark.parametrize(
-    ("front", "line"), [("tcp", "tcp"), ("tcp", "rtu"), ("rtu", "tcp"), ("rtu", "rtu"), ("ascii+tcp", "rtu+tcp")]
+    ("listener", "line"), [("tcp", "tcp"), ("tcp", "rtu"), ("rtu", "tcp"), ("rtu", "rtu"), ("ascii+tcp", "rtu+tcp")]
 )
-async def test_functions_of_users_are_known_to_the_gateway_that_has_them_in_its_table(front: str, line: str) -> None:
+async def test_functions_of_users_are_known_to_the_gateway_that_has_them_in_its_table(listener: str, line: str) -> None:
     functions = STANDARD.with_functions(Torque, SetTorque)
     torques = {axis: 100 * axis for axis in range(10)}
 
@@ -130,7 +130,7 @@ async def test_functions_of_users_are_known_to_the_gateway_that_has_them_in_its_
         assert isinstance(request, Torque)
         return Torque.Reply(torques[request.axis])
 
-    async with between(front, line, Serving(decide, functions), functions) as unit:
+    async with between(listener, line, Serving(decide, functions), functions) as unit:
         assert await unit.execute(Torque(3)) == Torque.Reply(300)
         await unit.execute(SetTorque(3, 77))
         assert await unit.execute(Torque(3)) == Torque.Reply(77)

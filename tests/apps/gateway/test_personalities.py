@@ -175,7 +175,7 @@ async def healthy(line: FaultyLine, link: busway.AsyncLink) -> None:
     await link.unit(2).write_single_register(300, 7)
     assert await link.unit(2).read_holding_registers(300, count=1) == [7]
     await until(lambda: not line.gateway.open_requests)
-    assert line.gateway.status().lines[0].links[0].queued == 0
+    assert line.gateway.status().upstreams[0].links[0].queued == 0
 
 
 def test_every_personality_of_a_server_is_in_the_table() -> None:
@@ -220,7 +220,7 @@ async def test_wide_registers_go_through_in_their_width_where_the_line_is_told_o
         assert await unit.read("4x11", "uint32", count=25) == right
         assert await unit.read("4x11", "uint32", count=25) == right  # from memory
         assert await unit.read("4x13", "uint32", count=3) == right[2:5]  # out of a larger block
-        assert line.gateway.status().lines[0].counters.recalled == 2
+        assert line.gateway.status().upstreams[0].counters.recalled == 2
         assert await outcome(link.unit(1).execute(busway.ReadHoldingRegisters(0, 63))) == 3  # too much
 
 

@@ -1,6 +1,6 @@
 """Routes, translation and memory against plain models of what they should do, with whatever requests there are.
 
-The front's handler and its lines are the real ones; behind them is a link that answers at once, or when it is told to.
+The listener's handler and its lines are the real ones; their link answers at once, or when it is told to.
 """
 
 import struct
@@ -225,8 +225,8 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
     behind: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     model: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     lines = {name: _line(name, devices) for name, devices in behind.items()}
-    handler = ListenerHandler("front", busway.STANDARD)
-    handler.follow(table.of_front("front"), {name: line for name, (line, _) in lines.items()})
+    handler = ListenerHandler("office", busway.STANDARD)
+    handler.follow(table.of_listener("office"), {name: line for name, (line, _) in lines.items()})
     for unit, pdu in requests:
         for _, link in lines.values():
             link.asked.clear()
@@ -322,9 +322,9 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     link = InstantLink(dict.fromkeys((1, 255), device))  # type: ignore[arg-type]  # 255 is the device itself
     line = Line("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
-    handler = ListenerHandler("front", busway.STANDARD)
+    handler = ListenerHandler("office", busway.STANDARD)
     route = Route(line="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
-    handler.follow(RoutingTable((route,)).of_front("front"), {"line": line})
+    handler.follow(RoutingTable((route,)).of_listener("office"), {"line": line})
     written: dict[int, tuple[float, int]] = {}  # when somebody last saw a write end
     for action, number, extra in steps:
         if action == "wait":
@@ -351,8 +351,8 @@ def test_a_remembered_value_is_used_at_all() -> None:
     link = InstantLink({1: PlainDevice()})
     line = Line("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
-    handler = ListenerHandler("front", busway.STANDARD)
-    handler.follow(RoutingTable((Route(line="line", cache=1.0),)).of_front("front"), {"line": line})
+    handler = ListenerHandler("office", busway.STANDARD)
+    handler.follow(RoutingTable((Route(line="line", cache=1.0),)).of_listener("office"), {"line": line})
     for seconds, requests in ((0.0, 1), (0.5, 1), (0.49, 1), (0.02, 2)):
         clock.advance(seconds)
         assert asked_by(handler, 1, bytes.fromhex("03 0001 0001")) == bytes.fromhex("03 02 0007")

@@ -204,7 +204,7 @@ class Client:
 
 
 class Plant:
-    """A front, a line and a device; clients come as they are asked for."""
+    """A listener, a line and a device; clients come as they are asked for."""
 
     def __init__(
         self,
@@ -217,9 +217,9 @@ class Plant:
         options = {"max_transactions": 16, "retries": 0, "queue": 200, **options}
         self.line = Line("line", link_settings("tcp://127.0.0.1:1", options), share_reads=share_reads)
         self.link = WireLink(self.line)
-        self.front = ListenerHandler("front", busway.STANDARD)
-        self.front.follow(ListenerRoutes(routes or (Route(line="line"),)), {"line": self.line})
-        self.handler: Any = self.front if bunches else LongRoad(self.front)
+        self.listener = ListenerHandler("office", busway.STANDARD)
+        self.listener.follow(ListenerRoutes(routes or (Route(line="line"),)), {"line": self.line})
+        self.handler: Any = self.listener if bunches else LongRoad(self.listener)
         if policy is not None:
             self.handler = PolicyHandler(self.handler, policy)
 
@@ -308,7 +308,7 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
 ) -> None:
     options = {"max_transactions": room, "retries": retries, "queue": queue, "recycle_after_timeouts": 1000}
     plant = Plant(share_reads=share_reads, **options)
-    plant.front.deadline = adaptive_timeout
+    plant.listener.deadline = adaptive_timeout
     clients = [plant.client(f"10.0.0.{number}:500") for number in range(3)]
     asked: list[dict[int, bytes]] = [{}, {}, {}]
 
@@ -433,8 +433,8 @@ class ReadKnownValues(ReadRegisters):
 @pytest.mark.parametrize("bunches", [True, False])
 def test_a_reply_that_its_function_does_not_take_is_not_handed_on(bunches: bool) -> None:
     plant = Plant(bunches=bunches)
-    plant.front.functions = FunctionTable(*(one for one in busway.STANDARD if one.code != 3), ReadKnownValues)
-    plant.handler.functions = plant.front.functions
+    plant.listener.functions = FunctionTable(*(one for one in busway.STANDARD if one.code != 3), ReadKnownValues)
+    plant.handler.functions = plant.listener.functions
     client = plant.client("client")
     for _ in range(2):
         client.ask(read(7), read(8))
@@ -589,26 +589,26 @@ def test_new_routes_hold_from_the_next_request_on_and_what_is_on_its_way_is_answ
     plant = Plant()
     client = plant.client("client")
     client.ask(read(0), read(1))
-    plant.front.follow(ListenerRoutes((Route(line="line", unit=9, shift=100),)), {"line": plant.line})
+    plant.listener.follow(ListenerRoutes((Route(line="line", unit=9, shift=100),)), {"line": plant.line})
     client.ask(read(0))
     assert [(unit, pdu) for _, unit, pdu in plant.link.asked] == [(1, read(0)), (1, read(1)), (9, read(100))]
     plant.link.answer()
     assert client.got() == {1: answer_of(read(0)), 2: answer_of(read(1)), 3: answer_of(read(100))}
-    plant.front.follow(ListenerRoutes(()), {})
+    plant.listener.follow(ListenerRoutes(()), {})
     client.ask(read(0))
     assert client.got() == {4: bytes((0x83, 0x0A))}
 
 
 def test_a_client_that_gives_up_soon_is_told_before_its_read_is_sent() -> None:
     plant = Plant(max_transactions=1, timeout=5.0)
-    plant.front.deadline = 1.0
+    plant.listener.deadline = 1.0
     client = plant.client("client")
     client.ask(read(0), read(1))
     plant.link.wait(1.1)
     assert client.got() == {1: bytes((0x83, 0x0B)), 2: bytes((0x83, 0x0A))}
 
 
-def test_a_muted_front_answers_nothing_and_asks_nothing() -> None:
+def test_a_muted_listener_answers_nothing_and_asks_nothing() -> None:
     plant = Plant()
     client = plant.client("client")
     client.ask(read(0))
@@ -633,7 +633,7 @@ def test_reads_that_a_policy_permits_go_together_and_those_that_it_denies_go_now
     client.ask(read(0))
     assert list(client.got().values()) == [bytes((0x83, 1))]
     assert isinstance(plant.handler, ReadForwarder)
-    assert not isinstance(PolicyHandler(LongRoad(plant.front), POLICY), ReadForwarder)
+    assert not isinstance(PolicyHandler(LongRoad(plant.listener), POLICY), ReadForwarder)
 
 
 # Turns.

@@ -44,9 +44,9 @@ class Slow:
         return request.Reply(number.to_bytes(2, "big") * request.count)  # type: ignore[no-any-return]
 
 
-def plan(line: str, *, fronts: int = 2, **route: Any) -> GatewayPlan:
+def plan(line: str, *, listeners: int = 2, **route: Any) -> GatewayPlan:
     return GatewayPlan(
-        tuple(GatewayListener(f"front {n}", Listener(ANY_PORT)) for n in range(fronts)),
+        tuple(GatewayListener(f"listener {n}", Listener(ANY_PORT)) for n in range(listeners)),
         (UpstreamSettings.of("line", line, same_device=(frozenset({1, 2}),)),),
         RoutingTable((Route(line="line", **route),)),
     )
@@ -70,7 +70,7 @@ async def test_who_may_not_read_a_range_gets_no_shared_and_no_remembered_read_of
             busway.open(denied, shared=False, max_transactions=4) as third,
         ):
             reading = [asyncio.create_task(link.unit(1).read_holding_registers(0, count=5)) for link in (first, second)]
-            counters = made.status().lines[0].counters
+            counters = made.status().upstreams[0].counters
             await until(lambda: counters.shared == 1 and slow.asked == 1)
             for address, count in ((0, 5), (2, 1), (9, 3)):  # in flight, a part of it, and one that straddles the rule
                 with pytest.raises(busway.ExceptionReply, match="exception 01"):
@@ -92,7 +92,7 @@ async def test_a_write_to_one_unit_of_a_device_is_seen_by_a_remembered_read_of_a
     device = busway.Device(holding_registers=[5])
     async with (
         busway.serve(ANY_PORT, units={1: device, 2: device, 3: device}) as server,
-        Gateway(plan(server.endpoints[0], fronts=1, units=frozenset({1, 2, 3}), cache=60.0)) as made,
+        Gateway(plan(server.endpoints[0], listeners=1, units=frozenset({1, 2, 3}), cache=60.0)) as made,
         busway.open(made.endpoints[0], shared=False) as link,
     ):
         for unit in (1, 2, 3):

@@ -81,11 +81,11 @@ def test_a_route_that_can_never_be_reached_is_refused_by_name() -> None:
     assert error.value.key == "route[1]"
 
 
-def test_routes_of_different_fronts_do_not_hide_each_other() -> None:
-    table = RoutingTable((Route(line="a", fronts=frozenset({"x"})), Route(line="b", fronts=frozenset({"y"}))))
+def test_routes_of_different_listeners_do_not_hide_each_other() -> None:
+    table = RoutingTable((Route(line="a", listeners=frozenset({"x"})), Route(line="b", listeners=frozenset({"y"}))))
     read = busway.ReadCoils(0, 1)
-    assert [table.of_front(name).find(1, read).line for name in "xy"] == ["a", "b"]  # type: ignore[union-attr]
-    assert table.of_front("z").units == frozenset()
+    assert [table.of_listener(name).find(1, read).line for name in "xy"] == ["a", "b"]  # type: ignore[union-attr]
+    assert table.of_listener("z").units == frozenset()
 
 
 @pytest.mark.parametrize(

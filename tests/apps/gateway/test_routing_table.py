@@ -8,8 +8,8 @@ from busway.apps.gateway.routes import ALL_UNITS, Route
 from busway.apps.gateway.routing_table import worst_case
 from busway.config.files.problems import FileError
 
-FRONT = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'
-SERIAL_FRONT = '[[listener]]\nname = "plc"\nurl = "rtu:///dev/not-there-1?baud=19200"\n'
+LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'
+SERIAL_LISTENER = '[[listener]]\nname = "plc"\nurl = "rtu:///dev/not-there-1?baud=19200"\n'
 LINE = '[[line]]\nname = "hall"\nurl = "rtu:///dev/not-there-2?baud=19200"\n'
 SERVER = '[[line]]\nname = "server"\nurl = "tcp://10.0.0.5"\n'
 
@@ -32,13 +32,13 @@ def warned(*parts: str) -> list[str]:
 
 
 def test_a_file_without_routes_sends_everything_to_its_one_line() -> None:
-    assert [one.units for one in parse_gateway(FRONT + SERVER, "x").plan.table.routes] == [ALL_UNITS]
-    assert [one.units for one in parse_gateway(FRONT + LINE, "x").plan.table.routes] == [frozenset(range(1, 248))]
+    assert [one.units for one in parse_gateway(LISTENER + SERVER, "x").plan.table.routes] == [ALL_UNITS]
+    assert [one.units for one in parse_gateway(LISTENER + LINE, "x").plan.table.routes] == [frozenset(range(1, 248))]
 
 
 def test_a_route_without_units_is_for_those_that_its_line_can_have_behind() -> None:
     def units(text: str) -> frozenset[int]:
-        return parse_gateway(FRONT + LINE + SERVER + text, "x").plan.table.routes[0].units
+        return parse_gateway(LISTENER + LINE + SERVER + text, "x").plan.table.routes[0].units
 
     assert units(route("hall", unit_offset=-100)) == frozenset(range(101, 256))
     assert units(route("hall", unit=5)) == frozenset(range(1, 248))
@@ -47,30 +47,30 @@ def test_a_route_without_units_is_for_those_that_its_line_can_have_behind() -> N
 
 
 def test_a_route_that_an_earlier_one_hides_is_refused() -> None:
-    assert refused(FRONT, LINE, SERVER, route("hall", units="1-10"), route("server", units="5-6")) == [
+    assert refused(LISTENER, LINE, SERVER, route("hall", units="1-10"), route("server", units="5-6")) == [
         "13: route[1]: is never reached: route[0] before it takes all its requests"
     ]
 
 
 def test_a_route_that_earlier_ones_hide_together_is_refused() -> None:
     routes = [route("hall", units="1-5"), route("server", units="6-9"), route("server", units="4-7", functions=[3])]
-    assert refused(FRONT, LINE, SERVER, *routes) == [
+    assert refused(LISTENER, LINE, SERVER, *routes) == [
         "16: route[2]: is never reached: route[0] and route[1] before it take all its requests"
     ]
 
 
 def test_units_that_an_earlier_route_takes_are_a_warning_and_what_is_left_for_the_rest_is_none() -> None:
     first = route("hall", units="1-5", name="the hall")
-    assert warned(FRONT, LINE, SERVER, first, route("server", units="4-7")) == [
+    assert warned(LISTENER, LINE, SERVER, first, route("server", units="4-7")) == [
         "16: route[1].units: warning: route[0] (the hall) before it takes units 4-5"
     ]
-    assert warned(FRONT, LINE, SERVER, first, route("server", functions=[3])) == []
-    assert warned(FRONT, LINE, SERVER, first, route("server")) == []
+    assert warned(LISTENER, LINE, SERVER, first, route("server", functions=[3])) == []
+    assert warned(LISTENER, LINE, SERVER, first, route("server")) == []
 
 
 def test_a_refusal_behind_the_routes_that_it_was_meant_for_is_refused() -> None:
     late = '[[route]]\nfunctions = "write"\nrefuse = 1\n'
-    assert refused(FRONT, LINE, route("hall", units="1-5"), late) == [
+    assert refused(LISTENER, LINE, route("hall", units="1-5"), late) == [
         "10: route[1]: route[0] before it takes units 1-5, which it is to refuse; a refusal stands before what it is "
         "an exception of"
     ]
@@ -98,33 +98,33 @@ def test_a_refusal_behind_the_routes_that_it_was_meant_for_is_refused() -> None:
     ],
 )
 def test_a_unit_or_address_that_the_line_can_not_have_is_refused(keys: dict[str, object], sentence: str) -> None:
-    found = refused(FRONT, LINE, route("hall", **keys))
+    found = refused(LISTENER, LINE, route("hall", **keys))
     assert len(found) == 1
     assert found[0].startswith(sentence)
 
 
-def test_a_unit_that_nobody_can_ask_a_serial_front_for_is_refused() -> None:
+def test_a_unit_that_nobody_can_ask_a_serial_listener_for_is_refused() -> None:
     only = route("server", units="1, 250", listeners=["plc"])
-    assert refused(FRONT, SERIAL_FRONT, SERVER, route("server", units="3"), only) == [
+    assert refused(LISTENER, SERIAL_LISTENER, SERVER, route("server", units="3"), only) == [
         "15: route[1].units: nobody can ask plc for unit 250: a serial line has units 1…247"
     ]
     for_all = route("server", units="1, 250")
-    assert warned(FRONT, SERIAL_FRONT, SERVER, for_all) == []
-    assert len(refused(SERIAL_FRONT, SERVER, for_all)) == 1
+    assert warned(LISTENER, SERIAL_LISTENER, SERVER, for_all) == []
+    assert len(refused(SERIAL_LISTENER, SERVER, for_all)) == 1
 
 
-def test_a_serial_front_that_no_route_gives_a_unit_is_refused_and_a_network_front_without_a_line_is_odd() -> None:
-    assert refused(FRONT, SERIAL_FRONT, SERVER, route("server", listeners=["net"])) == [
+def test_a_serial_listener_that_no_route_gives_a_unit_is_refused_and_a_network_listener_without_a_line_is_odd() -> None:
+    assert refused(LISTENER, SERIAL_LISTENER, SERVER, route("server", listeners=["net"])) == [
         "6: listener[1].url: no route has a unit that can be asked here: a serial line has units 1…247"
     ]
-    other = FRONT.replace("net", "office").replace("5020", "5021")
-    assert warned(FRONT, other, SERVER, route("server", listeners=["net"])) == [
+    other = LISTENER.replace("net", "office").replace("5020", "5021")
+    assert warned(LISTENER, other, SERVER, route("server", listeners=["net"])) == [
         "6: listener[1].url: warning: no route leads from here to a line"
     ]
 
 
 def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_with_the_figures() -> None:
-    impatient = FRONT + "client_deadline = 1.0\n"
+    impatient = LISTENER + "client_deadline = 1.0\n"
     (sentence,) = refused(impatient, LINE, "timeout = 0.6\n")
     assert sentence == (
         "4: listener[0].client_deadline: 1 s is less than line 'hall' may take: "
@@ -149,7 +149,9 @@ def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_wit
     ],
 )
 def test_a_refusal_of_which_an_earlier_route_takes_a_part_is_refused(earlier: str, refusal: str, part: str) -> None:
-    (sentence,) = refused(FRONT, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n")
+    (sentence,) = refused(
+        LISTENER, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n"
+    )
     assert "route[1]: route[0] before it takes " + part.replace("holding registers", "holding register") in sentence
 
 
@@ -165,14 +167,14 @@ def test_a_refusal_of_which_an_earlier_route_takes_a_part_is_refused(earlier: st
     ],
 )
 def test_a_refusal_of_what_others_have_left_is_none_that_is_hidden(earlier: str, refusal: str) -> None:
-    assert warned(FRONT, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n") == []
+    assert warned(LISTENER, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n") == []
 
 
 def rules(*each: str, default: str = "allow") -> str:
     return f'[policy]\ndefault = "{default}"\n' + "".join(f"[[policy.rule]]\n{one}\n" for one in each)
 
 
-MERGED = FRONT, LINE, route("hall", units="1-10"), route("hall", units="101-110", unit_offset=-100)
+MERGED = LISTENER, LINE, route("hall", units="1-10"), route("hall", units="101-110", unit_offset=-100)
 
 
 @pytest.mark.parametrize(
@@ -211,32 +213,32 @@ def test_a_route_that_calls_the_registers_of_a_rule_by_other_addresses_is_odd() 
     near = route("hall", units=3, addresses="4x1-4x100")
     far = route("hall", units=3, addresses="4x1001-4x1100", shift=-1000)
     rule = 'action = "deny"\nunits = 3\naddresses = "4x11-4x20"'
-    (sentence,) = warned(FRONT, LINE, near, far, rules(rule))
+    (sentence,) = warned(LISTENER, LINE, near, far, rules(rule))
     assert sentence.endswith(
         "warning: does not hold for holding registers 1010…1019 of unit 3: by route[1] these are the same as its "
         "10…19, which it names"
     )
     both = 'action = "deny"\nunits = 3\naddresses = ["4x11-4x20", "4x1011-4x1020"]'
-    assert warned(FRONT, LINE, near, far, rules(both)) == []
+    assert warned(LISTENER, LINE, near, far, rules(both)) == []
 
 
 def test_a_line_that_is_slower_than_the_default_deadline_of_a_listener_is_odd_and_told_with_the_figures() -> None:
-    (sentence,) = warned(FRONT, LINE, "timeout = 1.5\n")
+    (sentence,) = warned(LISTENER, LINE, "timeout = 1.5\n")
     assert sentence == (
         "4: line[0]: warning: line 'hall' may take 3.11 s = (1 + 1 retries) × (1.5 s timeout + 0.0546 s for frames and "
         "silence), and clients are answered 0B after 2.5 s; set client_deadline of the listener to what its clients "
         "wait, or a shorter timeout"
     )
-    assert warned(FRONT, LINE) == []
-    assert warned(FRONT, SERVER) == []
-    assert warned(FRONT + "client_deadline = 4.0\n", LINE, "timeout = 1.5\n") == []
-    assert warned(FRONT + 'client_deadline = "none"\n', LINE, "timeout = 1.5\n") == []
+    assert warned(LISTENER, LINE) == []
+    assert warned(LISTENER, SERVER) == []
+    assert warned(LISTENER + "client_deadline = 4.0\n", LINE, "timeout = 1.5\n") == []
+    assert warned(LISTENER + 'client_deadline = "none"\n', LINE, "timeout = 1.5\n") == []
     slow_route = route("hall", units="3", timeout=2.0)
-    assert len(warned(FRONT, LINE, slow_route)) == 1
+    assert len(warned(LISTENER, LINE, slow_route)) == 1
 
 
 def test_a_deadline_out_of_range_is_refused() -> None:
-    (sentence,) = refused(FRONT + "client_deadline = 0\n", LINE)
+    (sentence,) = refused(LISTENER + "client_deadline = 0\n", LINE)
     assert sentence.startswith("4: listener[0].client_deadline: ")
 
 
@@ -250,22 +252,22 @@ def test_the_worst_case_of_a_write_has_no_retries_and_the_longest_frame() -> Non
     ("text", "sentence"),
     [
         (
-            FRONT + '[[line]]\nname = "x"\nurl = "tcp://localhost:5020"\n',
+            LISTENER + '[[line]]\nname = "x"\nurl = "tcp://localhost:5020"\n',
             "6: line[0].url: leads back to the gateway itself, to listener net",
         ),
         (
-            FRONT.replace("127.0.0.1", "") + '[[line]]\nname = "x"\nurl = "tcp://[::1]:5020"\n',
+            LISTENER.replace("127.0.0.1", "") + '[[line]]\nname = "x"\nurl = "tcp://[::1]:5020"\n',
             "6: line[0].url: leads back to the gateway itself, to listener net",
         ),
         (
-            SERIAL_FRONT + '[[line]]\nname = "x"\nurl = "ascii:///dev/not-there-1"\n',
+            SERIAL_LISTENER + '[[line]]\nname = "x"\nurl = "ascii:///dev/not-there-1"\n',
             "6: line[0].url: /dev/not-there-1 is taken by listener plc",
         ),
         (
-            FRONT + LINE + LINE.replace("hall", "yard") + route("hall", units="1") + route("yard", units="2"),
+            LISTENER + LINE + LINE.replace("hall", "yard") + route("hall", units="1") + route("yard", units="2"),
             "9: line[1].url: /dev/not-there-2 is taken by line 'hall'",
         ),
-        (FRONT + LINE + "connections = 2\n", "7: line[0].connections: a serial port is opened once"),
+        (LISTENER + LINE + "connections = 2\n", "7: line[0].connections: a serial port is opened once"),
     ],
 )
 def test_a_line_that_leads_back_or_wants_a_port_that_is_taken_is_refused(text: str, sentence: str) -> None:
@@ -273,28 +275,28 @@ def test_a_line_that_leads_back_or_wants_a_port_that_is_taken_is_refused(text: s
 
 
 def test_a_line_without_a_route_and_two_lines_to_one_server_are_odd() -> None:
-    assert warned(FRONT, LINE, SERVER, route("hall")) == ["8: line[1].name: warning: no route leads to 'server'"]
+    assert warned(LISTENER, LINE, SERVER, route("hall")) == ["8: line[1].name: warning: no route leads to 'server'"]
     again = SERVER.replace("server", "again")
     routes = route("server", units="1") + route("again", units="2")
-    assert warned(FRONT, SERVER, again, routes) == [
+    assert warned(LISTENER, SERVER, again, routes) == [
         "9: line[1].url: warning: tcp://10.0.0.5:502 is the server of line 'server' too: "
         "each has connections of its own"
     ]
 
 
 def test_a_route_that_hides_the_own_unit_is_odd_where_one_of_them_was_written() -> None:
-    assert warned(FRONT, SERVER) == []
-    assert warned(FRONT, SERVER, route("server", units="250-255")) == [
+    assert warned(LISTENER, SERVER) == []
+    assert warned(LISTENER, SERVER, route("server", units="250-255")) == [
         "9: route[0].units: warning: takes unit 255, by which the gateway itself could be asked"
     ]
-    assert warned(FRONT, SERVER, "[gateway]\nown_unit = 17\n") == [
+    assert warned(LISTENER, SERVER, "[gateway]\nown_unit = 17\n") == [
         "4: line[0]: warning: takes unit 17, by which the gateway itself could be asked"
     ]
-    assert warned(FRONT, SERVER, "[gateway]\nown_unit = 'none'\n") == []
+    assert warned(LISTENER, SERVER, "[gateway]\nown_unit = 'none'\n") == []
 
 
 def test_a_listener_that_the_network_reaches_and_roles_without_tls_are_warned_of_as_with_servers() -> None:
-    text = FRONT.replace("127.0.0.1", "0.0.0.0") + SERVER
+    text = LISTENER.replace("127.0.0.1", "0.0.0.0") + SERVER
     rules = '[policy]\ndefault = "deny"\n[[policy.rule]]\nname = "x"\nroles = ["a"]\n'
     assert warned(text, rules) == [
         "3: listener[0].url: warning: tcp://0.0.0.0:5020 listens on every interface of this host",
@@ -304,10 +306,10 @@ def test_a_listener_that_the_network_reaches_and_roles_without_tls_are_warned_of
 
 def test_gaps_of_routes_are_those_of_the_units_behind_on_serial_lines_only() -> None:
     slow = route("hall", units="101-102", unit_offset=-100, request_gap=0.5)
-    plan = parse_gateway(FRONT + LINE + slow + route("hall", units="2", request_gap=0.7), "x").plan
+    plan = parse_gateway(LISTENER + LINE + slow + route("hall", units="2", request_gap=0.7), "x").plan
     assert plan.lines[0].unit_gaps == {1: 0.5, 2: 0.7}
-    assert refused(FRONT, SERVER, route("server", units="1", request_gap=0.5)) == [
+    assert refused(LISTENER, SERVER, route("server", units="1", request_gap=0.5)) == [
         "10: route[0].request_gap: is an option of the line where that is no serial one"
     ]
-    impatient = FRONT + "client_deadline = 1.5\n"
+    impatient = LISTENER + "client_deadline = 1.5\n"
     assert "+ 0.505 s for frames" in refused(impatient, LINE, "timeout = 0.4\n", route("hall", request_gap=0.5))[0]

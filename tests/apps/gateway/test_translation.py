@@ -1,4 +1,4 @@
-"""What a request looks like behind a route, and its answer in front."""
+"""What a request looks like behind a route, and its answer in listener."""
 
 import pytest
 from hypothesis import given

@@ -32,7 +32,7 @@ def device(unit: int = 1) -> busway.Device:
 @contextlib.asynccontextmanager
 async def gateway(line: str, *, route: Route | None = None, **options: Any) -> AsyncIterator[Gateway]:
     plan = GatewayPlan(
-        (GatewayListener("front", Listener(ANY_PORT)),),
+        (GatewayListener("office", Listener(ANY_PORT)),),
         (UpstreamSettings.of("line", line, **options),),
         RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
     )
@@ -120,7 +120,7 @@ async def test_a_split_write_that_has_begun_is_written_to_its_end() -> None:
         await until(lambda: len(slow.asked) == 1)
         await leaving.close()
         await asyncio.gather(asked, return_exceptions=True)
-        await until(lambda: made.status().lines[0].counters.abandoned == 1)
+        await until(lambda: made.status().upstreams[0].counters.abandoned == 1)
         assert made.open_requests == 1
         slow.let(10)
         await until(lambda: not made.open_requests)
@@ -137,8 +137,8 @@ async def test_a_shared_read_lives_as_long_as_anybody_waits_for_it() -> None:
         asked = []
         for count, link in enumerate(links):
             asked.append(asyncio.create_task(link.unit(1).read_holding_registers(7, count=1)))
-            await until(lambda expected=count: made.status().lines[0].counters.shared == expected and slow.asked)
-        counters = made.status().lines[0].counters
+            await until(lambda expected=count: made.status().upstreams[0].counters.shared == expected and slow.asked)
+        counters = made.status().upstreams[0].counters
         await links[0].close()  # who asked first
         await until(lambda: counters.abandoned == 1)
         assert made.open_requests == 1
@@ -163,7 +163,7 @@ async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None
     ):
         links = [client(made) for _ in range(2)]
         asked = [asyncio.create_task(link.unit(1).read_holding_registers(7, count=1)) for link in links]
-        await until(lambda: made.status().lines[0].counters.shared == 1 and slow.asked)
+        await until(lambda: made.status().upstreams[0].counters.shared == 1 and slow.asked)
         for link in links:
             await link.close()
         await until(lambda: not made.open_requests)
@@ -189,15 +189,15 @@ async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | 
                     for link in links
                     for unit in range(1, 6)
                 ]
-                await until(lambda: made.status().lines[0].counters.shared >= 15 * (turn + 1))  # noqa: B023
+                await until(lambda: made.status().upstreams[0].counters.shared >= 15 * (turn + 1))  # noqa: B023
                 for link in links:
                     await link.close()
                 await asyncio.gather(*asked, return_exceptions=True)
                 await until(lambda: not made.open_requests)
-            status = made.status().lines[0].links[0]
+            status = made.status().upstreams[0].links[0]
             assert status.queued == 0
             gate.opened.set()
-            await until(lambda: made.status().lines[0].links[0].in_flight == 0)
+            await until(lambda: made.status().upstreams[0].links[0].in_flight == 0)
     await until(lambda: open_handles() == before)
 
 
@@ -223,7 +223,7 @@ async def test_a_port_that_is_pulled_out_fails_fast_and_works_again_when_it_is_b
                     for n in range(4)
                     for unit in (1, 2)
                 ]
-                await until(lambda: made.open_requests == 8 and made.status().lines[0].links[0].in_flight)
+                await until(lambda: made.open_requests == 8 and made.status().upstreams[0].links[0].in_flight)
                 loop = asyncio.get_running_loop()
                 begun = loop.time()
                 line.unplug(0)
@@ -267,7 +267,7 @@ async def test_a_server_that_restarts_while_idle_costs_no_request() -> None:
         assert await link.unit(1).read_holding_registers(1, count=1) == [1001]
         await server.stop()
         async with busway.serve(endpoint, units={1: device(7)}):
-            await until(lambda: made.status().lines[0].links[0].state != "up")
+            await until(lambda: made.status().upstreams[0].links[0].state != "up")
             assert await link.unit(1).read_holding_registers(1, count=1) == [7001]
             await link.unit(1).write_single_register(1, 5)
 

@@ -15,7 +15,7 @@ from busway.errors import ConfigError
 GOOD = (Path(__file__).parent / "gateway.toml").read_text(encoding="utf-8")
 MUTATIONS = 150
 
-FRONT = '[[listener]]\nurl = "tcp://127.0.0.1:5020"\n'
+LISTENER = '[[listener]]\nurl = "tcp://127.0.0.1:5020"\n'
 LINE = '[[line]]\nname = "hall"\nurl = "tcp://10.0.0.5"\n'
 ROUTE = "[[route]]\n"
 
@@ -27,9 +27,9 @@ def problems_of(text: str) -> list[str]:
     return str(caught.value).splitlines()
 
 
-def test_fronts_lines_and_routes_are_read() -> None:
+def test_listeners_lines_and_routes_are_read() -> None:
     file, _ = read_gateway_file(GOOD, "gateway.toml")
-    assert [front.title for front in file.listener] == ["scada", "plc"]
+    assert [listener.title for listener in file.listener] == ["scada", "plc"]
     assert [line.name for line in file.line] == ["hall", "inverter"]
     assert file.line[0].options() == {"timeout": 0.5, "unit_switch_gap": 0.01}
     assert file.route[1].asked_units() == {1, 2, 4, 5, 6, 7, 8, 9, 10}
@@ -39,13 +39,13 @@ def test_fronts_lines_and_routes_are_read() -> None:
 
 
 def test_a_listener_without_a_name_is_called_by_its_url() -> None:
-    file, _ = read_gateway_file(FRONT + LINE, "x.toml")
+    file, _ = read_gateway_file(LISTENER + LINE, "x.toml")
     assert file.listener[0].title == "tcp://127.0.0.1:5020"
 
 
 def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> None:
     policy = '[policy]\ndefault = "deny"\n[[policy.rule]]\nlisteners = ["office", "tls://"]\n'
-    office = FRONT + 'name = "office"\n'
+    office = LISTENER + 'name = "office"\n'
     file, _ = read_gateway_file(office + LINE + policy, "x.toml")
     assert file.policy is not None
     (rule,) = file.policy.policy().rules
@@ -58,52 +58,52 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
     ("text", "sentences"),
     [
         ("", ["x.toml:1: line: is missing", "x.toml:1: listener: is missing"]),
-        (FRONT, ["x.toml:1: line: is missing"]),
-        (FRONT + LINE + LINE.replace("hall", "other"), ["x.toml:1: route: is missing: there are 2 lines"]),
+        (LISTENER, ["x.toml:1: line: is missing"]),
+        (LISTENER + LINE + LINE.replace("hall", "other"), ["x.toml:1: route: is missing: there are 2 lines"]),
         (
-            FRONT + LINE + ROUTE + 'line = "yard"\n',
+            LISTENER + LINE + ROUTE + 'line = "yard"\n',
             ["x.toml:7: route[0].line: there is no line 'yard', but hall"],
         ),
         (
-            FRONT + LINE + ROUTE + 'line = "hall"\nlisteners = ["office"]\n',
+            LISTENER + LINE + ROUTE + 'line = "hall"\nlisteners = ["office"]\n',
             ["x.toml:8: route[0].listeners[0]: there is no listener 'office', but tcp://127.0.0.1:5020"],
         ),
         (
-            FRONT + LINE + LINE,
+            LISTENER + LINE + LINE,
             ["x.toml:1: route: is missing: there are 2 lines", "x.toml:7: line[1].name: 'hall' is there"],
         ),
         (
-            FRONT + LINE + ROUTE + 'line = "hall"\nrefuse = 3\n',
+            LISTENER + LINE + ROUTE + 'line = "hall"\nrefuse = 3\n',
             ["x.toml:6: route[0]: needs exactly one of line, refuse and drop, and has line and refuse"],
         ),
         (
-            FRONT + LINE + ROUTE + "drop = true\nshift = 5\n",
+            LISTENER + LINE + ROUTE + "drop = true\nshift = 5\n",
             ["x.toml:8: route[0].shift: has no effect where nothing is forwarded"],
         ),
         (
-            FRONT + LINE + ROUTE + 'line = "hall"\nunits = "5-3"\n',
+            LISTENER + LINE + ROUTE + 'line = "hall"\nunits = "5-3"\n',
             ["x.toml:8: route[0].units: "],
         ),
         (
-            FRONT + LINE + ROUTE + 'line = "hall"\ntable = "holding"\n',
+            LISTENER + LINE + ROUTE + 'line = "hall"\ntable = "holding"\n',
             ["x.toml:6: route[0].addresses: is missing: a table is named, and no addresses of it"],
         ),
         (
-            FRONT + FRONT + LINE,
+            LISTENER + LISTENER + LINE,
             ["x.toml:3: listener[1].name: ", "x.toml:4: listener[1].url: tcp://127.0.0.1:5020 is taken by"],
         ),
-        (FRONT + LINE + "deadline = 3\n", ["x.toml:6: line[0].deadline: has no effect on a line of a gateway"]),
+        (LISTENER + LINE + "deadline = 3\n", ["x.toml:6: line[0].deadline: has no effect on a line of a gateway"]),
         (
-            FRONT + LINE + "[server]\nunlisted = 'silence'\n",
+            LISTENER + LINE + "[server]\nunlisted = 'silence'\n",
             ["x.toml:7: server.unlisted: has no effect: a gateway has"],
         ),
-        (FRONT + LINE + "[server]\nshared_places = true\n", ["x.toml:7: server.shared_places: has no effect: each"]),
-        (FRONT + LINE + "[[unit]]\nunit = 1\n", ["x.toml:6: unit: a gateway has no units of its own"]),
+        (LISTENER + LINE + "[server]\nshared_places = true\n", ["x.toml:7: server.shared_places: has no effect: each"]),
+        (LISTENER + LINE + "[[unit]]\nunit = 1\n", ["x.toml:6: unit: a gateway has no units of its own"]),
         (
             '[[listener]]\nurl = "rtu:///dev/x"\nname = "plc"\nsilent_broadcasts = true\n' + LINE,
             ["x.toml:4: listener[0].silent_broadcasts: has no effect on a serial line"],
         ),
-        (FRONT + LINE + "[gateway]\nown_unit = 0\n", ["x.toml:7: gateway.own_unit: must be at least 1, not 0"]),
+        (LISTENER + LINE + "[gateway]\nown_unit = 0\n", ["x.toml:7: gateway.own_unit: must be at least 1, not 0"]),
     ],
 )
 def test_what_can_not_be_is_said_with_its_line(text: str, sentences: list[str]) -> None:

@@ -59,7 +59,7 @@ def gateway_port() -> Iterator[int]:
             stack.enter_context(start_server(kind, wire.paths[1]))
             lines.append(UpstreamSettings.of(f"line {unit}", url_of(kind.split("-")[1], wire.paths[0]), timeout=2.0))
         plan = GatewayPlan(
-            fronts=(GatewayListener("front", Listener("tcp://127.0.0.1:0")),),
+            listeners=(GatewayListener("office", Listener("tcp://127.0.0.1:0")),),
             lines=tuple(lines),
             table=RoutingTable(
                 tuple(Route(line=f"line {unit}", units=frozenset({unit}), unit=UNIT) for unit in SERVERS)

@@ -20,8 +20,8 @@ async def main(endpoint: str, access: str, priority: str, transports: str) -> No
     async with AsyncExitStack() as stack:
         server: busway.Server | busway.Gateway
         if "://" in access:
-            front = busway.simple_gateway([endpoint], access, changes={"priority": [priority]})
-            server = front.serve()
+            gateway = busway.simple_gateway([endpoint], access, changes={"priority": [priority]})
+            server = gateway.serve()
         else:
             device = busway.Device(holding_registers=list(range(65_536)))
             policy = busway.Policy.read_only() if access == "read-only" else None

@@ -14,7 +14,7 @@ from typing import Any
 
 from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
-from ...config.files.gateway import FrontSection, GatewayFile, LineSection, read_gateway_file
+from ...config.files.gateway import GatewayFile, GatewayListenerSection, LineSection, read_gateway_file
 from ...config.files.lines import Path as Place
 from ...config.files.problems import FileError
 from ...config.files.schema import Source
@@ -55,7 +55,7 @@ class GatewayConfiguration:
     Attributes:
         common: what it has in common with other configurations: security, policy, audit log, metrics, control.
         file: its sections.
-        plan: fronts, lines and routes.
+        plan: listeners, lines and routes.
         routes: the routes, each with where it stands.
         at_once: sections that hold at once when the file is read again while it runs.
     """
@@ -73,8 +73,8 @@ class GatewayConfiguration:
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """Where it listens, in the order of the plan's fronts."""
-        return tuple(front.listener for front in self.plan.fronts)
+        """Where it listens, in the order of the plan's listeners."""
+        return tuple(listener.settings for listener in self.plan.listeners)
 
     @property
     def access(self) -> AccessRules | None:
@@ -118,10 +118,10 @@ class GatewayConfiguration:
         Args:
             running: the gateway that an earlier reading of the file gave.
             listen: the listeners, each in the place of one.
-            policy: what holds at new fronts until the policy is replaced.
+            policy: what holds at new listeners until the policy is replaced.
 
         Raises:
-            LinkDown, ConfigError: a new front or line can not be had; everything is as before.
+            LinkDown, ConfigError: a new listener or line can not be had; everything is as before.
         """
         assert isinstance(running, Gateway)
         old = running.plan
@@ -136,12 +136,12 @@ class GatewayConfiguration:
 
     def _plan(self, listen: Iterable[str | Listener]) -> GatewayPlan:
         wanted = [one if isinstance(one, Listener) else Listener(one) for one in listen] or self.listeners
-        if len(wanted) != len(self.plan.fronts):
+        if len(wanted) != len(self.plan.listeners):
             raise ConfigError(
-                f"there are {len(self.plan.fronts)} listeners to replace, not {len(wanted)}", key="listen"
+                f"there are {len(self.plan.listeners)} listeners to replace, not {len(wanted)}", key="listen"
             )
-        pairs = zip(self.plan.fronts, wanted, strict=True)
-        return replace(self.plan, fronts=tuple(replace(front, listener=one) for front, one in pairs))
+        pairs = zip(self.plan.listeners, wanted, strict=True)
+        return replace(self.plan, listeners=tuple(replace(listener, settings=one) for listener, one in pairs))
 
 
 def load_gateway(
@@ -180,16 +180,16 @@ def parse_gateway(
 
 
 def simple_gateway(
-    fronts: Sequence[str],
+    listeners: Sequence[str],
     line: str,
     *,
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """The common case, without a file: every unit of every front to one line.
+    """The common case, without a file: every unit of every listener to one line.
 
     Args:
-        fronts: URLs to listen on.
+        listeners: URLs to listen on.
         line: URL of the line, or server, behind.
         changes: as of `load_gateway`.
         client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
@@ -197,10 +197,10 @@ def simple_gateway(
     Raises:
         ConfigError: a URL or an option in it that can not be.
     """
-    for url in fronts:
+    for url in listeners:
         listener_settings(Listener(url), limits=ListenerParameters())
     link_settings(line, {})
-    source = Source(COMMAND, {"listen": list(fronts), "line": [{"name": "line", "url": line}]}, {})
+    source = Source(COMMAND, {"listen": list(listeners), "line": [{"name": "line", "url": line}]}, {})
     try:
         return _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
     except FileError as error:
@@ -220,8 +220,8 @@ def _put_together(
     name = source.name
     judge = Judge(source)
     common = put_together(file, name, judge, examine=examine, changes=changes)
-    fronts = _named_apart(
-        [_placed_front(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
+    listeners = _named_apart(
+        [_placed_listener(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
     )
     lines = {}
     for index, section in enumerate(file.line):
@@ -231,13 +231,13 @@ def _put_together(
         if examine:
             _examine_line(section, name, ("line", index), judge)
     routes = placed_routes(file, lines, judge)
-    judge_routes(file, routes, fronts, lines, None if common.access is None else common.access.policy, judge)
-    listeners, server = _as_served(common)
+    judge_routes(file, routes, listeners, lines, None if common.access is None else common.access.policy, judge)
+    served, server = _as_served(common)
     warnings = judge.end()
     plan = GatewayPlan(
-        fronts=tuple(
-            GatewayListener(front.name, listener, front.deadline, _is_silent(file, front.place))
-            for front, listener in zip(fronts, listeners, strict=True)
+        listeners=tuple(
+            GatewayListener(listener.name, settings, listener.deadline, _is_silent(file, listener.place))
+            for listener, settings in zip(listeners, served, strict=True)
         ),
         lines=tuple(replace(line, unit_gaps=unit_gaps(routes, name)) for name, line in lines.items()),
         table=RoutingTable(tuple(one.route for one in routes)),
@@ -248,11 +248,11 @@ def _put_together(
     return GatewayConfiguration(replace(common, warnings=warnings), file, plan, tuple(routes))
 
 
-def _section_of(file: GatewayFile, place: Place) -> FrontSection | None:
+def _section_of(file: GatewayFile, place: Place) -> GatewayListenerSection | None:
     return file.listener[int(place[1])] if place[0] == "listener" else None
 
 
-def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedListener:
+def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedListener:
     section = _section_of(file, place)
     if section is None:
         return PlacedListener(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
@@ -260,15 +260,15 @@ def _placed_front(file: GatewayFile, place: Place, endpoint: Endpoint, deadline:
     return PlacedListener(section.title, endpoint, place, section.client_deadline, is_chosen)
 
 
-def _named_apart(fronts: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """The fronts, each with a name of its own: a free port may be wanted twice by the same URL."""
+def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
+    """The listeners, each with a name of its own: a free port may be wanted twice by the same URL."""
     named: dict[str, PlacedListener] = {}
-    for front in fronts:
-        name, number = front.name, 1
+    for listener in listeners:
+        name, number = listener.name, 1
         while name in named:
             number += 1
-            name = f"{front.name} ({number})"
-        named[name] = replace(front, name=name)
+            name = f"{listener.name} ({number})"
+        named[name] = replace(listener, name=name)
     return list(named.values())
 
 

@@ -1,13 +1,13 @@
-"""The gateway: fronts, routes and lines, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
+"""The gateway: listeners, routes and lines, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
 
 Knows servers, routes and lines; knows no file.
 
-1. Each front is a server of its own, so that one can be opened, closed or changed while the others go on.
+1. Each listener is a server of its own, so that one can be opened, closed or changed while the others go on.
 2. Draining ends with the answers of what was asked before it, or with its deadline: no new connection is taken, and
    nothing more is read, meanwhile.
-3. A change of configuration keeps every front and every line that is the same as before, with its connections; routes
-   change for all from one request to the next.
-4. One policy, one audit log and one count of a rule's rates hold for all fronts.
+3. A change of configuration keeps every unchanged listener and line with its connections; routes change for all
+   from one request to the next.
+4. One policy, one audit log and one count of a rule's rates hold for all listeners.
 """
 
 import asyncio
@@ -66,14 +66,14 @@ class GatewayListener:
 
     Attributes:
         name: what routes call it.
-        listener: endpoint, access, certificates and limits.
+        settings: endpoint, access, certificates and limits.
         deadline: seconds within which each request is answered, with 0A or 0B at the latest; None for no limit. What is
             still queued then is not sent any more.
         silent_broadcasts: whether a write to unit 0 is not answered.
     """
 
     name: str
-    listener: Listener
+    settings: Listener
     deadline: float | None = CLIENT_DEADLINE
     silent_broadcasts: bool = False
 
@@ -142,7 +142,7 @@ class UpstreamSettings:
 
 @dataclass(frozen=True, slots=True)
 class GatewayListenerStatus:
-    """A front as a status shows it."""
+    """A listener as a status shows it."""
 
     name: str
     server: ServerStatus
@@ -156,34 +156,34 @@ class GatewayStatus:
     Attributes:
         running: whether it answers.
         uptime: seconds since the start; 0 while stopped.
-        endpoints: URLs of the fronts as they are bound.
-        fronts, lines: each of them.
+        endpoints: URLs of the listeners as they are bound.
+        gateway_listeners, upstreams: each of them.
         open_requests: requests that are not answered yet.
     """
 
     running: bool
     uptime: float
     endpoints: tuple[str, ...]
-    fronts: tuple[GatewayListenerStatus, ...]
-    lines: tuple[LineStatus, ...]
+    gateway_listeners: tuple[GatewayListenerStatus, ...]
+    upstreams: tuple[LineStatus, ...]
     open_requests: int
 
     @property
     def connections(self) -> tuple[ConnectionStatus, ...]:
-        """The connections of all fronts."""
-        return tuple(one for front in self.fronts for one in front.server.connections)
+        """The connections of all listeners."""
+        return tuple(one for listener in self.gateway_listeners for one in listener.server.connections)
 
     @property
     def listeners(self) -> tuple[ListenerStatus, ...]:
-        """The listeners of all fronts."""
-        return tuple(one for front in self.fronts for one in front.server.listeners)
+        """The status of all listeners."""
+        return tuple(one for listener in self.gateway_listeners for one in listener.server.listeners)
 
     @property
     def counters(self) -> ServerCounters:
-        """What happened at all fronts together."""
+        """What happened at all listeners together."""
         total = ServerCounters()
-        for front in self.fronts:
-            counted = front.server.counters
+        for listener in self.gateway_listeners:
+            counted = listener.server.counters
             pairs = ((total, counted), (total.priority, counted.priority), (total.other, counted.other))
             for mine, theirs in pairs:
                 for one in fields(mine):
@@ -194,32 +194,32 @@ class GatewayStatus:
 
     @property
     def supported_connections(self) -> int:
-        """How many connections there may be at all fronts."""
-        return sum(front.server.supported_connections for front in self.fronts)
+        """How many connections there may be at all listeners."""
+        return sum(listener.server.supported_connections for listener in self.gateway_listeners)
 
     @property
     def remote_connections(self) -> int:
         """How many there are."""
-        return sum(front.server.remote_connections for front in self.fronts)
+        return sum(listener.server.remote_connections for listener in self.gateway_listeners)
 
     @property
     def local_connections(self) -> int:
         """Connections of the lines that stand."""
-        return sum(link.state in _CONNECTED for line in self.lines for link in line.links)
+        return sum(link.state in _CONNECTED for upstream in self.upstreams for link in upstream.links)
 
 
 @dataclass(slots=True)
 class _RunningListener:
-    front: GatewayListener
+    listener: GatewayListener
     handler: ListenerHandler
     guard: PolicyHandler | None
     server: Server
 
-    def follow(self, front: GatewayListener) -> None:
+    def follow(self, listener: GatewayListener) -> None:
         """Take on what differs beside the listener; connections stay."""
-        self.front = front
-        self.handler.deadline = front.deadline
-        self.handler.silent_broadcasts = front.silent_broadcasts
+        self.listener = listener
+        self.handler.deadline = listener.deadline
+        self.handler.silent_broadcasts = listener.silent_broadcasts
 
 
 @dataclass(frozen=True)
@@ -227,15 +227,15 @@ class GatewayPlan:
     """Everything that a gateway is told, checked as a whole.
 
     Attributes:
-        fronts, lines: each with a name of its own.
+        listeners, lines: each with a name of its own.
         table: the routes between them.
         own_unit: unit identifier of the gateway itself; None where it is no device.
         own_registers: whether it has input registers that tell how it does.
         functions: the table of functions; what is not in it is forwarded unread.
-        server: options of `Server` that hold for all fronts (parameters, limits, sockets, policy, audit …).
+        server: options of `Server` that hold for all listeners (parameters, limits, sockets, policy, audit …).
     """
 
-    fronts: tuple[GatewayListener, ...]
+    listeners: tuple[GatewayListener, ...]
     lines: tuple[UpstreamSettings, ...]
     table: RoutingTable
     own_unit: int | None = TCP_DEVICE_UNIT
@@ -244,36 +244,39 @@ class GatewayPlan:
     server: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.fronts:
-            raise ConfigError("a gateway needs at least one front to listen on", key="front")
-        for key, names in (("front", [one.name for one in self.fronts]), ("line", [one.name for one in self.lines])):
+        if not self.listeners:
+            raise ConfigError("a gateway needs at least one listener to listen on", key="listener")
+        for key, names in (
+            ("listener", [one.name for one in self.listeners]),
+            ("line", [one.name for one in self.lines]),
+        ):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
                 raise ConfigError(f"the name {twice!r} stands twice", key=key)
         lines = {one.name for one in self.lines}
-        fronts = {one.name for one in self.fronts}
+        listeners = {one.name for one in self.listeners}
         for route in self.table.routes:
             if route.line and route.line not in lines:
                 raise ConfigError(
                     f"there is no line {route.line!r}, but {', '.join(sorted(lines)) or 'none at all'}",
                     key="route.line",
                 )
-            unknown = sorted(route.fronts - fronts)
+            unknown = sorted(route.listeners - listeners)
             if unknown:
                 raise ConfigError(
-                    f"there is no front {unknown[0]!r}, but {', '.join(sorted(fronts))}", key="route.fronts"
+                    f"there is no listener {unknown[0]!r}, but {', '.join(sorted(listeners))}", key="route.listeners"
                 )
 
 
 class Gateway:
-    """Fronts, routes and lines; an asynchronous context manager that starts and stops.
+    """Listeners, routes and lines; an asynchronous context manager that starts and stops.
 
     Args:
         plan: what it is told.
-        authorise: asked with a client's host before anything of it is read, at every front.
-        policy: who may ask what, at every front; None lets everybody who may connect read and write.
+        authorise: asked with a client's host before anything of it is read, at every listener.
+        policy: who may ask what, at every listener; None lets everybody who may connect read and write.
         audit: where denied requests and writes are recorded.
-        wrap: puts a handler around that of each front (metrics, for example); None for none.
+        wrap: puts a handler around that of each listener (metrics, for example); None for none.
 
     Attributes:
         plan: the one that it follows.
@@ -294,29 +297,29 @@ class Gateway:
         self._audit = audit
         self._rates: dict[str, Rates] = {}
         self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
-        self._fronts: dict[str, _RunningListener] = {}
+        self._listeners: dict[str, _RunningListener] = {}
         self._lines: dict[str, Line] = {}
         self._started = 0.0
         self._functions: FunctionTable = RememberingTable(plan.functions)
         self._own: Handler | None = None
         if plan.own_unit is not None:
             self._own = LocalHandler({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
-        self._running = {front.name: self._made(front, plan, {}, policy) for front in plan.fronts}
+        self._running = {listener.name: self._made(listener, plan, {}, policy) for listener in plan.listeners}
 
     # Its life.
 
     @property
     def is_running(self) -> bool:
         """Whether it answers."""
-        return bool(self._fronts)
+        return bool(self._listeners)
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the fronts as they are bound; empty while stopped."""
-        return [url for each in self._fronts.values() for url in each.server.endpoints]
+        """URLs of the listeners as they are bound; empty while stopped."""
+        return [url for each in self._listeners.values() for url in each.server.endpoints]
 
     async def start(self) -> None:
-        """Open all fronts. Lines connect at the first need. Raises `LinkDown`, `ConfigError`; then nothing is open."""
+        """Open all listeners; lines connect when needed. Raises `LinkDown`, `ConfigError`; then nothing is open."""
         if self.is_running:
             return
         try:
@@ -324,16 +327,16 @@ class Gateway:
             self._follow(self._running.values())
             for name, each in self._running.items():
                 await each.server.start()
-                self._fronts[name] = each
+                self._listeners[name] = each
         except BaseException:
             await self.stop()
             raise
         self._started = time.monotonic()
 
     async def stop(self) -> None:
-        """Close fronts and lines at once. What is not answered yet gets no answer."""
-        fronts, self._fronts = self._fronts, {}
-        for each in fronts.values():
+        """Close listeners and lines at once. What is not answered yet gets no answer."""
+        listeners, self._listeners = self._listeners, {}
+        for each in listeners.values():
             await each.server.stop()
         lines, self._lines = self._lines, {}
         for line in lines.values():
@@ -346,7 +349,7 @@ class Gateway:
         Args:
             seconds: how long that may take.
         """
-        for each in self._fronts.values():
+        for each in self._listeners.values():
             await each.server.take_no_more()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
@@ -359,32 +362,32 @@ class Gateway:
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
         """Follow another plan; what changed, in words.
 
-        Fronts and lines that are the same in both keep their connections. Where a new front can not be opened, the
-        error is raised and everything is as before, but for the connections of the fronts that were to change.
+        Unchanged listeners and lines keep their connections. If a new listener cannot be opened, the error is raised
+        and everything is as before, except for the connections of the listeners that were to change.
 
         Args:
             plan: the new plan.
-            policy: what holds at new fronts until `replace_policy`; None: what holds at the others.
+            policy: what holds at new listeners until `replace_policy`; None: what holds at the others.
 
         Raises:
-            LinkDown, ConfigError: a new front or line can not be had.
+            LinkDown, ConfigError: a new listener or line can not be had.
         """
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
                 "own unit, functions and the options of servers change with a restart only", key="gateway"
             )
         old_lines = {one.name: one for one in self.plan.lines}
-        old_fronts = {one.name: one for one in self.plan.fronts}
+        old_listeners = {one.name: one for one in self.plan.listeners}
         same_lines = {one.name: self._lines[one.name] for one in plan.lines if old_lines.get(one.name) == one}
-        same_fronts = {
-            one.name: self._fronts[one.name]
-            for one in plan.fronts
-            if one.name in self._fronts and old_fronts[one.name].listener == one.listener
+        same_listeners = {
+            one.name: self._listeners[one.name]
+            for one in plan.listeners
+            if one.name in self._listeners and old_listeners[one.name].settings == one.settings
         }
         closing = [line for name, line in self._lines.items() if name not in same_lines]
         ports = [line for line in closing if line.settings.endpoint.carrier == "serial"]
-        going = [each for name, each in self._fronts.items() if name not in same_fronts]
-        lines, fronts = dict(same_lines), dict(same_fronts)
+        going = [each for name, each in self._listeners.items() if name not in same_listeners]
+        lines, listeners = dict(same_lines), dict(same_listeners)
         try:
             # They may hold the very ports that new ones want.
             for each in going:
@@ -394,13 +397,13 @@ class Gateway:
             for settings in plan.lines:
                 if settings.name not in lines:
                     lines[settings.name] = _opened(settings)
-            for front in plan.fronts:
-                if front.name not in fronts:
-                    fronts[front.name] = made = self._made(front, plan, lines, policy or self._policy)
+            for listener in plan.listeners:
+                if listener.name not in listeners:
+                    listeners[listener.name] = made = self._made(listener, plan, lines, policy or self._policy)
                     await made.server.start()
         except BaseException:
-            for name in fronts.keys() - same_fronts.keys():
-                await fronts[name].server.stop()
+            for name in listeners.keys() - same_listeners.keys():
+                await listeners[name].server.stop()
             for name in lines.keys() - same_lines.keys():
                 await lines[name].close()
             for line in ports:
@@ -408,16 +411,16 @@ class Gateway:
             for each in going:
                 await each.server.start()
             raise
-        said = [*_changes("front", old_fronts, plan.fronts), *_changes("line", old_lines, plan.lines)]
+        said = [*_changes("listener", old_listeners, plan.listeners), *_changes("line", old_lines, plan.lines)]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
         self.plan = plan
         self._lines = {one.name: lines[one.name] for one in plan.lines}
-        self._fronts = {one.name: fronts[one.name] for one in plan.fronts}
-        self._running = dict(self._fronts)
-        for front in plan.fronts:
-            fronts[front.name].follow(front)
-        self._follow(self._fronts.values())
+        self._listeners = {one.name: listeners[one.name] for one in plan.listeners}
+        self._running = dict(self._listeners)
+        for listener in plan.listeners:
+            listeners[listener.name].follow(listener)
+        self._follow(self._listeners.values())
         for line in closing:
             await line.close()
         return said
@@ -434,7 +437,7 @@ class Gateway:
     # What stands around it.
 
     def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Put a handler around that of each front, of those that a change brings too. Only while stopped.
+        """Put a handler around that of each listener, of those that a change brings too. Only while stopped.
 
         Raises:
             ConfigError: it is running, and conversations hold the handlers already.
@@ -446,7 +449,7 @@ class Gateway:
             each.server.wrap_handler(wrap)
 
     def replace_policy(self, policy: Policy) -> None:
-        """Let another policy hold at every front, from the next request on.
+        """Let another policy hold at every listener, from the next request on.
 
         Raises:
             ConfigError: the gateway was made without one.
@@ -459,12 +462,12 @@ class Gateway:
                 each.guard.replace_policy(policy)
 
     def reload_security(self) -> None:
-        """As `Server.reload_security`, for every front."""
+        """As `Server.reload_security`, for every listener."""
         for each in self._running.values():
             each.server.reload_security()
 
     def end_unauthorised(self) -> int:
-        """As `Server.end_unauthorised`, for every front."""
+        """As `Server.end_unauthorised`, for every listener."""
         return sum(each.server.end_unauthorised() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
@@ -472,7 +475,7 @@ class Gateway:
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
-        """Set the counters of fronts and lines to zero; connections and listeners stay as they are."""
+        """Set the counters of listeners and lines to zero; connections and listeners stay as they are."""
         for each in self._running.values():
             each.server.reset_counters()
             _to_zero(each.handler.counters)
@@ -488,7 +491,7 @@ class Gateway:
 
     @property
     def servers(self) -> list[Server]:
-        """The servers of the fronts."""
+        """The servers of the listeners."""
         return [each.server for each in self._running.values()]
 
     def status(self) -> GatewayStatus:
@@ -497,11 +500,11 @@ class Gateway:
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self.endpoints),
-            fronts=tuple(
+            gateway_listeners=tuple(
                 GatewayListenerStatus(name, each.server.status(), each.handler.counters)
                 for name, each in self._running.items()
             ),
-            lines=tuple(line.status() for line in self._lines.values()),
+            upstreams=tuple(line.status() for line in self._lines.values()),
             open_requests=self.open_requests,
         )
 
@@ -510,13 +513,13 @@ class Gateway:
         status = self.status()
         own = [
             int(status.uptime),
-            len(status.fronts),
-            len(status.lines),
-            sum(len(front.server.connections) for front in status.fronts),
-            sum(front.server.counters.requests for front in status.fronts),
-            sum(front.counters.no_route for front in status.fronts),
+            len(status.gateway_listeners),
+            len(status.upstreams),
+            sum(len(listener.server.connections) for listener in status.gateway_listeners),
+            sum(listener.server.counters.requests for listener in status.gateway_listeners),
+            sum(listener.counters.no_route for listener in status.gateway_listeners),
         ]
-        return own, [_line_numbers(line) for line in status.lines]
+        return own, [_line_numbers(line) for line in status.upstreams]
 
     # Inside.
 
@@ -525,17 +528,17 @@ class Gateway:
         return self._policy is not None or self._audit is not None
 
     def _made(
-        self, front: GatewayListener, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None
+        self, listener: GatewayListener, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None
     ) -> _RunningListener:
         handler = ListenerHandler(
-            front.name,
+            listener.name,
             self._functions,
             own=self._own,
             own_unit=TCP_DEVICE_UNIT if plan.own_unit is None else plan.own_unit,
-            deadline=front.deadline,
-            silent_broadcasts=front.silent_broadcasts,
+            deadline=listener.deadline,
+            silent_broadcasts=listener.silent_broadcasts,
         )
-        handler.follow(plan.table.of_front(front.name), lines)
+        handler.follow(plan.table.of_listener(listener.name), lines)
         outer: Handler = handler
         guard = None
         if self._is_guarded:
@@ -543,17 +546,17 @@ class Gateway:
             outer = guard = PolicyHandler(handler, policy or everything, self._audit, rates=self._rates)
             handler.refusal_of = guard.refusal_of
         # A client that closes has gone, and must not keep a serial line busy with what it asked.
-        limits = front.listener.limits or plan.server.get("listener") or ListenerParameters()
-        listener = replace(front.listener, limits=replace(limits, answer_half_closed=False))
-        options = {**plan.server, "standard_port": _standard_port(front, plan)}
-        server = Server((listener,), outer, authorise=self._authorise, **options)
+        limits = listener.settings.limits or plan.server.get("listener") or ListenerParameters()
+        settings = replace(listener.settings, limits=replace(limits, answer_half_closed=False))
+        options = {**plan.server, "standard_port": _standard_port(listener, plan)}
+        server = Server((settings,), outer, authorise=self._authorise, **options)
         for wrap in self._wraps:
             server.wrap_handler(wrap)
-        return _RunningListener(front, handler, guard, server)
+        return _RunningListener(listener, handler, guard, server)
 
-    def _follow(self, fronts: Iterable[_RunningListener]) -> None:
-        for each in fronts:
-            each.handler.follow(self.plan.table.of_front(each.front.name), self._lines)
+    def _follow(self, listeners: Iterable[_RunningListener]) -> None:
+        for each in listeners:
+            each.handler.follow(self.plan.table.of_listener(each.listener.name), self._lines)
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
@@ -561,15 +564,15 @@ def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
-def _standard_port(front: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Whether a front listens on 502 too: for a server with several listeners it is one of them that does."""
+def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
+    """Whether a listener listens on 502 too: for a server with several listeners it is one of them that does."""
     choice: bool | None = plan.server.get("standard_port")
-    places = {one.name: parse_endpoint(one.listener.endpoint) for one in plan.fronts}
+    places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}
     plain = {name: place for name, place in places.items() if place.scheme == "tcp"}
     if choice is False or any(place.port == DEFAULT_TCP_PORT for place in plain.values()):
         return False
     reachable = [name for name, place in plain.items() if place.port and not is_loopback(place.url)]
-    return choice if front.name in (reachable or list(plain))[:1] else False
+    return choice if listener.name in (reachable or list(plain))[:1] else False
 
 
 def _to_zero(counters: object) -> None:
@@ -599,7 +602,7 @@ def _open(line: Line, settings: UpstreamSettings) -> None:
 def _changes(
     what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
-    """What there is to say of fronts, or of lines."""
+    """What there is to say of listeners, or of lines."""
     names = set()
     for one in new:
         names.add(one.name)
@@ -624,11 +627,11 @@ def _line_numbers(line: LineStatus) -> list[int]:
     ]
 
 
-def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoint, **options: Any) -> GatewayPlan:
-    """The common case: every unit of every front to one line.
+def simple_plan(listeners: Sequence[str | Endpoint | Listener], line: str | Endpoint, **options: Any) -> GatewayPlan:
+    """The common case: every unit of every listener to one line.
 
     Args:
-        fronts: URLs to listen on.
+        listeners: URLs to listen on.
         line: URL of the line behind, or of the server.
         options: of the line, as `UpstreamSettings.of` takes them.
     """
@@ -636,9 +639,9 @@ def simple_plan(fronts: Sequence[str | Endpoint | Listener], line: str | Endpoin
 
     endpoint = parse_endpoint(line)
     units = ALL_UNITS if endpoint.framing == "mbap" else frozenset(range(1, 248))
-    listeners = [one if isinstance(one, Listener) else Listener(one) for one in fronts]
+    wanted = [one if isinstance(one, Listener) else Listener(one) for one in listeners]
     return GatewayPlan(
-        fronts=tuple(GatewayListener(parse_endpoint(one.endpoint).url, one) for one in listeners),
+        listeners=tuple(GatewayListener(parse_endpoint(one.endpoint).url, one) for one in wanted),
         lines=(UpstreamSettings.of("line", line, **options),),
         table=RoutingTable((Route(line="line", units=units),)),
     )

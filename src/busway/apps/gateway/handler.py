@@ -1,12 +1,12 @@
-"""One front of a gateway: each request to the line that its route names, or to the gateway itself.
+"""One listener of a gateway: each request to the line that its route names, or to the gateway itself.
 
 Knows routes, lines and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
-1. A write to unit 0 goes to all lines of the front that take broadcasts, and is answered once it was sent. A line
-   takes it only where a route lets the front write so to each of its units, and the policy the client: all of them
+1. A write to unit 0 goes to all lines of the listener that take broadcasts, and is answered once it was sent. A line
+   takes it only where a route lets the listener write so to each of its units, and the policy the client: all of them
    will hear it.
 2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
-   front is silent there, because it never hears of those units (`ListenerHandler.serial_units`).
+   listener is silent there, because it never hears of those units (`ListenerHandler.serial_units`).
 3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
    not frame it. A function that is not known is forwarded unread.
 """
@@ -34,7 +34,7 @@ _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 @dataclass(slots=True)
 class GatewayListenerCounters:
-    """What became of the requests of a front that no line has counted.
+    """What became of the requests of a listener that no line has counted.
 
     Attributes:
         no_route: requests for which there is no route.
@@ -63,17 +63,17 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
 
 
 class ListenerHandler:
-    """The handler of one front.
+    """The handler of one listener.
 
     Attributes:
         refusal_of: what a policy around it says of single units that hear a broadcast.
 
     Args:
-        name: what routes call the front.
+        name: what routes call the listener.
         functions: the table of functions; what is not in it is forwarded unread.
         own: what answers for the gateway itself; None where it is no device.
         own_unit: its unit identifier.
-        deadline: seconds after which a client of this front has given up; None if that is not known.
+        deadline: seconds after which a client of this listener has given up; None if that is not known.
         silent_broadcasts: whether a broadcast gets no answer.
     """
 
@@ -117,7 +117,7 @@ class ListenerHandler:
 
     @property
     def serial_units(self) -> set[int]:
-        """The units that are answered where the front is a serial line."""
+        """The units that are answered where the listener is a serial line."""
         return self._serial_units
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
@@ -125,7 +125,7 @@ class ListenerHandler:
         return {}
 
     def forward_plans(self, context: RequestContext) -> ForwardPlans:
-        """What is known of the reads that clients ask together; all clients of a front have the same rights."""
+        """What is known of the reads that clients ask together; all clients of a listener have the same rights."""
         return self._plans
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
@@ -212,7 +212,7 @@ class ListenerHandler:
         return LATER
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """A broadcast of a serial front, which comes once for every unit: a line that takes broadcasts gets one.
+        """A broadcast of a serial listener, which comes once for every unit: a line that takes broadcasts gets one.
 
         A server on a network gets one for each unit that a route names, and one to unit 0 where the route names none:
         247 requests of which most have no device would keep it busy for minutes.
@@ -236,7 +236,7 @@ class ListenerHandler:
         return SILENCE
 
     def _takers(self) -> list[Line]:
-        """The lines of this front that take broadcasts."""
+        """The lines of this listener that take broadcasts."""
         lines = [self._lines[name] for name in self._routes.lines if name in self._lines]
         return [line for line in lines if line.takes_broadcasts]
 

@@ -1,6 +1,6 @@
 """A line behind a gateway: its links, and the requests that wait for them.
 
-Knows links and demands; knows no front beyond the context of a request.
+Knows links and demands; knows no listener beyond the context of a request.
 
 1. Each request ends exactly once: with the device's answer, with its exception, or with 0A or 0B.
 2. The order on the line is that of its scheduler: round robin over the connections in front, see
@@ -319,11 +319,11 @@ class Line:
     def forward(
         self, context: RequestContext, request: Request, route: Route, *, deadline: float | None
     ) -> Message | Deferral:
-        """Ask a device for a client in front.
+        """Ask a device for a client.
 
         Args:
             context: who asks; it gets the answer.
-            request: what is asked in front.
+            request: what the client asks.
             route: what becomes of it.
             deadline: seconds after which the client has given up; None if that is not known.
         """

@@ -24,8 +24,8 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
     """Listeners, lines, the gateway's own unit, policy and logs: kind, name, what is said about it."""
     plan = configuration.plan
     known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
-    for front, row in zip(plan.fronts, known["listener"], strict=True):
-        yield "listener", front.name, "; ".join(_front(front, row))
+    for listener, row in zip(plan.listeners, known["listener"], strict=True):
+        yield "listener", listener.name, "; ".join(_listener(listener, row))
     for line in plan.lines:
         yield "line", line.name, "; ".join(_line(line, configuration.routes))
     yield "own unit", "none" if plan.own_unit is None else str(plan.own_unit), _own_unit(plan)
@@ -35,11 +35,11 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
 
 def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
     """The routes in the order in which they are looked through."""
-    names = [front.name for front in configuration.plan.fronts]
+    names = [listener.name for listener in configuration.plan.listeners]
     for placed in configuration.routes:
         route = placed.route
         yield (
-            ", ".join(name for name in names if name in route.fronts) if route.fronts else "all",
+            ", ".join(name for name in names if name in route.listeners) if route.listeners else "all",
             "all" if route.units == ALL_UNITS else units_text(route.units),
             ", ".join(f"{code:02}" for code in sorted(route.functions)) or "all",
             "all" if route.addresses is None else str(route.addresses),
@@ -48,13 +48,13 @@ def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
         )
 
 
-def _front(front: GatewayListener, row: Row) -> Iterator[str]:
-    if front.name != row[1]:
+def _listener(listener: GatewayListener, row: Row) -> Iterator[str]:
+    if listener.name != row[1]:
         yield row[1]
     yield row[2]
-    if front.deadline is not None:
-        yield f"answers within {front.deadline:g} s"
-    if front.silent_broadcasts:
+    if listener.deadline is not None:
+        yield f"answers within {listener.deadline:g} s"
+    if listener.silent_broadcasts:
         yield "broadcasts get no answer"
 
 

@@ -1,6 +1,6 @@
 """The gateway itself as a device: identification, diagnostics, and, if they are wanted, its status as input registers.
 
-Knows numbers of a status; knows no line and no front (T32: unit 255, and 0 for what is no broadcast).
+Knows numbers of a status; knows no line and no listener (T32: unit 255, and 0 for what is no broadcast).
 
 Without registers a read gets exception 01: who names no unit asks unit 255, and shall not take what the gateway says of
 itself for values of a device.
@@ -46,8 +46,8 @@ class StatusRegister:
 
 REGISTERS: Final = (
     StatusRegister(0, 2, "uptime", "seconds since the start"),
-    StatusRegister(2, 1, "fronts", "number of fronts"),
-    StatusRegister(3, 1, "lines", "number of lines"),
+    StatusRegister(2, 1, "listeners", "number of listeners"),
+    StatusRegister(3, 1, "upstreams", "number of upstreams"),
     StatusRegister(4, 2, "connections", "clients connected now"),
     StatusRegister(6, 2, "requests", "requests received"),
     StatusRegister(8, 2, "no_route", "requests for which there was no route (0A)"),

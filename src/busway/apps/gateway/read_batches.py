@@ -35,19 +35,19 @@ FOR_EVER = 86_400.0
 
 
 class ReadTarget:
-    """A unit behind a line, as a front reaches it.
+    """A unit behind a line, as a listener reaches it.
 
     Args:
-        front: whose clients ask.
+        listener: whose clients ask.
         line: where.
         unit: the unit that is asked behind.
         timeout: seconds to wait for it; None: as the line does.
     """
 
-    __slots__ = ("front", "line", "timeout", "unit")
+    __slots__ = ("line", "listener", "timeout", "unit")
 
-    def __init__(self, front: "ListenerHandler", line: "Line", unit: int, timeout: float | None) -> None:
-        self.front = front
+    def __init__(self, listener: "ListenerHandler", line: "Line", unit: int, timeout: float | None) -> None:
+        self.listener = listener
         self.line = line
         self.unit = unit
         self.timeout = timeout or line.settings.parameters.timeout
@@ -62,7 +62,7 @@ def batch_plan(way: ReadTarget, unit: int, asked: ReadRegisters | ReadBits) -> F
 
     Args:
         way: where it goes.
-        unit: as which it was asked in front.
+        unit: as the client addressed it.
         asked: as it is asked behind.
     """
     request = _as_bytes(type(asked)).decode(asked.encode())
@@ -187,7 +187,7 @@ class ReadBatches:
         """Hand reads to the link; the error if they were not taken."""
         line = self.line
         now = link.now()
-        adaptive_timeout = way.front.deadline
+        adaptive_timeout = way.listener.deadline
         batch = ReadBatch(self, link, way, asker, reads, None if adaptive_timeout is None else now + adaptive_timeout)
         # All before it begins: it may end at once, while a connection is made anew.
         line.add_open(len(reads))
@@ -240,7 +240,7 @@ class ReadBatches:
         self.line.counters.shared += 1
         batch.joined.setdefault(batch.keys.index(key), []).append((asker, read))
         asker.works[batch] = None
-        now, adaptive_timeout = batch.link.now(), way.front.deadline
+        now, adaptive_timeout = batch.link.now(), way.listener.deadline
         if batch.deadlines is None:
             batch.deadlines = WaiterDeadlines(batch.link.now, batch.link.call_at, partial(self._time_is_over, batch))
             if batch.deadline is not None and batch.asker is not None:

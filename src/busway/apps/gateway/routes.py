@@ -2,7 +2,7 @@
 
 Knows requests by unit, function and range; knows no line beyond its name, and no byte.
 
-1. The routes of a front are looked through in their order; the first one that fits decides.
+1. The routes of a listener are looked through in their order; the first one that fits decides.
 2. A route with a range of addresses takes what lies wholly within it. A request that lies across the edge of such a
    range fits nowhere behind it either: it is refused with 02, since no single device could answer it as asked.
 3. A function that is not in the table carries no address that could be read: routes with a range never take it.
@@ -55,7 +55,7 @@ class Route:
 
     Attributes:
         line: name of the line behind; empty where nothing is forwarded.
-        fronts: names of the fronts it holds for; empty for all.
+        listeners: names of the listeners it holds for; empty for all.
         units: unit identifiers as they are asked, 0…255.
         functions: function codes; empty for all.
         addresses: only requests within this range; None for all.
@@ -72,7 +72,7 @@ class Route:
     """
 
     line: str = ""
-    fronts: frozenset[str] = frozenset()
+    listeners: frozenset[str] = frozenset()
     units: frozenset[int] = ALL_UNITS
     functions: frozenset[int] = frozenset()
     addresses: AddressRange | None = None
@@ -127,7 +127,7 @@ class Route:
     def covers_beside_units(self, other: "Route") -> bool:
         """Whether it takes everything that ``other`` would take of the units that both have."""
         return (
-            (not self.fronts or (bool(other.fronts) and other.fronts <= self.fronts))
+            (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
             and (
                 self.addresses is None
@@ -154,7 +154,7 @@ class Straddles:
 
 
 class ListenerRoutes:
-    """The routes of one front, by unit."""
+    """The routes of one listener, by unit."""
 
     __slots__ = ("_by_unit", "_segments")
 
@@ -260,7 +260,7 @@ class RoutingTable:
     """
 
     routes: tuple[Route, ...]
-    _of_front: dict[str, ListenerRoutes] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _of_listener: dict[str, ListenerRoutes] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for position, sentence in self.faults():
@@ -277,12 +277,12 @@ class RoutingTable:
                     f"never reached: {named} before it {'takes' if len(takers) == 1 else 'take'} all its requests",
                 )
 
-    def of_front(self, front: str) -> ListenerRoutes:
-        """The routes of one front."""
-        found = self._of_front.get(front)
+    def of_listener(self, listener: str) -> ListenerRoutes:
+        """The routes of one listener."""
+        found = self._of_listener.get(listener)
         if found is None:
-            found = ListenerRoutes([one for one in self.routes if not one.fronts or front in one.fronts])
-            self._of_front[front] = found
+            found = ListenerRoutes([one for one in self.routes if not one.listeners or listener in one.listeners])
+            self._of_listener[listener] = found
         return found
 
 

@@ -1,10 +1,10 @@
 """The routes of a gateway file, and what of them can not work, said before anything runs.
 
-Knows what the sections say and what lines and fronts can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2; T32).
+Knows what the sections say and what lines and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2; T32).
 
 1. A route without units is for all units that its line can have behind.
-2. What can never work is refused: a route that is never reached, a unit that a line or a front can not have, a client
-   that gives up before the line can have answered, a line that leads back to a front.
+2. What can never work is refused: a route that is never reached, a unit that a line or a listener cannot have, a
+   client that gives up before the line can have answered, a line that leads back to a listener.
 3. What works, but hardly as it was meant, is a warning: units that an earlier route takes, a line without a route.
 """
 
@@ -39,7 +39,7 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class PlacedListener:
-    """A front, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
+    """A listener, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
 
     name: str
     endpoint: Endpoint
@@ -97,7 +97,7 @@ def _route(section: RouteSection, lines: Mapping[str, UpstreamSettings]) -> Rout
     action = RouteAction.FORWARD if line is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
     return Route(
         line=section.line or "",
-        fronts=frozenset(section.listeners or ()),
+        listeners=frozenset(section.listeners or ()),
         units=_default_units(section, line) if asked is None else asked,
         functions=section.asked_functions(),
         addresses=None if addresses is None else AddressRange(*addresses),
@@ -138,29 +138,29 @@ def _units_behind(line: UpstreamSettings) -> frozenset[int]:
 def judge_routes(
     file: GatewayFile,
     routes: Sequence[PlacedRoute],
-    fronts: Sequence[PlacedListener],
+    listeners: Sequence[PlacedListener],
     lines: Mapping[str, UpstreamSettings],
     policy: Policy | None,
     judge: Judge,
 ) -> None:
-    """Tell the judge what of routes, fronts, lines and the policy does not go together."""
+    """Tell the judge what of routes, listeners, lines and the policy does not go together."""
     for at, sentence in (
         *_unreached(routes),
         *_hidden_refusals(routes),
-        *_impossible_units(routes, fronts, lines),
+        *_impossible_units(routes, listeners, lines),
         *_impossible_addresses(routes),
         *_gaps_on_networks(routes, lines),
-        *_impatient_clients(routes, fronts, lines),
-        *_fronts_without_units(file, routes, fronts),
-        *_loops(file, fronts, lines),
+        *_impatient_clients(routes, listeners, lines),
+        *_listeners_without_units(file, routes, listeners),
+        *_loops(file, listeners, lines),
     ):
         judge.refuse(at, sentence)
     for at, sentence in (
         *_overlaps(routes),
         *_idle_lines(file, routes, lines),
         *_hidden_own_unit(file, routes),
-        *_idle_fronts(routes, fronts),
-        *_lines_slower_than_the_default(routes, fronts, lines),
+        *_idle_listeners(routes, listeners),
+        *_lines_slower_than_the_default(routes, listeners, lines),
         *(() if policy is None else ways_past(policy, routes)),
         *_same_servers(file, lines),
     ):
@@ -222,10 +222,10 @@ def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
     """What an earlier route takes of a refusal: all in two respects, and a part of what the third one says."""
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
-    is_for_all = not refusal.fronts and bool(earlier.fronts)
-    if is_for_all or (earlier.fronts and not refusal.fronts <= earlier.fronts):
-        wider = replace(wider, fronts=(refusal.fronts & earlier.fronts) or earlier.fronts)
-        if refusal.fronts and not refusal.fronts & earlier.fronts:
+    is_for_all = not refusal.listeners and bool(earlier.listeners)
+    if is_for_all or (earlier.listeners and not refusal.listeners <= earlier.listeners):
+        wider = replace(wider, listeners=(refusal.listeners & earlier.listeners) or earlier.listeners)
+        if refusal.listeners and not refusal.listeners & earlier.listeners:
             return ""
     if not wider.units <= earlier.units:
         return ""
@@ -250,7 +250,7 @@ def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
 
 
 def _impossible_units(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
+    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
 ) -> Faults:
     for placed in routes:
         route, section = placed.route, placed.section
@@ -260,10 +260,10 @@ def _impossible_units(
                 yield placed.key("unit", "unit_offset", "units"), _no_unit_behind(route, wrong[0])
         if section is None or section.units is None:
             continue
-        at = [one for one in fronts if not route.fronts or one.name in route.fronts]
+        at = [one for one in listeners if not route.listeners or one.name in route.listeners]
         serial = [one for one in at if one.is_serial]
         wrong = sorted(route.units - SERIAL_UNITS)
-        if wrong and serial and (route.fronts or len(serial) == len(at)):
+        if wrong and serial and (route.listeners or len(serial) == len(at)):
             yield (
                 placed.key("units"),
                 f"nobody can ask {serial[0].name} for unit {wrong[0]}: a serial line has units 1…{LAST_SERIAL_UNIT}",
@@ -315,37 +315,40 @@ def _touches(code: int, addresses: AddressRange) -> bool:
 
 
 def _impatient_clients(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
+    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
 ) -> Faults:
-    for front in fronts:
-        if front.deadline is None or not front.is_chosen:
+    for listener in listeners:
+        if listener.deadline is None or not listener.is_chosen:
             continue
         cases = [
             (worst_case(lines[one.route.line], one.route, one.gap), one.route.line)
             for one in routes
-            if one.route.line and (not one.route.fronts or front.name in one.route.fronts)
+            if one.route.line and (not one.route.listeners or listener.name in one.route.listeners)
         ]
         if not cases:
             continue
         case, line = max(cases, key=lambda each: each[0].seconds)
-        if front.deadline < case.seconds:
+        if listener.deadline < case.seconds:
             yield (
-                (*front.place[:2], "client_deadline"),
-                f"{front.deadline:g} s is less than line {line!r} may take: {case.seconds:.3g} s = {case.sum}",
+                (*listener.place[:2], "client_deadline"),
+                f"{listener.deadline:g} s is less than line {line!r} may take: {case.seconds:.3g} s = {case.sum}",
             )
 
 
 def _lines_slower_than_the_default(
-    routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
+    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
 ) -> Faults:
     """Lines whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
-    deadline = next((one.deadline for one in fronts if one.deadline is not None and not one.is_chosen), None)
+    deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
         return
     told: set[str] = set()
     for one in routes:
         route = one.route
-        is_asked = any(not front.is_chosen and (not route.fronts or front.name in route.fronts) for front in fronts)
+        is_asked = any(
+            not listener.is_chosen and (not route.listeners or listener.name in route.listeners)
+            for listener in listeners
+        )
         if not route.line or route.line in told or not is_asked:
             continue
         case = worst_case(lines[route.line], replace(route, max_registers=None, max_bits=None), one.gap)
@@ -387,34 +390,36 @@ def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> Worst
     return WorstCase((1 + retries) * (timeout + beside) * pieces, text)
 
 
-def _fronts_without_units(file: GatewayFile, routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener]) -> Faults:
+def _listeners_without_units(
+    file: GatewayFile, routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]
+) -> Faults:
     own = file.gateway.own_unit
-    for front in fronts:
-        units = {unit for one in _of_front(routes, front) for unit in one.route.units}
+    for listener in listeners:
+        units = {unit for one in _of_listener(routes, listener) for unit in one.route.units}
         units |= set() if own is None else {own}
-        if front.is_serial and not units & SERIAL_UNITS:
+        if listener.is_serial and not units & SERIAL_UNITS:
             yield (
-                front.place,
+                listener.place,
                 f"no route has a unit that can be asked here: a serial line has units 1…{LAST_SERIAL_UNIT}",
             )
 
 
-def _idle_fronts(routes: Sequence[PlacedRoute], fronts: Sequence[PlacedListener]) -> Faults:
-    for front in fronts:
-        if not front.is_serial and not any(one.route.line for one in _of_front(routes, front)):
-            yield front.place, "no route leads from here to a line"
+def _idle_listeners(routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]) -> Faults:
+    for listener in listeners:
+        if not listener.is_serial and not any(one.route.line for one in _of_listener(routes, listener)):
+            yield listener.place, "no route leads from here to a line"
 
 
-def _of_front(routes: Sequence[PlacedRoute], front: PlacedListener) -> list[PlacedRoute]:
-    return [one for one in routes if not one.route.fronts or front.name in one.route.fronts]
+def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> list[PlacedRoute]:
+    return [one for one in routes if not one.route.listeners or listener.name in one.route.listeners]
 
 
-def _loops(file: GatewayFile, fronts: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]) -> Faults:
+def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]) -> Faults:
     """Lines that lead to the gateway itself, and ports that are wanted twice."""
     owners: dict[str, str] = {}
-    for front in fronts:
-        if front.endpoint.carrier == "serial":
-            owners[os.path.realpath(front.endpoint.path)] = f"listener {front.name}"
+    for listener in listeners:
+        if listener.endpoint.carrier == "serial":
+            owners[os.path.realpath(listener.endpoint.path)] = f"listener {listener.name}"
     for index, section in enumerate(file.line):
         line = lines.get(section.name)
         if line is None:
@@ -427,18 +432,20 @@ def _loops(file: GatewayFile, fronts: Sequence[PlacedListener], lines: Mapping[s
                 yield place, f"{endpoint.path} is taken by {owners[port]}"
             owners.setdefault(port, f"line {section.name!r}")
             continue
-        own = next((front for front in fronts if _is_same(front.endpoint, endpoint)), None)
+        own = next((listener for listener in listeners if _is_same(listener.endpoint, endpoint)), None)
         if own is not None:
             yield place, f"leads back to the gateway itself, to listener {own.name}"
 
 
-def _is_same(front: Endpoint, line: Endpoint) -> bool:
-    if front.carrier == "serial" or front.port != line.port or not front.port:
+def _is_same(listener: Endpoint, line: Endpoint) -> bool:
+    if listener.carrier == "serial" or listener.port != line.port or not listener.port:
         return False
-    if (front.carrier == "udp") != (line.carrier == "udp"):
+    if (listener.carrier == "udp") != (line.carrier == "udp"):
         return False
-    front_host, line_host = (_SAME.get(host, host) for host in (front.host, line.host))
-    return front_host == line_host or (front_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(line_host)}"))
+    listener_host, line_host = (_SAME.get(host, host) for host in (listener.host, line.host))
+    return listener_host == line_host or (
+        listener_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(line_host)}")
+    )
 
 
 def _bracketed(host: str) -> str:

@@ -1,4 +1,4 @@
-"""What a request looks like on the line behind, and its answer in front.
+"""What a request looks like on the line behind, and its answer to the client.
 
 Knows requests and replies; knows no line. A shifted address is shifted back in the answer, a request that was split is
 answered whole.
@@ -22,7 +22,7 @@ def behind(request: Request, route: Route, width: int = NARROW) -> tuple[Request
     """The requests to send for one that a route takes: itself, as a rule.
 
     Args:
-        request: as it is asked in front.
+        request: as the client asks it.
         route: what becomes of it.
         width: bytes of the registers of the device, 2…12; it answers reads in its own width, which goes through.
 

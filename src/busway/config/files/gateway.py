@@ -1,4 +1,4 @@
-"""The schema of gateway files: fronts, lines behind, and routes between them.
+"""The schema of gateway files: listeners, lines behind, and routes between them.
 
 Knows what can be written; what goes together is judged by `busway.apps.gateway.assembly`.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
@@ -67,7 +67,7 @@ def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
     return source.checked(GatewayFile), source
 
 
-class FrontSection(ListenerSection):
+class GatewayListenerSection(ListenerSection):
     """``[[listener]]``: where clients reach the gateway."""
 
     on_lines: ClassVar[frozenset[str]] = frozenset({"url", "name", "client_deadline"})
@@ -186,7 +186,7 @@ def _no_units(value: object) -> object:
 class GatewayFile(SystemFile):
     """A whole gateway file."""
 
-    listener: list[FrontSection] = Field(default_factory=list)  # type: ignore[assignment]
+    listener: list[GatewayListenerSection] = Field(default_factory=list)  # type: ignore[assignment]
     line: list[LineSection] = Field(default_factory=list)
     route: list[RouteSection] = Field(default_factory=list)
     gateway: GatewaySection = GatewaySection()
@@ -198,8 +198,8 @@ class GatewayFile(SystemFile):
         """A rule of the policy may name a listener as a route does; what is no name is left to the rule."""
         if not isinstance(value, dict) or not isinstance(value.get("policy"), dict):
             return value
-        fronts = [one for one in _list(value.get("listener")) if isinstance(one, dict)]
-        urls = {one["name"]: one["url"] for one in fronts if isinstance(one.get("name"), str) and "url" in one}
+        listeners = [one for one in _list(value.get("listener")) if isinstance(one, dict)]
+        urls = {one["name"]: one["url"] for one in listeners if isinstance(one.get("name"), str) and "url" in one}
         policy = value["policy"]
         rules = [_with_urls(rule, urls) for rule in _list(policy.get("rule"))]
         return {**value, "policy": {**policy, "rule": rules}} if rules else value

@@ -111,8 +111,8 @@ class ServerCollector(Collector):
             yield from connection_families(getattr(status, "connections", ()))
             yield from listener_families(getattr(status, "listeners", ()))
             yield from security_families(getattr(status, "listeners", ()))
-            yield from gateway_listener_families(getattr(status, "fronts", ()))
-            yield from line_families(getattr(status, "lines", ()))
+            yield from gateway_listener_families(getattr(status, "gateway_listeners", ()))
+            yield from upstream_families(getattr(status, "upstreams", ()))
         if self._tally is not None:
             yield from request_families(self._tally)
         if self._refusals is not None:
@@ -259,29 +259,31 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
     yield from (expiry, handshakes, reloads)
 
 
-def gateway_listener_families(fronts: Iterable[Any]) -> Iterator[Family]:
-    """The fronts of a gateway: what became of requests that no line has seen."""
-    yield from _counters_of("front", fronts, "Requests at the front")
+def gateway_listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
+    """The listeners of a gateway: what became of requests that reached no upstream."""
+    yield from _counters_of("gateway_listener", "listener", listeners, "Requests at the listener")
 
 
-def line_families(lines: Iterable[Any]) -> Iterator[Family]:
-    """The lines behind a gateway: what became of requests, and how the line stands."""
-    lines = list(lines)
-    if not lines:
+def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
+    """The upstreams of a gateway: what became of their requests, and the state of their connections."""
+    upstreams = list(upstreams)
+    if not upstreams:
         return
-    yield from _counters_of("line", lines, "Requests of the line")
-    queued = GaugeMetricFamily("busway_line_queued", "Requests that wait for their turn.", labels=("line",))
-    flying = GaugeMetricFamily("busway_line_in_flight", "Requests whose reply is awaited.", labels=("line",))
-    late = CounterMetricFamily("busway_line_late_replies", "Replies that came too late; dropped.", labels=("line",))
+    yield from _counters_of("upstream", "upstream", upstreams, "Requests of the upstream")
+    queued = GaugeMetricFamily("busway_upstream_queued", "Requests that wait for their turn.", labels=("upstream",))
+    flying = GaugeMetricFamily("busway_upstream_in_flight", "Requests whose reply is awaited.", labels=("upstream",))
+    late = CounterMetricFamily(
+        "busway_upstream_late_replies", "Replies that came too late; dropped.", labels=("upstream",)
+    )
     markers = CounterMetricFamily(
-        "busway_line_markers", "Requests of the gateway's own, to units that owe replies.", labels=("line",)
+        "busway_upstream_markers", "Requests of the gateway's own, to units that owe replies.", labels=("upstream",)
     )
-    doubt = GaugeMetricFamily("busway_line_units_in_doubt", "Units that owe replies.", labels=("line",))
-    silent = GaugeMetricFamily("busway_line_suspended_units", "Units that are not asked now.", labels=("line",))
+    doubt = GaugeMetricFamily("busway_upstream_units_in_doubt", "Units that owe replies.", labels=("upstream",))
+    silent = GaugeMetricFamily("busway_upstream_suspended_units", "Units that are not asked now.", labels=("upstream",))
     states = GaugeMetricFamily(
-        "busway_line_connections", "Connections of the line, by their state.", labels=("line", "state")
+        "busway_upstream_connections", "Connections of the upstream, by their state.", labels=("upstream", "state")
     )
-    for one in lines:
+    for one in upstreams:
         queued.add_metric((one.name,), sum(link.queued for link in one.links))
         flying.add_metric((one.name,), sum(link.in_flight for link in one.links))
         late.add_metric((one.name,), sum(link.counters.late_replies for link in one.links))
@@ -293,7 +295,7 @@ def line_families(lines: Iterable[Any]) -> Iterator[Family]:
     yield from (queued, flying, late, markers, doubt, silent, states)
 
 
-def _counters_of(label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
+def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
     """The numbers of the counters of parts that have a name."""
     families: dict[str, Family] = {}
     for one in parts:
@@ -301,7 +303,7 @@ def _counters_of(label: str, parts: Iterable[Any], meaning: str) -> Iterator[Fam
             family = families.get(name)
             if family is None:
                 family = families[name] = CounterMetricFamily(
-                    f"busway_{label}_{name}", f"{meaning}: {name.replace('_', ' ')}.", labels=(label,)
+                    f"busway_{prefix}_{name}", f"{meaning}: {name.replace('_', ' ')}.", labels=(label,)
                 )
             family.add_metric((one.name,), count)
     yield from families.values()

@@ -183,7 +183,7 @@ def refusals_of(handlers: Sequence[MeteredHandler]) -> Callable[[], Mapping[str,
     """What gives the refusals by rule, if the handlers inside count them.
 
     Args:
-        handlers: of all fronts; more may come while it runs.
+        handlers: of all listeners; more may come while it runs.
     """
     if not isinstance(handlers[0].inner, CountsRefusals):
         return None
@@ -203,7 +203,7 @@ def _classify(source: MetricsSource) -> Classify:
 
 
 def _wrap(source: MetricsSource, classify: Classify) -> list[MeteredHandler]:
-    """The handlers that count, all on one tally: a gateway has one for each front, and gets more with its changes."""
+    """The counting handlers, all on one tally: a gateway has one per listener, and gets more when it is changed."""
     made: list[MeteredHandler] = []
 
     def wrap(inner: Handler) -> Handler:

@@ -1,4 +1,4 @@
-"""What fronts do: who is answered, with which exception, who is kept silent, and clients that misbehave."""
+"""What listeners do: who is answered, with which exception, who is kept silent, and clients that misbehave."""
 
 import asyncio
 import contextlib
@@ -22,14 +22,14 @@ from busway.server.parameters import ListenerParameters
 from busway.session.parameters import ServerParameters
 
 ANY_PORT = "tcp://127.0.0.1:0"
-NETWORK_FRONTS = ("tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp")
+NETWORK_LISTENERS = ("tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp")
 LINES = ("tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp")
 
 pytestmark = pytest.mark.clause("T32")
 
 
-def front(scheme: str) -> GatewayListener:
-    return GatewayListener("front", Listener(f"{scheme}://127.0.0.1:0"))
+def listener(scheme: str) -> GatewayListener:
+    return GatewayListener("office", Listener(f"{scheme}://127.0.0.1:0"))
 
 
 async def code_of(asked: Any) -> int:
@@ -43,7 +43,7 @@ async def gateway(
     scheme: str, *routes: Route, lines: dict[str, str], server: dict[str, Any] | None = None, **options: Any
 ) -> AsyncIterator[tuple[Gateway, busway.AsyncLink]]:
     settings = tuple(UpstreamSettings.of(name, url, **options) for name, url in lines.items())
-    plan = GatewayPlan((front(scheme),), settings, RoutingTable(routes), server=server or {})
+    plan = GatewayPlan((listener(scheme),), settings, RoutingTable(routes), server=server or {})
     async with Gateway(plan) as made, busway.open(made.endpoints[0], timeout=3, retries=0) as link:
         yield made, link
 
@@ -56,7 +56,7 @@ def only(*units: int, line: str = "line") -> Route:
 
 
 @pytest.mark.clause("T31")
-@pytest.mark.parametrize("scheme", NETWORK_FRONTS)
+@pytest.mark.parametrize("scheme", NETWORK_LISTENERS)
 @pytest.mark.parametrize("behind", LINES)
 async def test_a_line_that_is_down_is_0a_and_one_that_does_not_answer_is_0b(scheme: str, behind: str) -> None:
     silent = ScriptedHandler(lambda context, request: busway.SILENCE)
@@ -83,7 +83,7 @@ async def test_a_line_that_is_down_is_0a_and_one_that_does_not_answer_is_0b(sche
 
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu+udp"])
-async def test_a_serial_front_is_silent_for_units_that_it_does_not_route_and_for_the_gateway_itself(
+async def test_a_serial_listener_is_silent_for_units_that_it_does_not_route_and_for_the_gateway_itself(
     scheme: str,
 ) -> None:
     async with (
@@ -94,14 +94,14 @@ async def test_a_serial_front_is_silent_for_units_that_it_does_not_route_and_for
             with pytest.raises(busway.NoReply):
                 await link.unit(unit).read_holding_registers(0, count=1, timeout=0.05)
         assert await link.unit(3).read_holding_registers(0, count=1) == [3]
-        assert made.status().fronts[0].counters.no_route == 0
-        assert made.status().lines[0].counters.forwarded == 1
+        assert made.status().gateway_listeners[0].counters.no_route == 0
+        assert made.status().upstreams[0].counters.forwarded == 1
 
 
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
-async def test_the_gateway_itself_may_be_a_unit_of_a_serial_front(scheme: str) -> None:
+async def test_the_gateway_itself_may_be_a_unit_of_a_serial_listener(scheme: str) -> None:
     plan = GatewayPlan(
-        (front(scheme),),
+        (listener(scheme),),
         (UpstreamSettings.of("line", "tcp://127.0.0.1:1"),),
         RoutingTable((only(3),)),
         own_unit=100,
@@ -119,7 +119,7 @@ async def test_255_and_anything_but_a_write_on_0_are_the_gateway_itself_or_no_pa
     scheme: str, own: bool, registers: bool
 ) -> None:
     plan = GatewayPlan(
-        (front(scheme),),
+        (listener(scheme),),
         (UpstreamSettings.of("line", "tcp://127.0.0.1:1"),),
         RoutingTable((only(3),)),
         own_unit=255 if own else None,
@@ -141,7 +141,7 @@ async def test_255_and_anything_but_a_write_on_0_are_the_gateway_itself_or_no_pa
                 assert await code_of(link.unit(unit).diagnostics(0, b"\x12\x34")) == 0x0A
                 assert await code_of(link.unit(unit).read_input_registers(2, count=1)) == 0x0A
         assert await code_of(link.unit(0).write_single_register(2, 1)) == 0x0A  # no line hears it
-        assert made.status().lines[0].counters.forwarded == 0
+        assert made.status().upstreams[0].counters.forwarded == 0
 
 
 @pytest.mark.clause("T24")
@@ -166,11 +166,11 @@ async def test_units_that_a_serial_line_has_not_are_no_path_there(unit: int) -> 
 
 @pytest.mark.clause("T27")
 @pytest.mark.parametrize("behind", ["tcp", "rtu+tcp"])
-async def test_slots_of_the_front_exhausted_are_06_and_what_waits_is_answered(behind: str) -> None:
+async def test_slots_of_the_listener_exhausted_are_06_and_what_waits_is_answered(behind: str) -> None:
     async with faulty_line(behind, timeout=5) as line:
         plan = line.gateway.plan
         own = GatewayPlan(
-            plan.fronts, plan.lines, plan.table, server={"parameters": ServerParameters(max_transactions=2)}
+            plan.listeners, plan.lines, plan.table, server={"parameters": ServerParameters(max_transactions=2)}
         )
         line.add("late", delay=0.1)
         async with Gateway(own) as made, busway.open(made.endpoints[0], max_transactions=5, timeout=5) as link:
@@ -199,13 +199,13 @@ async def test_a_malformed_request_is_refused_by_the_gateway_and_never_forwarded
         writer.close()
         assert await link.unit(1).read_holding_registers(0, count=1) == [1000]
         status = line.gateway.status()
-        assert (status.fronts[0].counters.malformed, status.lines[0].counters.forwarded) == (5, 1)
+        assert (status.gateway_listeners[0].counters.malformed, status.upstreams[0].counters.forwarded) == (5, 1)
 
 
 async def test_a_request_across_the_end_of_the_addresses_is_left_to_the_device() -> None:
     async with faulty_line("tcp") as line, busway.open(line.endpoint) as link:
         assert await code_of(link.unit(1).execute(busway.ReadHoldingRegisters(399, 2))) == 2
-        assert line.gateway.status().lines[0].counters.exceptions == 1
+        assert line.gateway.status().upstreams[0].counters.exceptions == 1
 
 
 # --- clients that misbehave ----------------------------------------------------------------------
@@ -217,7 +217,7 @@ async def test_a_slow_loris_frees_its_place_and_disturbs_nobody() -> None:
         plan = line.gateway.plan
         limits = ListenerParameters(max_connections=3, frame_timeout=0.1)
         own = GatewayPlan(
-            (GatewayListener("front", Listener(ANY_PORT, limits=limits)),), plan.lines, plan.table, own_unit=None
+            (GatewayListener("office", Listener(ANY_PORT, limits=limits)),), plan.lines, plan.table, own_unit=None
         )
         async with Gateway(own) as made:
             host, port = made.endpoints[0].removeprefix("tcp://").split(":")
@@ -233,13 +233,13 @@ async def test_a_slow_loris_frees_its_place_and_disturbs_nobody() -> None:
                     writer.close()
                 assert await link.unit(2).read_holding_registers(3, count=1) == [2003]
                 assert len(made.status().connections) == 1
-            assert made.status().lines[0].counters.forwarded == 2
+            assert made.status().upstreams[0].counters.forwarded == 2
     await until(lambda: open_handles() == before)
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
 async def test_requests_that_come_in_drops_are_put_together(scheme: str) -> None:
-    async with faulty_line("tcp", front=f"{scheme}://127.0.0.1:0") as line:
+    async with faulty_line("tcp", listener=f"{scheme}://127.0.0.1:0") as line:
         host, port = line.endpoint.rpartition("://")[2].split(":")
         reader, writer = await asyncio.open_connection(host, int(port))
         asked, expected = {
@@ -291,10 +291,10 @@ async def test_foreign_traffic_reaches_no_line_and_disturbs_nobody(junk: bytes) 
         await writer.drain()
         assert await link.unit(2).read_holding_registers(3, count=1) == [2003]
         writer.close()
-        assert line.gateway.status().lines[0].counters.forwarded == 2
+        assert line.gateway.status().upstreams[0].counters.forwarded == 2
 
 
-async def test_two_requests_on_a_serial_front_the_first_is_given_up_by_its_master() -> None:
+async def test_two_requests_on_a_serial_listener_the_first_is_given_up_by_its_master() -> None:
     """A master that speaks again has given up; the late answer to its first request is not sent any more."""
     gate = HeldReplies()
     async with contextlib.AsyncExitStack() as stack:
@@ -306,7 +306,7 @@ async def test_two_requests_on_a_serial_front_the_first_is_given_up_by_its_maste
         writer.write(encode_rtu(1, bytes.fromhex("03 0400 0001")))
         await until(lambda: made.open_requests == 1)
         writer.write(encode_rtu(1, bytes.fromhex("03 0005 0001")))
-        await until(lambda: made.status().lines[0].counters.abandoned == 1)
+        await until(lambda: made.status().upstreams[0].counters.abandoned == 1)
         gate.opened.set()
         expected = encode_rtu(1, bytes.fromhex("03 02 0005"))
         assert await reader.readexactly(len(expected)) == expected
