@@ -11,7 +11,7 @@ from waiting import until
 
 import busway
 from busway.access.rules import AccessKind, Policy, Rule
-from busway.access.rules import RouteAction as Judged
+from busway.access.rules import Action as Judged
 from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
 from busway.codes import Table
