@@ -36,8 +36,7 @@ class Block(Protocol):
     def put(self, position: int, count: int, data: bytes) -> bool | None:
         """Replace ``count`` items from ``position`` (counted from ``first``), safely from any thread.
 
-        True if nothing was replaced, because somebody looks at what is written and the request has to take the long
-        road.
+        True if nothing was replaced, because writes are observed and the request has to take the generic path.
         """
 
 

@@ -1,22 +1,21 @@
-"""The client's side of a TCP connection: calls in, ADUs out, replies matched to what was asked.
+"""The client's side of a TCP connection: calls in, ADUs out, replies matched to their requests.
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.1 and of devices that break them; knows no socket and no clock:
-times are ``now`` in seconds, and whoever drives a session calls `TcpClientSession.tick` at `deadline`.
+times are ``now`` in seconds, and the driver of a session calls `TcpClientSession.tick` at `deadline`.
 
 1. At most ``max_transactions`` requests are in flight; the rest waits in a bounded queue, in the order of `queue`.
-2. A reply belongs to the pending transaction it names, and must fit it in unit, function, length and echo. What fits
-   no pending transaction is dropped and counted; it is never given to another request.
+2. A reply belongs to the pending transaction it names, and must fit it in unit, function, length and echo. A reply that
+   fits no pending transaction is dropped and counted; it is never given to another request.
 3. The identifier of a request that timed out or was cancelled is remembered and not used again while the connection
-   lasts; its late reply is dropped, and tells how slow the device is.
+   lasts; its late reply is dropped, and shows how slow the device is.
 4. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
 5. Where transactions cannot be told apart (policies automatic and ignore), a timeout ends the connection: the next
    reply could be the late one.
-6. A connection that brings nothing but timeouts, or late replies only, is made anew.
-7. A cancelled request keeps its place among those in flight until its reply comes or its time is over: the device is
-   still working on it.
-8. Where units are watched, one that does not answer is not asked for a while, and its requests fail with
-   `UnitSuspended`: one transaction at a time would else be lost to it, and all others wait (`breaker`).
+6. A connection that brings only timeouts or late replies is closed, and opened again at the next request.
+7. A cancelled request keeps its slot until its reply comes or its time is over: the device is still working on it.
+8. With breakers, a unit that does not answer is suspended for a while, and its requests fail with `UnitSuspended`:
+   otherwise every request to it would delay the other units of the connection (`breaker`).
 9. Reads of one call are sent as a pipelined batch, and their replies are taken together when all come in order. Any
    other event splits all batches first (`_split_batches`), so the other rules only deal with single requests.
 """
@@ -44,29 +43,29 @@ _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
 """The usual time of a unit is its slowest lately: each faster reply takes a tenth off."""
 _LAUNCHES_APART = 32
-"""So many times requests fly one by one after replies have come in another order, or one was an exception: to take a
-pipelined batch apart costs a fifth of what its requests cost."""
+"""Sends without batches after replies came in another order, or one was an exception: splitting a batch costs a fifth
+of what its requests cost."""
 _LATE_FACTOR = 2
 _LATE_KNOWN = 60.0
 """Seconds for which a unit that answered too late is called slow."""
-"""A late reply is a sign of life, but where replies run behind for ever (Growatt_ModbusTCP#317) only a new connection
-helps: so many times more timeouts are borne while late replies come."""
+"""How many times more timeouts are tolerated while late replies come: the device is alive then, but if every reply
+stays one behind (Growatt_ModbusTCP#317) only a new connection helps."""
 _NO_DOUBTS: Mapping[int, object] = MappingProxyType({})
 _STEP = 1021
-"""From one identifier to the next; odd, so that all are used. Devices that answer with the identifier of the request
-plus 1 (sunsynk#680) would with a step of 1 hit another request in flight, and give it the wrong data."""
+"""Step from one transaction identifier to the next; odd, so that all are used. Some devices answer with the identifier
+plus 1 (sunsynk#680): with a step of 1 that would name another request in flight, and give it the wrong data."""
 
 
 class TcpClientSession:
-    """One link's conversation, across reconnections.
+    """Client session of one link over TCP; it survives reconnections.
 
     Attributes:
-        counters: what happened.
+        counters: counters of the link.
         finished: calls that have all their outcomes; the driver empties the list.
-        recycle: why the connection must be closed and made anew; empty while it need not.
+        recycle: why the driver must close the connection and open another; empty while it need not.
         late_units: by unit, when its last late reply came and how many seconds it had taken.
         valid_reply: whether this connection has brought a reply that answers a request, in time or late.
-        breakers: which units are not asked; None where units are not watched.
+        breakers: the circuit breakers of the units; None without breakers.
     """
 
     __slots__ = (
@@ -122,20 +121,20 @@ class TcpClientSession:
         self._timeouts_in_row = 0
         self._timeouts_since_reply = 0
         self._foreign_in_row = 0
-        self._launches_apart = 0  # how many more times requests fly one by one
+        self._launches_apart = 0  # how many more sends go without batches
         self.breakers: Breakers | None = None
         self._doubtful: Mapping[int, object] = _NO_DOUBTS  # units that timed out and have not answered since
-        self._pace: dict[int, float] = {}  # seconds that units usually take, where they are watched
+        self._pace: dict[int, float] = {}  # seconds that each unit usually takes; kept only with breakers
 
     def watch_units(self, breakers: Breakers) -> None:
-        """Ask no unit for a while that does not answer."""
+        """Use these circuit breakers for the units of this link."""
         self.breakers = breakers
         self._doubtful = breakers.doubtful
 
-    # What the application asks.
+    # Calls of the application.
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a call. Raises `Overloaded` where the queue is full, `UnitSuspended`; nothing was sent then."""
+        """Queue a call. Raises `Overloaded` if the queue is full, or `UnitSuspended`; nothing was sent then."""
         if self.breakers is not None:
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
@@ -143,10 +142,10 @@ class TcpClientSession:
         self._tracker.submit(call, now)
 
     def cancel(self, call: Call) -> bool:
-        """The caller has gone: nothing more of the call is sent, and what is in flight finishes unseen.
+        """Cancel a call: nothing more of it is sent, and replies to its requests in flight are dropped.
 
         Returns:
-            Whether something of it is in flight.
+            Whether some of its requests are in flight.
         """
         self._split_batches()
         requests_in_flight = [awaited for awaited in self._pending.values() if awaited.call is call]
@@ -156,34 +155,34 @@ class TcpClientSession:
         return bool(requests_in_flight)
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""
+        """Serve the units of each caller in turn: for callers that act for many, such as a client of a gateway."""
         self._queue.units_in_turn = True
         self._queue.burst = BURST
 
     @property
     def has_calls(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether calls wait to be sent."""
         return self._queue.size > 0
 
     @property
     def has_gap(self) -> bool:
-        """Whether what waits may be sent only later: after the connect delay or the request gap."""
+        """Whether waiting calls may be sent only later: after the connect delay or the request gap."""
         return self._connected and self._not_before > 0.0
 
     @property
     def queued(self) -> int:
-        """What waits to be sent: calls, or requests of a gateway's clients."""
+        """How many calls, or requests of a gateway's clients, wait to be sent."""
         return self._queue.waiting
 
     @property
     def in_flight(self) -> int:
-        """Requests whose reply is awaited."""
+        """Number of requests whose reply is awaited."""
         return len(self._pending) + sum(len(batch.places) for batch in self._batches)
 
-    # What the connection reports.
+    # Events of the connection.
 
     def connected(self, now: float) -> None:
-        """A new connection stands."""
+        """Report that a new connection is open."""
         self._connected = True
         self._buffer = StreamBuffer()
         self._expired.clear()
@@ -197,9 +196,9 @@ class TcpClientSession:
         self.counters.connections += 1
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """The connection has ended; what was in flight is repeated or fails, what waits stays in the queue.
+        """Report the end of the connection: requests in flight are repeated or fail, queued calls stay.
 
-        ``lost`` says that it ended by itself.
+        ``lost`` is False if the client itself closed an unused connection.
         """
         if self._connected and lost:
             self.counters.lost_connections += 1
@@ -216,13 +215,13 @@ class TcpClientSession:
         self._pending.clear()
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """No connection could be had: everything that waits fails, at once and with the same reason.
+        """No connection could be opened: fail every waiting call at once with the same reason.
 
         With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
-    # What goes out and comes in.
+    # Sending and receiving.
 
     def transmit(self, now: float) -> list[bytes]:
         """The ADUs to send now, in order; they count as sent at ``now``."""
@@ -231,7 +230,7 @@ class TcpClientSession:
         if not queue.size or not self._connected or self.recycle or not self._free:
             return out
         if self._buffer.kept and not self._pending and not self._batches:
-            # Bytes that answer nothing: the next reply would be read as their continuation.
+            # The buffer holds bytes of an unfinished frame: the next reply would be read as their continuation.
             self._recycle(f"{len(self._buffer.kept)} bytes of an unfinished frame before the request")
             return out
         if now < self._not_before:
@@ -255,7 +254,7 @@ class TcpClientSession:
         return out
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """The ADUs of a call, joined, if nothing waits and all of it may go at once; None: `submit` it."""
+        """Send a call at once and return its ADUs, joined; None if it has to be queued with `submit`."""
         count = len(call.requests)
         if (
             self._queue.size
@@ -280,14 +279,14 @@ class TcpClientSession:
         return adus
 
     def _is_doubted(self, call: Call) -> bool:
-        """Whether the unit is not asked, or only probed."""
+        """Whether the unit is suspended by its breaker, or only probed."""
         return self.breakers is not None and self.breakers.state(call.unit) is not BreakerState.CLOSED
 
     def _may_ask(self, now: float, call: Call) -> bool:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _send(self, call: Call, now: float, out: list[bytes], *, at_most: int) -> None:
-        """Put up to ``at_most`` requests of a call in flight; those of one call leave joined."""
+        """Send up to ``at_most`` requests of a call, joined in one piece of ``out``."""
         if self._doubtful and self._is_doubted(call):
             at_most = 1  # it is a probe
         requests = len(call.requests)
@@ -321,7 +320,7 @@ class TcpClientSession:
         start = self._transaction + _STEP
         stop = start + _STEP * count
         if stop - _STEP <= 0xFFFF:
-            transactions = tuple(range(start, stop, _STEP))  # 0.1 µs less for each request than the other way
+            transactions = tuple(range(start, stop, _STEP))  # 0.1 µs quicker for each request than the slow path below
         else:
             transactions = tuple([one & 0xFFFF for one in range(start, stop, _STEP)])
         if self._expired and not self._expired.keys().isdisjoint(transactions):
@@ -335,7 +334,7 @@ class TcpClientSession:
         return plan.encode(transactions)
 
     def _launch(self, call: Call, position: int, now: float) -> bytes:
-        """Put a request in flight, on a place that is free; its ADU."""
+        """Put one request in flight, on a free slot, and return its ADU."""
         pending, expired = self._pending, self._expired
         route = route_of(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
@@ -351,23 +350,23 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + route.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Seconds to wait for a unit that is watched: fewer for a probe, where it is known what is usual."""
+        """Seconds to wait for a unit with a breaker: less than the timeout for a probe."""
         assert self.breakers is not None
         usual = self._usual(call.unit)
         return self.breakers.asked(call.unit, now, call.timeout, usual or call.timeout)
 
     def _usual(self, unit: int) -> float:
-        """Seconds that a unit usually takes, or else the slowest of the others; 0 if nobody has answered yet."""
+        """Seconds that a unit usually takes, or if unknown the slowest other unit; 0 before any answer."""
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
-        """Take all pipelined batches apart: from here on each of their requests flies by itself."""
+        """Split all pipelined batches into single requests in flight."""
         for batch in self._batches:
             self._pending.update(batch.apart())
         self._batches.clear()
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Work through the first ``size`` bytes of ``buffer``. Calls that are complete are in ``finished``."""
+        """Process the first ``size`` bytes of ``buffer``. Calls completed by them are in ``finished``."""
         if self._buffer.kept:
             joined, size = self._buffer.join(buffer, size)
             data = bytes(joined)
@@ -381,8 +380,8 @@ class TcpClientSession:
         at = good = 0
         if self._batches:
             at = self._receive_batches(data, size, now)
-        # 1.0 µs per reply: one that answers its request is told by the seven bytes behind its transaction, and
-        # `Request.take` makes it of its data. All else goes through _odd_frame.
+        # 1.0 µs per reply: a fitting reply is recognised by the seven bytes after its transaction, and
+        # `Request.take` builds it from its data. Everything else goes through _odd_frame.
         while size - at >= 8:
             transaction = data[at] << 8 | data[at + 1]
             awaited = pending.get(transaction)
@@ -423,7 +422,7 @@ class TcpClientSession:
             self._buffer.keep(data, at, size)
 
     def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
-        """Take replies that come in the order of what was asked; where those end that did.
+        """Match replies to the batches in flight while they come in order. Returns the offset after the last match.
 
         This is the hot path of `execute_many`: 0.5 µs per reply if all of a batch have arrived, 0.9 if only some have.
         """
@@ -467,21 +466,21 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """The calls of several requests of which some are in flight, or are ended while others wait for their turn.
+        """Calls with several requests of which some were sent and others may still wait in the queue.
 
-        One may be named more than once, and others that are in flight may be named too.
+        A call may appear more than once, and single-request calls in flight may appear too.
         """
         if not (self._batches or self._pending or self._queue.begun):
-            return []  # as a rule, where a server answers in one go
+            return []  # the usual case: a server answers all at once
         found = [batch.call for batch in self._batches]
         found += [awaited.call for awaited in self._pending.values() if awaited.call is not None]
         found += self._queue.begun
         return found
 
-    # What time brings.
+    # Timeouts.
 
     def deadline(self) -> float | None:
-        """When `tick` has something to do; None for never."""
+        """When `tick` has something to do, in the clock of ``now``; None for never."""
         times = [awaited.expires for awaited in self._pending.values()]
         times += [batch.expires for batch in self._batches]
         if self._tracker.deadlines:
@@ -499,7 +498,7 @@ class TcpClientSession:
         return min(times, default=None)
 
     def tick(self, now: float) -> None:
-        """End what has run out of time."""
+        """End or repeat requests whose timeout, and calls whose deadline, has passed."""
         self._split_batches()
         for transaction, awaited in list(self._pending.items()):
             call = awaited.call
@@ -515,7 +514,7 @@ class TcpClientSession:
             self._tracker.expire_queue(now, in_flight)
 
     def _timed_out(self, transaction: int, awaited: RequestInFlight, now: float, *, over: bool) -> None:
-        """The reply did not come in time: remember the identifier, and repeat or fail."""
+        """Handle a timeout: remember the identifier, and repeat or fail the request; ``over``: its deadline passed."""
         self._remember(transaction, awaited.sent)
         kept = self._buffer.kept
         is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, awaited, now)
@@ -537,7 +536,7 @@ class TcpClientSession:
             self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
 
     def _unit_is_silent(self, breakers: Breakers, awaited: RequestInFlight, now: float) -> bool:
-        """A unit did not answer; whether it is not asked any more now."""
+        """Report a timeout to the unit's breaker. Returns whether the unit is suspended now."""
         unit, waited = awaited.route.unit, now - awaited.sent
         usual = self._usual(unit)
         if now < awaited.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
@@ -546,7 +545,7 @@ class TcpClientSession:
         return breakers.timed_out(unit, now)
 
     def _fail_suspended(self, now: float) -> None:
-        """What waits for a unit that is not asked any more does not wait for its probe."""
+        """Fail the queued calls of units whose breaker has opened, instead of letting them wait for the probe."""
         breakers = self.breakers
         assert breakers is not None
         in_flight = {(id(one.call), one.position) for one in self._pending.values()}
@@ -557,12 +556,12 @@ class TcpClientSession:
                 self._tracker.give_up(call, now, reason, in_flight)
 
     def _unit_lives(self, unit: int) -> None:
-        """A unit has answered, whatever it said."""
+        """Close the unit's breaker: it has answered, if only with an exception."""
         if self.breakers is not None:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """The usual time of a unit is its slowest lately."""
+        """Update the usual response time of a unit: its slowest lately."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:
@@ -583,10 +582,10 @@ class TcpClientSession:
             )
         return NoReply(f"no reply within {timeout:g} s")
 
-    # What does not simply answer.
+    # Replies that do not fit plainly.
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
-        """Anything but a plainly fitting reply (Messaging on TCP/IP §4.4.1.4)."""
+        """Handle any frame but a plainly fitting reply (Messaging on TCP/IP §4.4.1.4)."""
         self._split_batches()
         awaited = self._pending.get(transaction)
         if awaited is None:
@@ -608,7 +607,7 @@ class TcpClientSession:
         self._free.append(awaited)
         if awaited.call is None:
             self._unit_lives(awaited.route.unit)
-            return  # cancelled: its reply has come, the place is free
+            return  # cancelled: its reply has come, the slot is free
         self._confirm(awaited, awaited.call, protocol, unit, adu, now)
 
     def _confirm(self, awaited: RequestInFlight, call: Call, protocol: int, unit: int, adu: bytes, now: float) -> None:
@@ -636,7 +635,7 @@ class TcpClientSession:
         self._failed(awaited, call, BadReply(reason, raw=adu), now, again=False)
 
     def _accept(self, awaited: RequestInFlight, call: Call, pdu: bytes, now: float) -> None:
-        """Take a reply or an exception that belongs to ``awaited``. Raises `MalformedPdu` where it is broken."""
+        """End ``awaited`` with the reply or exception in ``pdu``. Raises `MalformedPdu` if it is broken."""
         request = call.requests[awaited.position]
         if pdu[0] & 0x80:
             code = decode_exception(pdu).exception
@@ -653,10 +652,10 @@ class TcpClientSession:
         self._tracker.conclude(call, awaited.position, reply)
 
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
-        """The one request in flight, if a reply with a foreign transaction may be taken for its answer."""
+        """The one request in flight, if the mismatch policy accepts a reply with another transaction for it."""
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
-            # Where the connection is to be made anew after a timeout, it may be the late reply of that one.
+            # After a timeout that ends the connection, this may be the late reply to that request.
             return None
         awaited = next(iter(self._pending.values()))
         if policy is MismatchPolicy.AUTOMATIC and (
@@ -679,7 +678,7 @@ class TcpClientSession:
         return True
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
-        """Whether ``unit`` may answer; ``alone`` says that nothing else is in flight."""
+        """Whether the policy accepts a reply of ``unit``; ``alone``: nothing else is in flight."""
         if unit == awaited.route.unit or awaited.route.unit in (0, TCP_DEVICE_UNIT):
             return True
         policy = self.parameters.unit_policy
@@ -687,7 +686,7 @@ class TcpClientSession:
 
     @property
     def _tolerant(self) -> bool:
-        """Whether replies may be taken that do not name their transaction."""
+        """Whether the policy accepts replies with another transaction."""
         return self.parameters.transaction_policy is not MismatchPolicy.STRICT
 
     def _foreign(self, protocol: int) -> None:
@@ -699,7 +698,7 @@ class TcpClientSession:
             self._recycle(f"{self._foreign_in_row} replies in a row that answer nothing asked here")
 
     def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
-        """A length that cannot be: nothing behind it can be read."""
+        """Handle an invalid length field: nothing after it can be decoded, so the connection ends."""
         self._recycle(reason)
         self._split_batches()
         for awaited in list(self._pending.values()):
@@ -709,7 +708,7 @@ class TcpClientSession:
                 self._failed(awaited, awaited.call, BadReply(reason, raw=raw), now, again=False)
         self._pending.clear()
 
-    # How a request ends.
+    # Ends of requests.
 
     def _answered(self, good: int, now: float) -> None:
         self.counters.replies += good
@@ -718,7 +717,7 @@ class TcpClientSession:
         self._start_gap(now)
 
     def _start_gap(self, now: float) -> None:
-        """The device has just spoken: it wants ``request_gap`` before the next request."""
+        """Start the ``request_gap`` that the device needs after its reply."""
         if self.parameters.request_gap:
             self._not_before = now + self.parameters.request_gap
 
@@ -729,7 +728,7 @@ class TcpClientSession:
         self._free.append(awaited)
 
     def _remember(self, transaction: int, sent: float) -> None:
-        """Keep an identifier from being used while its late reply may still come."""
+        """Reserve an identifier while its late reply may still come."""
         if len(self._expired) >= _EXPIRED_LIMIT:
             del self._expired[next(iter(self._expired))]
         self._expired[transaction] = sent

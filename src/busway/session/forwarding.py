@@ -1,14 +1,14 @@
-"""Reads that are handed on: those of one connection that came together go to where they lead in one step.
+"""Fast path of a gateway's listener: the reads that one segment brings are forwarded upstream in one step.
 
-Knows how a read and its answer look on TCP, and the slots of a connection; knows no line and no route.
+Knows the layout of a read and its answer on TCP, and the slots of a connection; knows no line and no route.
 
-1. A read is known by its ten bytes behind the transaction, as those that a server plans are; what they mean is asked
-   of the handler once for all who have the same rights.
-2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). Where none is left, nothing is
-   taken here, and the generic path says so.
-3. Each read that was taken is answered once, by `answer` or `refuse`, with the unit and the transaction it was asked
-   with; or it ends with the connection, and whoever works on it is told.
-4. What goes this road gets the same answers, and is counted as, what goes the long one.
+1. A read is recognised by the ten bytes after its transaction, like the reads of the server's cached path. The handler
+   is asked once what they mean, for all clients with the same rights.
+2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). If none is left, the read goes
+   to the generic path, which answers 06.
+3. Each read taken here is answered once, by `answer` or `refuse`, with the unit and the transaction of its request; or
+   it ends with the connection, and the upstream that works on it is told.
+4. Answers and counters are the same as on the generic path.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,49 +26,49 @@ if TYPE_CHECKING:
     from .slots import TransactionSlots
 
 READ_SIZE = 12
-"""Bytes of a read of one of the four tables."""
+"""Bytes of the ADU of a read (functions 01 to 04)."""
 _READ_LENGTH = b"\0\0\0\6"
 """Protocol and length of such a read."""
 _UNIT_ASKED = 4
-"""Where the unit stands in what a read is known by, and in the head of its answer."""
+"""Offset of the unit in the key of a read, and in the head of its answer."""
 _UNIT_ANSWERED = 6
-"""Where it stands in an ADU."""
+"""Offset of the unit in an ADU."""
 _unit_asked, _unit_answered = itemgetter(_UNIT_ASKED), itemgetter(_UNIT_ANSWERED)
 _LAST_READ = 4
-"""The greatest function code among them."""
+"""The largest function code of these reads."""
 _PLAN_LIMIT = 4096
 DeliverTogether = Callable[[list[bytes]], None]
 """Takes the bytes of late replies to the connection."""
 
 
 class UpstreamReads(Protocol):
-    """Where reads go."""
+    """The upstream that forwarded reads are sent to."""
 
     def ask(self, asker: "ForwardedReads", reads: "list[ForwardedRead]") -> None:
-        """Ask them. Each is answered by ``asker``, perhaps before this returns."""
+        """Send the reads upstream. ``asker`` gets the answer of each, perhaps before this returns."""
 
 
 class AskedUpstream(Protocol):
-    """Something that is asked for a connection."""
+    """An upstream request that answers forwarded reads."""
 
     def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardedRead]":
-        """Reads of a client that have not been answered."""
+        """The reads of a connection that have not been answered."""
 
     def asker_gone(self, asker: "ForwardedReads") -> None:
-        """The client has gone: nobody waits for its reads any more."""
+        """The client disconnected: its reads need no answer any more."""
 
 
 class ForwardPlan:
-    """What becomes of one particular read.
+    """How one particular read is forwarded.
 
     Args:
-        way: where it goes.
-        unit: as which it was asked.
-        request: as it is asked behind, prepared.
+        way: the upstream it is sent to.
+        unit: the unit that the client named.
+        request: the request sent upstream, prepared.
 
     Attributes:
         way, request: as above.
-        head: of its answer, what stands between the transaction and the data.
+        head: the bytes between the transaction and the data of its answer.
     """
 
     __slots__ = ("head", "request", "way")
@@ -76,25 +76,25 @@ class ForwardPlan:
     def __init__(self, way: UpstreamReads, unit: int, request: Request) -> None:
         self.way = way
         self.request = request
-        # Behind the head come the data: the answer is as long as the reply that is expected behind.
+        # The data follow the head: the answer is as long as the reply that is expected from upstream.
         self.head = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
-        """What stands behind the transaction of an exception."""
+        """The bytes after the transaction of an exception reply with this code."""
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
 
 
 ForwardedRead = tuple[bytes, ForwardPlan]
-"""A read that was asked: the two bytes of its transaction, and what becomes of it."""
+"""A read to forward: the two bytes of its transaction, and its plan."""
 
 
 class ForwardPlans:
-    """What is known of reads, by their ten bytes behind the transaction.
+    """Forwarding plans of reads, by the ten bytes after the transaction.
 
     Attributes:
-        known: those that are handed on.
-        others: those that go the generic path.
-        sole_way: the way of all that are known; None where there are several.
+        known: plans of the reads that are forwarded.
+        others: reads that take the generic path.
+        sole_way: the upstream of all known reads; None if there are several.
     """
 
     __slots__ = ("known", "others", "sole_way")
@@ -108,7 +108,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Keep what becomes of a read; None: it goes the generic path."""
+        """Keep the plan of a read; None: it takes the generic path."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -125,28 +125,28 @@ class ForwardPlans:
 
 @runtime_checkable
 class ReadForwarder(Protocol):
-    """A handler that hands reads on."""
+    """A handler that can forward reads in batches."""
 
     def forward_plans(self, context: "RequestContext") -> ForwardPlans:
-        """What is known for whoever has the rights of ``context``, of all units; shared by all who have the same."""
+        """The plans, for all units, that all clients with the same rights as ``context`` share."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """What becomes of a read; None where it has to go the generic path."""
+        """The plan of a read; None if it has to take the generic path."""
 
 
 @lru_cache(maxsize=64)
 def _shape(count: int) -> Struct:
-    """How so many reads lie: the transaction of each, and what it is known by."""
+    """Struct layout of ``count`` reads: transaction and key of each."""
     return Struct("2s10s" * count)
 
 
 class ForwardedReads:
-    """The reads of one connection that are handed on.
+    """The forwarded reads of one connection.
 
     Attributes:
         peer: ``host:port`` of the client.
-        waiting: reads whose answer is still to come.
-        works: what is asked for the connection; whoever asks puts it in and takes it out.
+        waiting: number of reads whose answer is still to come.
+        works: upstream requests that work on its reads; the upstream adds and removes them.
     """
 
     __slots__ = (
@@ -181,7 +181,7 @@ class ForwardedReads:
         self.works: dict[AskedUpstream, None] = {}
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Take the reads that are known from ``at`` on, as many as there are slots; where the first other begins."""
+        """Forward the known reads from ``at`` on, as many as there are slots. Returns where the first other begins."""
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
@@ -211,7 +211,7 @@ class ForwardedReads:
         return at + READ_SIZE * count
 
     def _known_ones(self, fields: tuple[bytes, ...]) -> Iterator[ForwardedRead]:
-        """The reads before the first one that is not known."""
+        """The reads before the first unknown one."""
         for transaction, key in zip(fields[0::2], fields[1::2], strict=True):
             plan = self.plans.known.get(key)
             if plan is None:
@@ -219,7 +219,7 @@ class ForwardedReads:
             yield transaction, plan
 
     def _ask_each(self, reads: list[ForwardedRead]) -> None:
-        """Ask reads that go different ways: those of each way together."""
+        """Send reads to their upstreams, those of each upstream together."""
         by_way: dict[UpstreamReads, list[ForwardedRead]] = {}
         for read in reads:
             by_way.setdefault(read[1].way, []).append(read)
@@ -227,7 +227,7 @@ class ForwardedReads:
             way.ask(self, those)
 
     def answer(self, reads: Sequence[ForwardedRead], data: Sequence[bytes]) -> None:
-        """The data of some reads have come; what is said to the client leaves with `send`."""
+        """Answer reads with their data; the answers leave with `send`."""
         if self._is_open:
             count = len(reads)
             self.waiting -= count
@@ -240,7 +240,7 @@ class ForwardedReads:
             self._ready += adus
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
-        """A read is answered with an exception code, which leaves with `send`."""
+        """Answer a read with an exception code, which leaves with `send`."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
@@ -248,7 +248,7 @@ class ForwardedReads:
             self._ready.append(read[0] + read[1].refusal(code))
 
     def send(self) -> None:
-        """Let go what is ready: what has come together leaves together."""
+        """Send the answers that are ready, together."""
         ready = self._ready
         if ready:
             self._ready = []
@@ -256,7 +256,7 @@ class ForwardedReads:
                 self._deliver(ready)
 
     def close(self) -> None:
-        """The connection has ended: what still waits gets no answer, and its slots are free."""
+        """End with the connection: waiting reads get no answer, and their slots are freed."""
         self._is_open = False
         self._slots.used -= self.waiting
         self.waiting = 0
@@ -268,5 +268,5 @@ class ForwardedReads:
 
 
 def is_read(adu: bytes) -> bool:
-    """Whether a frame is a read of one of the four tables."""
+    """Whether an ADU is a read of one of the four tables (functions 01 to 04)."""
     return len(adu) == READ_SIZE and 0 < adu[7] <= _LAST_READ and adu[2:6] == _READ_LENGTH

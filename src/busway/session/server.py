@@ -1,18 +1,18 @@
-"""The server's side of one TCP connection: requests in, replies out, in the order of obligations.
+"""The server's side of one TCP connection: request bytes in, reply bytes out.
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no device.
 
-1. A frame with a protocol other than 0 is discarded and the stream goes on; a length that cannot be ends the
+1. A frame with a protocol other than 0 is discarded and the stream goes on; an invalid length ends the
    connection (``broken``), after the requests before it were answered.
-2. Order of checks: protocol → slot (06) → function (01) → what the handler says. A service that is finished within
-   its call holds no slot, and the fast path needs none. In listen-only mode there is no answer of any kind.
+2. Order of checks: protocol → slot (exception 06) → function (01) → the handler's outcome. A request that is answered
+   within its call holds no slot, and the fast path needs none. In listen-only mode there is no answer of any kind.
 3. A function code above 127 is discarded: it would be a reply. Function 0 is answered 80 01.
-4. Requests start in order. Replies of deferred requests leave when they are there, each with the unit and the
-   transaction it was asked with, and only while the connection lasts.
+4. Requests start in order. Replies to deferred requests leave when they are ready, each with the unit and the
+   transaction of its request, and only while the connection lasts.
 5. Every request that gets no answer is counted.
-6. Reads that the handler hands on (`ReadForwarder`) go together, as far as they are known, and past the generic path.
-7. With a share, so many requests are worked through in one call, planned reads aside; what came behind them waits
-   (``rest``) until the driver goes on with it.
+6. Known reads that the handler forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
+7. With a share, one call processes at most that many requests, reads on the cached path not counted; bytes after them
+   wait (``rest``) until the driver calls `go_on`.
 """
 
 from collections.abc import Awaitable, Mapping
@@ -34,16 +34,16 @@ from .slots import TransactionSlots
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
-"""A read's transaction, and what it is known by."""
+"""Cuts reads of twelve bytes into the transaction and the ten bytes that are the key of a plan."""
 _MEMO_LIMIT = 256
 _PLAN_LIMIT = 4096
-"""Plans that all connections with the same rights share. A poller of 4096 different ranges is planned whole; whoever
-comes when there is no more room takes the fast path, 1.9 µs for 0.7."""
+"""Most cached read plans of all connections with the same rights: enough for a poller of 4096 different ranges. Reads
+beyond it take the compiled path, 1.9 µs instead of 0.7."""
 _UNIT = 6
-"""Where the unit stands in an ADU."""
+"""Offset of the unit in an ADU."""
 _unit_of = itemgetter(_UNIT)
 _LENGTHS = frozenset(range(MIN_LENGTH, MAX_LENGTH + 1))
-"""What may stand in the length field: one look-up where comparing takes two steps."""
+"""Valid values of the length field: one look-up is quicker than two comparisons."""
 _LEAST_SIZE = 8
 """Bytes of the shortest request."""
 _NO_SHARE = 1 << 62
@@ -51,7 +51,7 @@ _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_E
 
 
 class Deliver(Protocol):
-    """Takes the bytes of a late reply to the connection; none where a request gets no answer."""
+    """Callback that sends the bytes of a late reply; called with no bytes if a request gets no answer."""
 
     def __call__(self, adu: bytes, /) -> None:
         """Send them."""
@@ -59,7 +59,7 @@ class Deliver(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Deferred:
-    """A reply that somebody has to wait for: the driver awaits it and calls ``context.reply``."""
+    """An awaitable reply of a handler: the driver awaits it and calls ``context.reply``."""
 
     context: RequestContext
     awaitable: Awaitable[Message]
@@ -67,26 +67,26 @@ class Deferred:
 
 @dataclass(frozen=True, slots=True)
 class HandlerFailure:
-    """A handler raised something that is no refusal; the client was answered 04."""
+    """An exception raised by a handler other than `Refusal`; the client was answered 04."""
 
     context: RequestContext
     error: Exception
 
 
 class TcpServerSession:
-    """One connection's conversation.
+    """Server session of one TCP connection.
 
     Attributes:
-        broken: why the stream cannot be followed any more; empty while it can. The driver closes the connection.
-        deferred: what the driver has to await; it empties the list.
+        broken: why the stream cannot be decoded any further; empty while it can. The driver closes the connection.
+        deferred: replies that the driver has to await; it empties the list.
         failures: failures of handlers to log; the driver empties the list.
         unfinished: bytes of a frame that has begun and not ended.
         requests: requests received so far.
         discarded: frames that got no answer: foreign protocol, function above 127.
         refused_busy: requests answered 06 because all slots were taken.
-        rest: what came and was not worked through, because the share was used up, or `put_off` was called; at most as
-            much as was handed in. Nothing more may be handed in until `go_on` has left none.
-        spent: requests that the last call worked through, planned reads aside; the driver sets it back to 0.
+        rest: received bytes that are not processed yet, because the share was used up or `put_off` was called; at most
+            as many as were passed in. Do not pass in more before `go_on` has emptied it.
+        spent: requests processed by the last call, reads on the cached path not counted; the driver resets it to 0.
     """
 
     __slots__ = (
@@ -129,15 +129,15 @@ class TcpServerSession:
         role: str | None = None,
         share: int | None = None,
     ) -> None:
-        """A conversation that has not begun.
+        """Create the session of a new connection.
 
         Args:
-            handler: what answers.
+            handler: answers the requests.
             diagnostics: counters and mode of the listener.
-            slots: of requests in work.
-            deliver, deliver_together: take late replies to the connection.
-            peer, listener, role: for the contexts of requests.
-            share: requests that one call works through, planned reads aside; None for all that came.
+            slots: limit of requests that wait for their reply.
+            deliver, deliver_together: send late replies, one or several.
+            peer, listener, role: passed on in the contexts of requests.
+            share: requests that one call processes, reads on the cached path not counted; None for no limit.
         """
         self._handler = handler
         self._diagnostics = diagnostics
@@ -175,12 +175,12 @@ class TcpServerSession:
 
     @property
     def waiting(self) -> int:
-        """Requests whose reply is still to come."""
+        """Number of requests whose reply is still to come."""
         waiting = len(self._waiting) if self._waiting else 0
         return waiting if self._reads is None else waiting + self._reads.waiting
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Work through the first ``size`` bytes of ``buffer``; the ADUs to send, in order."""
+        """Process the first ``size`` bytes of ``buffer``. Returns the ADUs to send, in order."""
         if self.broken:
             return []
         if self.unfinished:
@@ -193,13 +193,13 @@ class TcpServerSession:
             if self._reads is not None and isinstance(self._handler, ReadForwarder):
                 self._reads.plans = self._forwarded(self._handler)
         diagnostics = self._diagnostics
-        muted = diagnostics.listen_only_units  # one is enough: what is silent has no fast path
+        muted = diagnostics.listen_only_units  # one listen-only unit is enough to turn the fast path off
         plans = self._plans if not muted else {}
         out: list[bytes] = []
         at = 0
         if plans and not size % READ_SIZE:
-            # What a poller sends: reads alone, and those that were asked before. Cut by one call, without a copy of
-            # what came, they take 0.47 µs each, of which 0.2 are the answer put together; by the loop below 0.6.
+            # A poller sends only reads, and repeats them. Cut by one call, without copying the buffer, they take
+            # 0.47 µs each, of which 0.2 are for building the answer; by the loop below 0.6.
             for transaction, asked in _cut_reads(memoryview(buffer)[:size]):
                 plan = plans.get(asked)
                 if plan is None:
@@ -212,7 +212,7 @@ class TcpServerSession:
                 return out
         reads = self._reads if not muted else None
         if reads is not None and not (out or size % READ_SIZE):
-            # What a poller sends to a gateway.
+            # A poller's reads that a gateway forwards.
             at = reads.take(buffer, 0, size)
             self.requests += at // READ_SIZE
             if at == size:
@@ -223,10 +223,10 @@ class TcpServerSession:
         learns = self._planner is not None and len(self._plans) < _PLAN_LIMIT
         left = self._share
         last = size - _LEAST_SIZE
-        counted = 0  # of ``out``; those behind are the fast path's, and counted together
-        # The loop below is the hot path of a server whose clients ask in many ways. A read that was asked before needs
-        # one look-up of its ten bytes behind the transaction. Another request of the fast path takes 1.0 µs, of which
-        # the call of the compiled answer is the half.
+        counted = 0  # answers of ``out``; those after them are of the fast path, and counted together
+        # The loop below is the hot path of a server with mixed requests. A read that was asked before needs one look-up
+        # of the ten bytes after its transaction. Another request of the fast path takes 1.0 µs, half of it for the call
+        # of the compiled answer.
         while at <= last:
             plan = plans.get(buffer[at + 2 : at + 12])
             if plan is not None:
@@ -263,7 +263,7 @@ class TcpServerSession:
                             learns = self._learn(unit, buffer[at:end])
                         at = end
                         continue
-                # What went the fast path so far counts before the generic path looks at the counters.
+                # Count the answers of the fast path so far: the generic path may read the counters.
                 if len(out) > counted:
                     self._count(bytes(map(_unit_of, out[counted:])))
                     counted = len(out)
@@ -300,19 +300,19 @@ class TcpServerSession:
         return out
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Take the first ``size`` bytes of ``buffer``, and work through none of them before `go_on`."""
+        """Keep the first ``size`` bytes of ``buffer`` in ``rest``; `go_on` processes them."""
         if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
             self.unfinished = 0
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Work through the rest, as far as a share goes; the ADUs to send, in order."""
+        """Process ``rest``, up to one share. Returns the ADUs to send, in order."""
         rest, self.rest = self.rest, b""
         return self.receive(rest, len(rest))
 
     def close(self) -> None:
-        """The connection has ended: what is still waiting gets no reply, and its slots are free."""
+        """End the session with its connection: waiting requests get no reply, and their slots are freed."""
         self.rest = b""
         if self._reads is not None:
             self._reads.close()
@@ -332,11 +332,11 @@ class TcpServerSession:
         return offers
 
     def _planned(self) -> dict[bytes, ReadPlan]:
-        """The plans that hold for this connection."""
+        """The cached read plans that apply to this connection's rights."""
         return {} if self._planner is None else self._planner.plans(self._context(0, 0, 0))
 
     def _learn(self, unit: int, adu: bytes) -> bool:
-        """Plan a read that was answered, for the next time it is asked; whether there is room for another."""
+        """Cache a plan of a read that was just answered. Returns whether there is room for another."""
         assert self._planner is not None
         plan = self._planner.plan(self._context(unit, adu[7], 0), adu[7:])
         if plan is not None:
@@ -344,14 +344,14 @@ class TcpServerSession:
         return len(self._plans) < _PLAN_LIMIT
 
     def _forwarded(self, handler: ReadForwarder) -> ForwardPlans:
-        """What is known of reads that a handler hands on."""
+        """The forwarding plans that apply to this connection's rights."""
         return handler.forward_plans(self._context(0, 0, 0))
 
     def _can_forward(self, reads: ForwardedReads, unit: int, adu: bytes) -> bool:
-        """Ask, once, what becomes of a read: whether it is handed on from now on."""
+        """Ask the handler for the plan of a new read. Returns whether it is forwarded from now on."""
         key = adu[2:]
         if not is_read(adu) or key in reads.plans or not isinstance(self._handler, ReadForwarder):
-            return False  # where it is known, no slot is left, or it has to go the generic path
+            return False  # a known read comes here if no slot is left, or it needs the generic path
         plan = self._handler.forward_plan(self._context(unit, adu[7], 0), adu[7:])
         reads.plans.learn(key, plan)
         return plan is not None
@@ -361,7 +361,7 @@ class TcpServerSession:
             self._deliver(adu)
 
     def _count(self, units: bytes | bytearray) -> None:
-        """Count requests that the fast path has answered: the unit of each."""
+        """Count requests that the fast path has answered, given the unit of each."""
         direct = len(units)
         self.requests += direct
         exchanged = self._diagnostics.exchanged
@@ -385,7 +385,7 @@ class TcpServerSession:
         )
 
     def _generic_path(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """Decode, hand to the handler, encode. Empty where there is no answer, or not yet."""
+        """Decode a request, call the handler, encode the reply. Empty if there is no answer, or not yet."""
         function = pdu[0]
         if function > 0x7F:
             self.discarded += 1
@@ -437,7 +437,7 @@ class TcpServerSession:
             return ExceptionResponse(context.function, ExceptionCode.SERVER_DEVICE_FAILURE)
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """A late reply has come, by `RequestContext.reply`."""
+        """Send a late reply that was given to `RequestContext.reply`."""
         if self._waiting and context in self._waiting:
             self._waiting.discard(context)
             self._slots.used -= 1
@@ -445,7 +445,7 @@ class TcpServerSession:
             self._deliver(self._encode(context, reply))
         else:
             context.diagnostics.kept_silent()
-            self._deliver(b"")  # nothing is sent, but a client that has closed its half may wait for nothing else
+            self._deliver(b"")  # sends nothing, but lets the driver close a half-closed connection
 
     def _encode(self, context: RequestContext, reply: Message) -> bytes:
         diagnostics = context.diagnostics
