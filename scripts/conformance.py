@@ -43,13 +43,13 @@ class Claim:
     Attributes:
         name: of the class.
         verdict: one of the three.
-        profile: the clauses of which a default deviates, so that the profile has to be chosen.
+        preset: the clauses of which a default deviates, so that the preset has to be chosen.
         musts, shoulds: the clauses that do not hold, or not whole.
     """
 
     name: str
     verdict: str
-    profile: tuple[str, ...]
+    preset: tuple[str, ...]
     musts: tuple[str, ...]
     shoulds: tuple[str, ...]
 
@@ -116,10 +116,10 @@ def _claim(kind: dict[str, Any], data: dict[str, Any]) -> Claim:
         if id_ in concerning and _concerns(one, kind, id_)
     ]
     failing = {(id_, one.get("word")) for id_, one in concerning.items() if one["state"] != "done"}
-    failing |= {(id_, one.get("word", concerning[id_].get("word"))) for id_, one in deviating if "profile" not in one}
+    failing |= {(id_, one.get("word", concerning[id_].get("word"))) for id_, one in deviating if "preset" not in one}
     musts, shoulds = (tuple(id_ for id_ in concerning if (id_, word) in failing) for word in ("must", "should"))
     verdict = NONE if musts else CONDITIONAL if shoulds else UNCONDITIONAL
-    ended = {id_ for id_, one in deviating if "profile" in one}
+    ended = {id_ for id_, one in deviating if "preset" in one}
     return Claim(kind["name"], verdict, tuple(id_ for id_ in concerning if id_ in ended), musts, shoulds)
 
 
@@ -132,8 +132,8 @@ def _claims(data: dict[str, Any]) -> list[str]:
     lines = ["| class | claim | musts that do not hold | shoulds that do not hold |", "| --- | --- | --- | --- |"]
     for one in claims(data):
         claim = one.verdict
-        if one.verdict != NONE and one.profile:
-            claim += f" with the profile `strict`; the defaults deviate from {', '.join(one.profile)}"
+        if one.verdict != NONE and one.preset:
+            claim += f" with the preset `strict`; the defaults deviate from {', '.join(one.preset)}"
         lines.append(f"| {one.name} | {claim} | {', '.join(one.musts)} | {', '.join(one.shoulds)} |")
     return lines
 

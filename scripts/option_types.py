@@ -15,7 +15,7 @@ from marked import ROOT, update
 
 from busway.client.management import ManagementParameters
 from busway.framing.timing import Parity
-from busway.options.presets import Profile
+from busway.options.presets import Preset
 from busway.options.text import ALIASES
 from busway.server.parameters import ListenerParameters
 from busway.session.breaker import BreakerParameters
@@ -113,7 +113,7 @@ def link_options() -> str:
     """``client/option_types.py``."""
     source = Source("client")
     keys = source.keys(LINKS, without=OF_SERVERS)
-    keys["profile"] = source.text(Profile)
+    keys["preset"] = source.text(Preset)
     keys |= {alias: keys[name] for alias, name in ALIASES.items()}
     return source.render(
         "LinkOptions",
@@ -127,7 +127,7 @@ def server_options() -> str:
     """``server/option_types.py``."""
     source = Source("server")
     keys = source.keys(SERVERS)
-    keys["profile"] = source.text(Profile)
+    keys["preset"] = source.text(Preset)
     keys["standard_port"] = "bool"
     return source.render(
         "ServerOptions",

@@ -72,11 +72,11 @@ def test_clauses_of_others_do_not_count() -> None:
     assert claimed(clauses).verdict == MODULE.UNCONDITIONAL
 
 
-def test_a_deviation_that_the_profile_ends_is_named_and_one_that_nothing_ends_counts() -> None:
+def test_a_deviation_that_the_preset_ends_is_named_and_one_that_nothing_ends_counts() -> None:
     clauses = [clause("S1", "must"), clause("S2", "should"), clause("S3", "must")]
-    ended = {"clause": "S1, section 2: this", "profile": ["option"]}
+    ended = {"clause": "S1, section 2: this", "preset": ["option"]}
     claim = claimed(clauses, [ended])
-    assert (claim.verdict, claim.profile) == (MODULE.UNCONDITIONAL, ("S1",))
+    assert (claim.verdict, claim.preset) == (MODULE.UNCONDITIONAL, ("S1",))
     assert claimed(clauses, [ended, {"clause": "S2: that"}]).verdict == MODULE.CONDITIONAL
     assert claimed(clauses, [{"clause": "S3: that"}]).verdict == MODULE.NONE
     assert claimed(clauses, [{"clause": "S3: that", "word": "should"}]).verdict == MODULE.CONDITIONAL

@@ -167,9 +167,9 @@ def test_the_times_of_a_line_are_those_of_its_settings() -> None:
     assert ascii_line.port.data_bits == 7
 
 
-def test_a_listener_hears_by_the_profile_too() -> None:
-    assert line_to_hear("rtu:///dev/ttyS0?profile=strict").framing.strict_timing
-    assert line_to_hear("ascii+udp://:4001?profile=strict").framing.upper_case_only
+def test_a_listener_hears_by_the_preset_too() -> None:
+    assert line_to_hear("rtu:///dev/ttyS0?preset=strict").framing.strict_timing
+    assert line_to_hear("ascii+udp://:4001?preset=strict").framing.upper_case_only
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_a_listener_hears_by_the_profile_too() -> None:
         ("rtu+tcp://10.0.0.5:4001?strict_timing=on", "strict_timing: unknown option"),
         ("rtu:///dev/ttyS0?delimiter=3", "delimiter: unknown option"),
         ("rtu:///dev/ttyS0?port_wait=3", "port_wait: unknown option"),
-        ("rtu:///dev/ttyS0?profile=strict&mark_errors=off", "mark_errors: does not go with the profile"),
+        ("rtu:///dev/ttyS0?preset=strict&mark_errors=off", "mark_errors: does not go with the preset"),
         ("rtu:///dev/ttyS0?baud=12", "baud"),
         ("rtu:///dev/ttyS0?timeout=2", "timeout: unknown option"),
         ("rtu+tcp://10.0.0.5:4001?baud=9600", "baud: unknown option"),

@@ -1,4 +1,4 @@
-"""The profile ``strict``: every must where a default of ours deviates, and nothing that contradicts it."""
+"""The preset ``strict``: every must where a default of ours deviates, and nothing that contradicts it."""
 
 import tomllib
 from collections.abc import Iterator
@@ -16,15 +16,15 @@ from busway.options.presets import (
     STRICT_LINKS,
     STRICT_SERVERS,
     STRICT_TLS_LISTENERS,
-    Profile,
-    profile_of,
+    Preset,
+    preset_of,
 )
 from busway.server.device import Device
 from busway.server.listener import Listener
 from busway.server.listener_settings import listener_settings
 from busway.server.local import LocalHandler, UnitPolicy, UnlistedUnit
 from busway.server.parameters import ListenerParameters
-from busway.server.strict import STANDARD_PORT, with_server_profile
+from busway.server.strict import STANDARD_PORT, with_server_preset
 from busway.session.parameters import MismatchPolicy, Scope, TransactionScope
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,16 +47,16 @@ def settings_in(parts: object) -> Iterator[tuple[str, object]]:
 
 @pytest.mark.clause("S21")
 @pytest.mark.parametrize("deviation", DATA["deviation"], ids=lambda one: str(one["clause"])[:12])
-def test_every_deviation_that_an_option_ends_is_ended_by_the_profile(deviation: dict[str, Any]) -> None:
-    assert ("profile" in deviation) != (deviation["option"] == "none"), "an option ends it, so the profile has to"
-    for option in deviation.get("profile", ()):
+def test_every_deviation_that_an_option_ends_is_ended_by_the_preset(deviation: dict[str, Any]) -> None:
+    assert ("preset" in deviation) != (deviation["option"] == "none"), "an option ends it, so the preset has to"
+    for option in deviation.get("preset", ()):
         assert option in EVERYWHERE
         assert f"`{option}" in deviation["option"]
 
 
 @pytest.mark.clause("S21")
-def test_whatever_the_profile_changes_is_stated_as_a_deviation() -> None:
-    stated = {option for one in DATA["deviation"] for option in one.get("profile", ())}
+def test_whatever_the_preset_changes_is_stated_as_a_deviation() -> None:
+    stated = {option for one in DATA["deviation"] for option in one.get("preset", ())}
     defaults = {**dict(settings_in(link_settings("tcp://h", {})))}
     for url in URLS:
         defaults |= dict(settings_in(link_settings(url, {})))
@@ -72,9 +72,9 @@ def test_whatever_the_profile_changes_is_stated_as_a_deviation() -> None:
 
 @pytest.mark.clause("S21")
 @pytest.mark.parametrize("url", URLS)
-def test_a_link_has_every_setting_of_the_profile_that_its_scheme_has(url: str) -> None:
-    plain, strict = (dict(settings_in(link_settings(url, options))) for options in ({}, {"profile": "strict"}))
-    in_url = dict(settings_in(link_settings(f"{url}?profile=strict", {})))
+def test_a_link_has_every_setting_of_the_preset_that_its_scheme_has(url: str) -> None:
+    plain, strict = (dict(settings_in(link_settings(url, options))) for options in ({}, {"preset": "strict"}))
+    in_url = dict(settings_in(link_settings(f"{url}?preset=strict", {})))
     assert {**in_url, "endpoint": None, "options": None} == {**strict, "endpoint": None, "options": None}
     for setting in STRICT_LINKS:
         refused = False
@@ -105,35 +105,35 @@ def test_a_link_has_every_setting_of_the_profile_that_its_scheme_has(url: str) -
         ("ascii:///dev/x", "data_bits", "8"),
     ],
 )
-def test_an_option_that_contradicts_the_profile_is_refused_by_name(url: str, option: str, value: object) -> None:
-    with pytest.raises(ConfigError, match=f"{option}: does not go with the profile strict, which needs"):
-        link_settings(url, {"profile": "strict", option: value})
-    link_settings(url, {"profile": "standard", option: value})
+def test_an_option_that_contradicts_the_preset_is_refused_by_name(url: str, option: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=f"{option}: does not go with the preset strict, which needs"):
+        link_settings(url, {"preset": "strict", option: value})
+    link_settings(url, {"preset": "standard", option: value})
 
 
 @pytest.mark.clause("S21")
-def test_what_agrees_with_the_profile_or_is_left_to_the_user_may_be_given_beside_it() -> None:
+def test_what_agrees_with_the_preset_or_is_left_to_the_user_may_be_given_beside_it() -> None:
     settings = link_settings(
-        "tcp://h?profile=STRICT&single_adu_segments=yes", {"connect_timeout": 2, "unit_policy": "strict"}
+        "tcp://h?preset=STRICT&single_adu_segments=yes", {"connect_timeout": 2, "unit_policy": "strict"}
     )
     assert settings.parameters.single_adu_segments
     assert settings.sockets.connect_timeout == 2.0
     assert settings.sockets.keepalive_idle == 7200
     assert settings.parameters.scope is TransactionScope.CLIENT
-    line = link_settings("rtu:///dev/x?parity=none&stop_bits=2", {"profile": Profile.STRICT}).line
+    line = link_settings("rtu:///dev/x?parity=none&stop_bits=2", {"preset": Preset.STRICT}).line
     assert line is not None
     assert line.framing.strict_timing
 
 
-def test_a_profile_that_is_not_there_is_refused() -> None:
-    with pytest.raises(ConfigError, match="profile: must be one of standard, strict, not 'lax'"):
-        link_settings("tcp://h?profile=lax", {})
-    with pytest.raises(ConfigError, match="profile: must be one of"):
-        busway.serve(units=Device(coils=1), profile="lax")
-    assert profile_of(None) is Profile.STANDARD
+def test_a_preset_that_is_not_there_is_refused() -> None:
+    with pytest.raises(ConfigError, match="preset: must be one of standard, strict, not 'lax'"):
+        link_settings("tcp://h?preset=lax", {})
+    with pytest.raises(ConfigError, match="preset: must be one of"):
+        busway.serve(units=Device(coils=1), preset="lax")
+    assert preset_of(None) is Preset.STANDARD
 
 
-def test_the_reference_lists_every_setting_of_the_profile() -> None:
+def test_the_reference_lists_every_setting_of_the_preset() -> None:
     page = (ROOT / "docs" / "reference" / "defaults.md").read_text(encoding="utf-8")
     for setting in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_TLS_LISTENERS, *STRICT_SERVERS):
         value = "on" if setting.value is True else setting.value
@@ -145,9 +145,9 @@ def test_the_reference_lists_every_setting_of_the_profile() -> None:
 
 
 @pytest.mark.clause("S21")
-def test_a_strict_server_has_every_setting_of_the_profile() -> None:
+def test_a_strict_server_has_every_setting_of_the_preset() -> None:
     server = busway.serve(
-        "tcp://127.0.0.1:5020", "rtu:///dev/x", units={1: Device(coils=1)}, profile="strict", max_transactions=4
+        "tcp://127.0.0.1:5020", "rtu:///dev/x", units={1: Device(coils=1)}, preset="strict", max_transactions=4
     )
     handler, parameters = server._handler, server._parameters
     assert isinstance(handler, LocalHandler)
@@ -176,17 +176,17 @@ def test_a_strict_server_has_every_setting_of_the_profile() -> None:
     ],
 )
 def test_a_strict_server_refuses_what_contradicts_it_by_name(options: dict[str, Any], key: str) -> None:
-    with pytest.raises(ConfigError, match=f"{key}: does not go with the profile strict"):
-        busway.serve(units={1: Device(coils=1)}, profile="strict", **options)
+    with pytest.raises(ConfigError, match=f"{key}: does not go with the preset strict"):
+        busway.serve(units={1: Device(coils=1)}, preset="strict", **options)
 
 
 @pytest.mark.clause("S21")
 async def test_a_strict_server_and_a_strict_client_converse() -> None:
     device = Device(holding_registers=[7] * 10)
-    strict: dict[str, Any] = {"profile": "strict", "standard_port": False}
+    strict: dict[str, Any] = {"preset": "strict", "standard_port": False}
     async with (
         busway.serve("tcp://127.0.0.1:0", units={1: device}, **strict) as server,
-        busway.open(server.endpoints[0] + "?profile=strict", timeout=10, retries=0) as link,
+        busway.open(server.endpoints[0] + "?preset=strict", timeout=10, retries=0) as link,
     ):
         assert await link.unit(1).read_holding_registers(0, count=2) == [7, 7]
         await link.unit(1).write_multiple_registers(0, [1, 2])
@@ -196,7 +196,7 @@ async def test_a_strict_server_and_a_strict_client_converse() -> None:
             await link.unit(2).read_holding_registers(0, count=1, timeout=0.2)
 
 
-def test_a_server_without_a_profile_is_as_it_was() -> None:
+def test_a_server_without_a_preset_is_as_it_was() -> None:
     server = busway.serve(units={1: Device(coils=1)}, unit_policy=UnitPolicy.LISTED)
     assert isinstance(server._handler, LocalHandler)
     assert not server._handler._silent
@@ -205,24 +205,24 @@ def test_a_server_without_a_profile_is_as_it_was() -> None:
 
 
 @pytest.mark.clause("S21")
-def test_the_url_of_a_listener_on_a_line_takes_the_profile() -> None:
+def test_the_url_of_a_listener_on_a_line_takes_the_preset() -> None:
     def made(url: str) -> Any:
         return listener_settings(Listener(url), limits=ListenerParameters())
 
-    assert made("rtu:///dev/x?profile=strict").framing.strict_timing
-    assert made("ascii:///dev/x?profile=strict").framing.upper_case_only
-    assert not made("rtu+tcp://:1?profile=strict").framing.strict_timing  # a network has no times between characters
-    with pytest.raises(ConfigError, match="strict_timing: does not go with the profile"):
-        made("rtu:///dev/x?profile=strict&strict_timing=off")
+    assert made("rtu:///dev/x?preset=strict").framing.strict_timing
+    assert made("ascii:///dev/x?preset=strict").framing.upper_case_only
+    assert not made("rtu+tcp://:1?preset=strict").framing.strict_timing  # a network has no times between characters
+    with pytest.raises(ConfigError, match="strict_timing: does not go with the preset"):
+        made("rtu:///dev/x?preset=strict&strict_timing=off")
     with pytest.raises(ConfigError, match=r"unknown option .* there are none"):
-        made("tcp://:1?profile=strict")  # of the server, not of one of its listeners
+        made("tcp://:1?preset=strict")  # of the server, not of one of its listeners
 
 
 @pytest.mark.clause("S21")
-@pytest.mark.parametrize("text", ['profile = "strict"', 'profile = "strict"\nunlisted = "silence"'])
-def test_a_file_chooses_the_profile_of_its_server(text: str) -> None:
+@pytest.mark.parametrize("text", ['preset = "strict"', 'preset = "strict"\nunlisted = "silence"'])
+def test_a_file_chooses_the_preset_of_its_server(text: str) -> None:
     file = parse_device_file(f"[server]\n{text}\n[[unit]]\nunit = 1\ncoils = 1\n", "plant.toml")
-    assert file.server.options()["profile"] == "strict"
+    assert file.server.options()["preset"] == "strict"
     assert "unit_policy" not in file.server.options()
 
 
@@ -241,7 +241,7 @@ def test_a_file_chooses_the_profile_of_its_server(text: str) -> None:
     ],
 )
 def test_502_is_listened_on_beside_another_port_once_for_each_host(places: list[str], expected: list[str]) -> None:
-    found, left = with_server_profile(places, {STANDARD_PORT: "on", "other": 1}, takes=())
+    found, left = with_server_preset(places, {STANDARD_PORT: "on", "other": 1}, takes=())
     added = [one for one in found if isinstance(one, Listener)]
     assert [str(one.endpoint) for one in added] == expected
     assert left == {"other": 1}
@@ -251,7 +251,7 @@ def test_502_is_listened_on_beside_another_port_once_for_each_host(places: list[
 def test_a_strict_server_listens_on_502_unless_that_is_switched_off_by_name() -> None:
     units = {1: Device(coils=1)}
     for options, count in (({}, 2), ({"standard_port": False}, 1)):
-        server = busway.serve("tcp://127.0.0.1:5020", units=units, profile="strict", **options)
+        server = busway.serve("tcp://127.0.0.1:5020", units=units, preset="strict", **options)
         assert len(server._settings) == count
     assert len(busway.serve("tcp://127.0.0.1:5020", units=units, standard_port=True)._settings) == 2
 
@@ -262,7 +262,7 @@ def test_the_listener_on_502_has_access_rules_and_limits_of_the_one_it_stands_be
         return False
 
     beside = Listener("tcp://127.0.0.1:5020", access=nobody, limits=ListenerParameters(max_connections=3))
-    found, _ = with_server_profile([beside], {"profile": "strict"}, takes=())
+    found, _ = with_server_preset([beside], {"preset": "strict"}, takes=())
     added = found[1]
     assert isinstance(added, Listener)
     assert added.access is nobody

@@ -433,10 +433,10 @@ def test_a_client_refuses_a_revoked_server_and_says_why(store: Store, operator: 
 
 @pytest.mark.clause("M3")
 @pytest.mark.parametrize("strict", [False, True], ids=["standard", "strict"])
-def test_a_certificate_that_does_not_say_what_it_is_for_is_refused_by_the_profile_strict(
+def test_a_certificate_that_does_not_say_what_it_is_for_is_refused_by_the_preset_strict(
     store: Store, server_files: CertificateFiles, operator: CertificateFiles, strict: bool
 ) -> None:
-    options = {"profile": "strict", "standard_port": False} if strict else {}
+    options = {"preset": "strict", "standard_port": False} if strict else {}
     files = store.client_without_purpose()
     with busway.serve_in_thread(f"tls://127.0.0.1:0?{server_files.query()}", units=device(), **options) as server:
         heard = try_to_read(port_of(server), foreign_context(files, files))
@@ -446,10 +446,10 @@ def test_a_certificate_that_does_not_say_what_it_is_for_is_refused_by_the_profil
         assert try_to_read(port_of(server), foreign_context(operator, operator)) == REPLY.hex()
 
 
-def test_an_option_that_contradicts_the_profile_is_refused(server_files: CertificateFiles) -> None:
+def test_an_option_that_contradicts_the_preset_is_refused(server_files: CertificateFiles) -> None:
     url = f"tls://127.0.0.1:0?{server_files.query()}&require_purpose=off"
-    with pytest.raises(ConfigError, match="require_purpose: does not go with the profile strict"):
-        busway.serve(url, units=device(), profile="strict", standard_port=False)
+    with pytest.raises(ConfigError, match="require_purpose: does not go with the preset strict"):
+        busway.serve(url, units=device(), preset="strict", standard_port=False)
 
 
 def test_an_address_that_is_refused_never_gets_to_a_handshake(server_files: CertificateFiles) -> None:

@@ -77,12 +77,12 @@ def links(**options: "busway.LinkOptions") -> None:
     busway.connect("tcp://10.0.0.5", timeout=2, retries=0, hold="request", user_timeout=None)
     busway.connect("rtu:///dev/ttyUSB0", baud=9600, parity="none", stop_bits=1, echo="automatic")
     busway.connect("rtu:///dev/ttyUSB0", baudrate=9600, bytesize=8, parity="N", stopbits=1)
-    busway.open("tls://10.0.0.5", authority="ca.pem", server_name="plc", profile="strict", shared=False)
+    busway.open("tls://10.0.0.5", authority="ca.pem", server_name="plc", preset="strict", shared=False)
     busway.connect("tcp://10.0.0.5", select="oldest")
 
 
 def servers(device: busway.Device) -> None:
-    busway.serve("tcp://127.0.0.1:5020", units={1: device}, max_connections=3, unlisted="silence", profile="strict")
+    busway.serve("tcp://127.0.0.1:5020", units={1: device}, max_connections=3, unlisted="silence", preset="strict")
     busway.serve(units=device, unit_policy="any", idle_timeout=None, policy=busway.Policy.read_only())
     with busway.serve_in_thread("tcp://127.0.0.1:0", units=device, keepalive=False) as server:
         assert_type(server.endpoints, list[str])

@@ -59,7 +59,7 @@ def options(device: busway.Device) -> None:
     busway.connect("rtu:///dev/ttyUSB0", baud="9600")  # wrong: a text
     busway.connect("tcp://h", select="newest")  # wrong: no such rule
     busway.connect("tcp://h", True)  # wrong: options are named
-    busway.open("tcp://h", profile="lax")  # wrong: no such profile
+    busway.open("tcp://h", preset="lax")  # wrong: no such preset
     busway.open(502)  # wrong: no endpoint
     busway.serve(units={1: "x"})  # wrong: no device
     busway.serve(units={"1": device})  # wrong: a text as a unit

@@ -7,7 +7,7 @@ from typing import Literal, TypedDict
 
 from ..framing.echo import Echo
 from ..framing.timing import Parity
-from ..options.presets import Profile
+from ..options.presets import Preset
 from ..session.parameters import MismatchPolicy, TransactionScope
 from ..transport.serial.settings import Rs485
 from ..transport.tls.parameters import Curve, TlsVersion, Verify
@@ -92,7 +92,7 @@ class LinkOptions(TypedDict, total=False):
     reopen_first: float
     reopen_most: float
     precise_timing: bool
-    profile: Profile | Literal["standard", "strict"]
+    preset: Preset | Literal["standard", "strict"]
     baudrate: int
     bytesize: int
     stopbits: int | None

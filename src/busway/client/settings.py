@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.presets import OPTION, STRICT_LINKS, with_profile
+from ..options.presets import OPTION, STRICT_LINKS, with_preset
 from ..options.text import build_parameters, canonical, option_names, unknown_option
 from ..session.breaker import OPEN_AFTER_BY_FRAMING, BreakerParameters
 from ..session.line_framing import FramingParameters
@@ -115,7 +115,7 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
     given = {**canonical(endpoint.options), **canonical(options)}
-    for name, value in with_profile(given, STRICT_LINKS, takes=_names_of(offered)).items():
+    for name, value in with_preset(given, STRICT_LINKS, takes=_names_of(offered)).items():
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:
             raise unknown_option(name, options_of(endpoint), of=endpoint.url)

@@ -21,7 +21,7 @@ from ..framing.conversation import Role
 from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.presets import OPTION, STRICT_LINE_LISTENERS, with_profile
+from ..options.presets import OPTION, STRICT_LINE_LISTENERS, with_preset
 from ..options.text import build_parameters, canonical, option_names, unknown_option
 from ..session.line_framing import FramingParameters, line_framing
 from ..transport.serial.blocking import BlockingSerialPort
@@ -184,7 +184,7 @@ class _ClaimedPort:
 def line_to_hear(url: str | Endpoint) -> LineToHear:
     """The line of a URL: ``rtu:///dev/…``, ``rtu+tcp://host:port``, ``rtu+udp://:port``, and the same of ``ascii``.
 
-    Options behind ``?`` are ``profile``, fields of `FramingParameters`, and those of `SerialSettings` with
+    Options behind ``?`` are ``preset``, fields of `FramingParameters`, and those of `SerialSettings` with
     ``reopen_first`` and ``reopen_most`` of `OpeningParameters`; over TCP those of `SocketParameters`, over UDP only its
     ``receive_buffer``. The host of a UDP URL is one of this machine, empty for every IPv4 address of it.
 
@@ -199,7 +199,7 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
     offered = _offered(endpoint)
     chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
     takes = {name for names in offered.values() for name in names}
-    for name, value in with_profile(canonical(endpoint.options), STRICT_LINE_LISTENERS, takes=takes).items():
+    for name, value in with_preset(canonical(endpoint.options), STRICT_LINE_LISTENERS, takes=takes).items():
         owner = next((kind for kind, names in offered.items() if name in names), None)
         if owner is None:
             raise unknown_option(name, {*takes, OPTION}, of=endpoint.url)

@@ -3,7 +3,7 @@
 Knows names and values of options, and the clause that requires each; knows no component. The meaning of an option is
 documented where it is declared.
 
-1. A preset is chosen with ``profile="strict"``, or ``?profile=strict`` in a URL. It sets the options listed here that
+1. A preset is chosen with ``preset="strict"``, or ``?preset=strict`` in a URL. It sets the options listed here that
    the scheme has, and leaves all others alone.
 2. An option given beside the preset with another value is refused by name. Where a specification leaves the figure to
    the user it is *adaptable*: the preset supplies a default, and an explicit value replaces it.
@@ -20,11 +20,11 @@ from ..framing.timing import Parity, stop_bits_for
 from ..framing.word import Word
 from .text import converted
 
-OPTION: Final = "profile"
+OPTION: Final = "preset"
 """The name of the option that chooses a preset."""
 
 
-class Profile(Word):
+class Preset(Word):
     """The presets. STANDARD: the defaults. STRICT: every "must" of the specifications."""
 
     STANDARD = "standard"
@@ -91,24 +91,24 @@ STRICT_SERVERS: Final = (
 """Settings of a server, for all its listeners, under the preset ``strict``."""
 
 
-def profile_of(value: object) -> Profile:
+def preset_of(value: object) -> Preset:
     """The preset named by an option's value; None means the standard one. Raises `ConfigError`."""
     if value is None:
-        return Profile.STANDARD
-    if isinstance(value, Profile):
+        return Preset.STANDARD
+    if isinstance(value, Preset):
         return value
     try:
-        return Profile(value)
+        return Preset(value)
     except ValueError:
-        allowed = ", ".join(str(one.value) for one in Profile)
+        allowed = ", ".join(str(one.value) for one in Preset)
         raise ConfigError(f"must be one of {allowed}, not {value!r}", key=OPTION) from None
 
 
-def with_profile(given: Mapping[str, object], strict: Iterable[Setting], *, takes: Container[str]) -> dict[str, object]:
-    """Replace the option ``profile`` by the options that it sets.
+def with_preset(given: Mapping[str, object], strict: Iterable[Setting], *, takes: Container[str]) -> dict[str, object]:
+    """Replace the option ``preset`` by the options that it sets.
 
     Args:
-        given: options by name, with or without ``profile``.
+        given: options by name, with or without ``preset``.
         strict: the settings of ``strict`` for this component.
         takes: the options that the component has; the others are left out.
 
@@ -116,7 +116,7 @@ def with_profile(given: Mapping[str, object], strict: Iterable[Setting], *, take
         ConfigError: there is no such preset, or an option contradicts it.
     """
     options = dict(given)
-    if profile_of(options.pop(OPTION, None)) is Profile.STANDARD:
+    if preset_of(options.pop(OPTION, None)) is Preset.STANDARD:
         return options
     for setting in (*strict, *_characters(options, takes)):
         if setting.option not in takes:
@@ -125,7 +125,7 @@ def with_profile(given: Mapping[str, object], strict: Iterable[Setting], *, take
             options[setting.option] = setting.value
         elif not setting.adaptable and not _agrees(options[setting.option], setting):
             raise ConfigError(
-                f"does not go with the profile strict, which needs {_shown(setting.value)} ({setting.clause})",
+                f"does not go with the preset strict, which needs {_shown(setting.value)} ({setting.clause})",
                 key=setting.option,
             )
     return options

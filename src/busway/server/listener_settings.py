@@ -12,7 +12,7 @@ from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.presets import OPTION, STRICT_LINE_LISTENERS, STRICT_TLS_LISTENERS, with_profile
+from ..options.presets import OPTION, STRICT_LINE_LISTENERS, STRICT_TLS_LISTENERS, with_preset
 from ..options.text import build_parameters, canonical, option_names, unknown_option
 from ..pdu.functions import FunctionTable
 from ..session.line_framing import FramingParameters, LineFraming, line_framing
@@ -85,7 +85,7 @@ def listener_settings(
     given: Mapping[str, object] = canonical(endpoint.options)
     strict = STRICT_TLS_LISTENERS if endpoint.carrier == "tls" else STRICT_LINE_LISTENERS
     if endpoint.carrier == "tls" or endpoint.framing != "mbap":
-        given = with_profile(given, strict, takes={name for names in offered.values() for name in names})
+        given = with_preset(given, strict, takes={name for names in offered.values() for name in names})
     for name, value in given.items():
         kind = next((kind for kind, names in offered.items() if name in names), None)
         if kind is None:

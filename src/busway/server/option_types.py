@@ -6,7 +6,7 @@ Written by ``scripts/option_types.py`` from the parameter classes, which say wha
 from typing import Literal, TypedDict
 
 from ..access.networks import Networks
-from ..options.presets import Profile
+from ..options.presets import Preset
 from ..session.parameters import Scope
 
 
@@ -42,5 +42,5 @@ class ServerOptions(TypedDict, total=False):
     receive_buffer: int | None
     send_buffer: int | None
     local_address: str | None
-    profile: Profile | Literal["standard", "strict"]
+    preset: Preset | Literal["standard", "strict"]
     standard_port: bool

@@ -22,7 +22,7 @@ from .local import LocalHandler, UnitPolicy, UnlistedUnit
 from .loops import run as run_on_new_loop
 from .parameters import ListenerParameters
 from .server import Server, ServerStatus
-from .strict import STANDARD_PORT, with_server_profile
+from .strict import STANDARD_PORT, with_server_preset
 
 if TYPE_CHECKING:
     from ..access.audit import AuditLog
@@ -85,16 +85,16 @@ def serve(
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.
         options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name;
-            ``profile="strict"`` sets what `busway.options.presets` lists; ``standard_port`` says whether 502 is
+            ``preset="strict"`` sets what `busway.options.presets` lists; ``standard_port`` says whether 502 is
             listened on beside other TCP ports (§4.2.1), and without it that is `Server`'s rule.
 
     Raises:
-        ConfigError: an endpoint, unit or option that can not be, or that contradicts the profile.
+        ConfigError: an endpoint, unit or option that can not be, or that contradicts the preset.
     """
     kinds = (ServerParameters, ListenerParameters, SocketParameters)
     beside = options.get(STANDARD_PORT)
     given: dict[str, Any] = {**options} if unlisted is None else {**options, "unlisted": unlisted}
-    places, given = with_server_profile(
+    places, given = with_server_preset(
         endpoints or (DEFAULT_ENDPOINT,),
         given,
         takes=["unlisted", *(name for kind in kinds for name in option_names(kind))],

@@ -1,4 +1,4 @@
-"""What a profile means for a server as a whole: its own options, those of its lines, and the port 502.
+"""What a preset means for a server as a whole: its own options, those of its lines, and the port 502.
 
 Knows the listeners of a server and where each of them takes options; knows not what these mean.
 """
@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from ..codes import DEFAULT_TCP_PORT
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.presets import OPTION, STRICT_SERVERS, Profile, profile_of, with_profile
+from ..options.presets import OPTION, STRICT_SERVERS, Preset, preset_of, with_preset
 from ..options.text import converted
 from .listener import Listener
 
@@ -19,24 +19,24 @@ STANDARD_PORT: Final = "standard_port"
 Place = str | Endpoint | Listener
 
 
-def with_server_profile(
+def with_server_preset(
     places: Sequence[Place], options: dict[str, Any], *, takes: Sequence[str]
 ) -> tuple[list[Place], dict[str, Any]]:  # Any: options of different types
-    """Listeners and options as the profile among the options makes them; as they were where there is none.
+    """Listeners and options as the preset among the options makes them; as they were where there is none.
 
     Args:
         places: where the server listens.
-        options: its options by name, ``profile`` and ``standard_port`` among them or not; neither is among what is
+        options: its options by name, ``preset`` and ``standard_port`` among them or not; neither is among what is
             given back.
         takes: the options that it has.
 
     Raises:
-        ConfigError: there is no such profile, or an option contradicts it.
+        ConfigError: there is no such preset, or an option contradicts it.
     """
-    profile = profile_of(options.get(OPTION))
-    completed: dict[str, Any] = with_profile(options, STRICT_SERVERS, takes=(*takes, STANDARD_PORT))
+    preset = preset_of(options.get(OPTION))
+    completed: dict[str, Any] = with_preset(options, STRICT_SERVERS, takes=(*takes, STANDARD_PORT))
     found = list(places)
-    if profile is Profile.STRICT:
+    if preset is Preset.STRICT:
         found = [_strict(one) for one in found]
     if converted(STANDARD_PORT, completed.pop(STANDARD_PORT, False), bool):
         found += _standard_ports(found)
@@ -44,11 +44,11 @@ def with_server_profile(
 
 
 def _strict(place: Place) -> Place:
-    """A listener on a line or over TLS takes the profile in its URL; own limits keep to one frame for each segment."""
+    """A listener on a line or over TLS takes the preset in its URL; own limits keep to one frame for each segment."""
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)
     if (endpoint.framing != "mbap" or endpoint.carrier == "tls") and OPTION not in endpoint.options:
-        endpoint = replace(endpoint, options={**endpoint.options, OPTION: Profile.STRICT.value})
+        endpoint = replace(endpoint, options={**endpoint.options, OPTION: Preset.STRICT.value})
     limits = listener.limits and replace(listener.limits, single_adu_segments=True)
     return replace(listener, endpoint=endpoint, limits=limits)
 

@@ -40,8 +40,8 @@ def test_sections_become_listeners_lines_routes_and_options_of_servers() -> None
     assert plan.server["listener"] == ListenerParameters(idle_timeout=600)
 
 
-def test_the_profile_strict_and_the_options_of_servers_hold_at_every_listener() -> None:
-    text = f'listen = ["{ANY_PORT}", "rtu:///dev/not-there"]\n[server]\nprofile = "strict"\nmax_transactions = 3\n'
+def test_the_preset_strict_and_the_options_of_servers_hold_at_every_listener() -> None:
+    text = f'listen = ["{ANY_PORT}", "rtu:///dev/not-there"]\n[server]\npreset = "strict"\nmax_transactions = 3\n'
     plan = parse_gateway(text + '[[line]]\nname = "x"\nurl = "tcp://10.0.0.5"\n', "x").plan
     assert plan.server["parameters"].max_transactions == 3
     assert plan.server["parameters"].scope is Scope.SERVER
@@ -49,7 +49,7 @@ def test_the_profile_strict_and_the_options_of_servers_hold_at_every_listener() 
     assert plan.server["listener"].single_adu_segments
     endpoint = plan.listeners[1].settings.endpoint
     assert not isinstance(endpoint, str)
-    assert endpoint.options["profile"] == "strict"
+    assert endpoint.options["preset"] == "strict"
 
 
 def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> None:

@@ -25,12 +25,12 @@ from ...config.reading import read_text
 from ...config.report import Judge
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint, parse_endpoint
-from ...options.presets import OPTION, Profile, profile_of
+from ...options.presets import OPTION, Preset, preset_of
 from ...options.text import build_parameters, option_names
 from ...server.listener import Listener
 from ...server.listener_settings import listener_settings
 from ...server.parameters import ListenerParameters
-from ...server.strict import STANDARD_PORT, with_server_profile
+from ...server.strict import STANDARD_PORT, with_server_preset
 from ...session.parameters import CLIENT_DEADLINE, ServerParameters
 from ...transport.tcp import SocketParameters
 from ...transport.tls.parameters import TlsParameters
@@ -303,19 +303,19 @@ def _examine_line(section: LineSection, name: str, at: Place, judge: Judge) -> N
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """The listeners, and the options that hold for the servers of all of them, as the profile makes them."""
+    """The listeners, and the options that hold for the servers of all of them, as the preset makes them."""
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     takes = [name for kind in _SERVER_KINDS.values() for name in option_names(kind)]
     beside = options.get(STANDARD_PORT)
-    if profile_of(options.get(OPTION)) is Profile.STRICT:
+    if preset_of(options.get(OPTION)) is Preset.STRICT:
         beside = True
     else:
         options.pop(STANDARD_PORT, None)
     listeners = []
     completed = options
     for listener in common.listeners:
-        places, completed = with_server_profile([listener], options, takes=takes)
+        places, completed = with_server_preset([listener], options, takes=takes)
         first = places[0]
         assert isinstance(first, Listener)
         listeners.append(first)

@@ -124,7 +124,7 @@ FilePath = Annotated[str, Field(min_length=1)]
 class LinkKeys(OptionSection):
     """The options of a link that are the client's own. None of them is set by being left out."""
 
-    profile: Literal["standard", "strict"] | None = None
+    preset: Literal["standard", "strict"] | None = None
     hold: HoldTime | None = None
     reconnect_first: float | None = None
     reconnect_most: float | None = None
