@@ -16,18 +16,11 @@ MOST_WORDS = 60
 # Names that still have a retired word in them. Take a name out when it is renamed; add none.
 STILL_RETIRED: frozenset[str] = frozenset(
     {
-        "FrontSection",
-        "_front",
-        "_fronts_without_units",
-        "_idle_fronts",
         "_lamps",
-        "_of_front",
         "_personality",
-        "_placed_front",
         "in_front",
         "lamps",
         "making",
-        "of_front",
         "personalities",
         "personality_lines",
         "takes_bunches",
