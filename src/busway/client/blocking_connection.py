@@ -1,10 +1,10 @@
 """One connection of a blocking link: its channel, and the frames that the channel has not taken yet.
 
-Knows a channel; knows no conversation and no thread. The lock of its link guards it, except while a thread waits.
+Knows a channel; knows no session and no thread. The lock of its link guards it, except while a thread waits.
 
-1. What was to be sent on a connection ends with it. A link makes another object for its next connection, so no byte can
-   leave on a connection that it was not meant for.
-2. Frames are handed over one by one, in order: a datagram holds one, and a frame that was begun is completed first.
+1. Unsent frames are dropped with their connection. A link makes another object for its next connection, so no byte can
+   leave on the wrong one.
+2. Frames are sent one by one, in order: a datagram holds one, and a frame that was begun is completed first.
 """
 
 import contextlib
@@ -17,12 +17,12 @@ from .polling import ExactPoll, Poll
 
 
 class BlockingConnection:
-    """A connection that stands, until `close`.
+    """An open connection, until `close`.
 
     Attributes:
-        channel: what carries the bytes.
-        unsent: what the channel has not taken yet, frame by frame; the first one may be half sent.
-        frame_leaves: looks whether the last character has left, and tells the session; None where nobody can.
+        channel: the socket or port.
+        unsent: frames that the channel has not accepted yet; the first one may be half sent.
+        frame_leaves: checks whether the last character has left, and tells the session; None if that is unknown.
     """
 
     __slots__ = ("_poll", "channel", "frame_leaves", "unsent")
@@ -34,7 +34,7 @@ class BlockingConnection:
         self._poll = poll
 
     def send(self, frame: bytes) -> None:
-        """Hand a frame over; what the channel does not take waits. Raises `OSError` where the connection has ended."""
+        """Send a frame; the part that the channel does not accept waits. Raises `OSError` if the connection ended."""
         if not self.unsent:
             try:
                 sent = self.channel.send(frame)
@@ -46,7 +46,7 @@ class BlockingConnection:
         self.unsent.append(frame)
 
     def flush(self) -> None:
-        """Hand over what waits, as far as the channel takes it. Raises `OSError` where the connection has ended."""
+        """Send waiting frames as far as the channel accepts them. Raises `OSError` if the connection has ended."""
         unsent = self.unsent
         while unsent:
             frame = unsent[0]
@@ -64,7 +64,7 @@ class BlockingConnection:
         return self._poll.wait(self.channel, seconds, bool(self.unsent))
 
     def close(self) -> None:
-        """Close it, with all that has not left."""
+        """Close the channel and drop unsent frames."""
         channel = self.channel
         # A channel that has ended already may say so once more: then it is closed all the same.
         if isinstance(channel, socket.socket):

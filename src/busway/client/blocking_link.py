@@ -1,16 +1,16 @@
-"""A link for blocking programs: one conversation, one socket, any number of threads, and no thread of its own.
+"""The blocking driver of a link: one client session, one socket, any number of threads, and no thread of its own.
 
-Knows when to connect, write, wait and look at the clock; knows nothing of what is asked.
+Knows when to connect, write, wait and look at the clock; knows no functions or values.
 
-1. The session is touched only under the lock; nothing that may wait happens under it.
-2. Of the threads that wait for replies one is the leader: it connects, waits at the socket and feeds the session. When
+1. The session is used only under the lock; nothing that may wait happens under it.
+2. One of the threads that wait for replies is the leader: it connects, waits at the socket and feeds the session. When
    its own call is complete, the next waiting thread takes over.
-3. Every waiting thread looks after its own time, so nobody depends on how long the leader waits.
-4. Before the first request after a pause the socket is looked at: a peer that closed an idle connection is nothing
-   to report, and a new connection is made. On a line, what has come meanwhile is read before each request: it is late,
-   or somebody else's.
-5. Nothing runs between calls, so a connection that is held for some seconds only is closed at the next call, which
-   makes another one; where it is held per request, at the end of the call.
+3. Every waiting thread watches its own timeout, so none depends on how long the leader waits.
+4. Before the first request after a pause the socket is checked: if the peer closed the idle connection, a new one is
+   opened without an error. On a line, bytes that came meanwhile are read before each request: they are late replies,
+   or traffic of others.
+5. Nothing runs between calls, so a connection with a limited hold time is closed at the next call, which opens another
+   one; with ``hold=request`` it is closed at the end of the call.
 """
 
 import contextlib
@@ -46,13 +46,13 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("busway.client")
 _IDLE_SECONDS = 0.05
-"""A connection unused for longer is looked at before it is written to."""
+"""Seconds: a connection unused for longer is checked before it is written to."""
 _BLOCKED: Final = 0.01
-"""Seconds until a waiting thread looks again whether the connection takes more of what has to leave."""
+"""Seconds until a waiting thread checks again whether the connection accepts more bytes."""
 _STARVED: Final = 0.02
-"""Seconds at a socket without a look around while another link of the client holds the places."""
+"""Longest wait at a socket, in seconds, while another link of the client holds the slots."""
 _SPIN: Final = 0.0003
-"""Seconds before a frame that ``precise_timing`` waits for in a loop: a sleeping thread is woken about that late."""
+"""Seconds before a frame that ``precise_timing`` spends in a busy loop: a sleeping thread wakes about that late."""
 
 
 class BlockingLinkDriver:
@@ -104,20 +104,20 @@ class BlockingLinkDriver:
         self._trace: ConnectionTrace | None = None
         LOCAL.add(self)
 
-    # What the interface asks.
+    # Calls of the public interface.
 
     @staticmethod
     def now() -> float:
-        """The clock of calls."""
+        """The clock in which calls give their times."""
         return time.monotonic()
 
     @property
     def is_connected(self) -> bool:
-        """Whether a connection stands."""
+        """Whether the link is connected now."""
         return self._connection is not None
 
     def run(self, call: Call) -> None:
-        """Bring a call to its end; its outcomes are then in it. Raises `Overloaded`, `LinkDown`."""
+        """Run a call until it has all its outcomes. Raises `Overloaded`, `LinkDown`."""
         with self._turn:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
@@ -152,7 +152,7 @@ class BlockingLinkDriver:
                     self._used()
 
     def connect(self) -> None:
-        """Connect now, instead of at the first need. Raises `LinkDown`."""
+        """Connect now, instead of at the first request. Raises `LinkDown`."""
         with self._turn:
             while self._leading and self._connection is None and not self._closed:
                 self._waiting += 1
@@ -195,7 +195,7 @@ class BlockingLinkDriver:
                 self._scope.serve(now)
 
     def status(self) -> LocalConnectionStatus:
-        """How the link and its connection do."""
+        """A snapshot of state, traffic and counters of the link."""
         connection = self._connection
         local = None
         if connection is not None and isinstance(connection.channel, socket.socket):
@@ -216,9 +216,9 @@ class BlockingLinkDriver:
         )
 
     def make_room(self) -> bool:
-        """Close the connection if nobody uses it; whether it was closed."""
+        """Close the connection if it is unused. Returns whether it was closed."""
         if not self._turn.acquire(blocking=False):
-            return False  # somebody is using it
+            return False  # a thread is using it
         try:
             if self._connection is None or self._is_used():
                 return False
@@ -228,14 +228,14 @@ class BlockingLinkDriver:
             self._turn.release()
 
     def serve(self, now: float) -> None:
-        """A place that is shared with other links is free: send what waits for one. The lock is held."""
+        """Send requests that wait for a slot: one that links share has become free. The lock is held."""
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
     # Turns.
 
     def _wait_for_turn(self, call: Call) -> bool:
-        """Wait until the call is complete, or until this thread is to lead; the lock is held."""
+        """Wait until the call is complete or this thread becomes the leader; the lock is held."""
         while not call.ended:
             if not self._leading:
                 self._leading = True
@@ -277,7 +277,7 @@ class BlockingLinkDriver:
                         self._receive(connected)
 
     def _pause(self, now: float) -> float:
-        """Seconds until something is due; the lock is held."""
+        """Seconds until the session has something to do; the lock is held."""
         deadline = self.session.deadline()
         if self._connection is None:
             if self._life.may_dial(now):
@@ -296,21 +296,21 @@ class BlockingLinkDriver:
         return self._leading or self._waiting > 0
 
     def _used(self) -> None:
-        """A call has ended: serve the other links of the client; close a connection that is held per request."""
+        """After a call: serve the other links of the client; close the connection with ``hold=request``."""
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:
             self._let_go(time.monotonic())
 
     def _let_go(self, now: float) -> None:
-        """Close a connection that was held long enough."""
+        """Close the connection if its hold time is over."""
         if self._connection is not None and not self._is_used():
             reason = self._life.spent(now, self.last_used)
             if reason:
                 self._release(now, reason)
 
     def _transmit(self, now: float) -> None:
-        """Send what may be sent now; or, with ``precise_timing``, some moments ahead, at that time."""
+        """Send what may be sent at ``now``, which may lie shortly ahead with ``precise_timing``."""
         if self.session.recycle:
             self._recycle(now)
         connection = self._connection
@@ -335,7 +335,7 @@ class BlockingLinkDriver:
             self.last_used = now
 
     def _flush(self, now: float) -> None:
-        """Hand over what the connection has not taken yet."""
+        """Write the frames that the connection has not accepted yet."""
         connection = self._connection
         if connection is not None and connection.unsent:
             try:
@@ -344,12 +344,12 @@ class BlockingLinkDriver:
                 self._drop(now, network_reason(error))
 
     def _cancel(self, call: Call) -> None:
-        """The caller of a call goes without its end."""
+        """Cancel a call whose caller was interrupted."""
         if self.session.cancel(call):
             self._end_if_stuck(time.monotonic())
 
     def _end_if_stuck(self, now: float) -> None:
-        """A call has ended: if frames have not left yet, the connection ends too, or they would leave later."""
+        """After a call ended: drop the connection if frames have not left yet, or they would leave later."""
         if self._connection is not None and self._connection.unsent:
             self._drop(now, "a call ended before the connection had taken its request")
 
@@ -410,7 +410,7 @@ class BlockingLinkDriver:
                 self._turn.notify_all()
 
     def _look_at_line(self) -> None:
-        """Read what has come while nobody waited, and let the silence since then take effect."""
+        """Process bytes that came between calls, and the silence since then."""
         if not self._leading and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
@@ -433,21 +433,21 @@ class BlockingLinkDriver:
             self._drop(now, f"reconnecting after {self.session.recycle}")
 
     def _drop(self, now: float, reason: str) -> None:
-        """The connection has ended, or has to end."""
+        """Close the connection because it failed or has to be replaced."""
         self._close_connection()
         self._life.lost(now, reason)
         self._done()
 
     def _release(self, now: float, reason: str) -> None:
-        """Close a connection that is not needed; the next need makes another one."""
+        """Close an unused connection; the next request opens another one."""
         self._close_connection()
         self._life.released(now, reason)
         self._done()
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Tell what is new about the connection."""
+        """Log and report an event of the connection."""
         if news:
-            # Where each request has a connection of its own, its beginning and its end are no news for an operator.
+            # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
 
     def _close_connection(self) -> None:
@@ -479,13 +479,13 @@ class BlockingLinkDriver:
     # By the leader, without the lock where it waits.
 
     def _make_connection(self) -> LinkDown | None:
-        """Connect; the failure, which has ended everything that waited, or None."""
+        """Connect. Returns None, or the failure, with which all waiting calls have ended."""
         with self._turn:
             self._life.dialled(time.monotonic())
         try:
             LOCAL.make_room(self, self.name)
             connection = self._new_connection()
-        except (OSError, ValueError) as error:  # a `LinkDown`, as a rule
+        except (OSError, ValueError) as error:  # usually a `LinkDown`
             failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
             with self._turn:
                 self._life.failed(time.monotonic(), failure)

@@ -32,7 +32,7 @@ class BlockingPool:
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
-        """A link for one more user. Raises `ConfigError`, `Overloaded`."""
+        """Get the link for one more user of an endpoint. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         with self._lock:
             if not shared:
@@ -46,12 +46,12 @@ class BlockingPool:
             return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
-        """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
+        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
         with self._lock:
             return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """A user leaves; the last one closes the connection."""
+        """Give a link back; the last user closes its connection."""
         name = settings.endpoint.url
         with self._lock:
             entry = self._shared.get(name)

@@ -1,4 +1,4 @@
-"""What both interfaces share between a call and a call: options of a call, units, and who shares a link.
+"""Helpers of both interfaces: options of a call, default units, and checks of settings before a link is shared.
 
 Knows defaults and checks; knows no link and does no IO.
 """
@@ -28,12 +28,12 @@ SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
-    """The unit to ask: 255 where none is named on TCP (Messaging on TCP/IP V1.0b §4.4.1.2), else 0…255.
+    """Check a unit number 0…255; None means 255 on TCP (Messaging on TCP/IP V1.0b §4.4.1.2).
 
-    On a serial line, and where its framing travels over a network, one of 0…247 must be named (Serial Line V1.02 §2.2).
+    With the framings RTU and ASCII, also over a network, a unit 0…247 is required (Serial Line V1.02 §2.2).
 
     Raises:
-        InvalidRequest: none is named on a line, or it is out of range. Nothing was sent.
+        InvalidRequest: the unit is missing where it is required, or out of range. Nothing was sent.
     """
     if unit is None:
         if endpoint.framing != "mbap":
@@ -46,10 +46,10 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 
 
 def with_assumed_unit(outcome: object, unit: int) -> None:
-    """Say in an error that nobody named the unit, where naming another one may help.
+    """Add to an error that the unit was a default, if naming another one may help.
 
-    That is so where a gateway or nobody answered, and where a function was refused (01): who answers as the default
-    unit may be a gateway itself, which has no registers.
+    That is so if a gateway answered or nothing did, and if a function was refused (01): the default unit may be
+    a gateway itself, which has no registers.
     """
     if isinstance(outcome, ExceptionReply):
         may_help = outcome.from_gateway or outcome.code == ExceptionCode.ILLEGAL_FUNCTION
@@ -68,7 +68,7 @@ def call_for(
     now: float,
     caller: object = None,
 ) -> Call:
-    """The call of one call; ``caller`` may be named later, when it has to queue."""
+    """Build the `Call` of one method call; ``caller`` may be set later, if the call has to queue."""
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries
@@ -109,7 +109,7 @@ def _checked(
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
-    """The error of a call of which nothing was sent, for each of its requests: an error of its own that names it."""
+    """One error for each request of a refused call, with the fields of that request; nothing was sent."""
     errors = []
     for request in requests:
         error = type(refusal).__new__(type(refusal), *refusal.args)
@@ -123,12 +123,12 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
 
 
 def closed_error(settings: LinkSettings) -> LinkClosed:
-    """The error of a call on a link that its user has closed."""
+    """The error of a call on a link that the program has closed."""
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 
 def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
-    """Raise `ConfigError` where two users of an endpoint want different connections."""
+    """Raise `ConfigError` if a second user of a shared connection has other settings for it."""
     different = held.differs(wanted)
     if different:
         raise ConfigError(
@@ -138,7 +138,7 @@ def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
 
 
 def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
-    """Raise `ConfigError` where a link without a connection of its own is told how its connection is to be."""
+    """Raise `ConfigError` if a link that uses other links' connections (``select``) has options of a connection."""
     for name in (*settings.endpoint.options, *options):
         if name not in CALL_DEFAULTS:
             raise ConfigError(

@@ -1,6 +1,6 @@
-"""Explicit management: how many connections one endpoint may have, and which of them takes a request.
+"""Explicit connection management: the limit of connections per endpoint, and the choice of one for a request.
 
-Knows what a rule looks at; knows no pool and no connection (Messaging on TCP/IP V1.0b §4.2.1.1, §4.2.1.2).
+Knows no pool and no connection (Messaging on TCP/IP V1.0b §4.2.1.1, §4.2.1.2).
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ from .settings import LinkSettings
 
 
 class Choosable(Protocol):
-    """A link, as far as it matters which one it is.
+    """A link as the selection rules see it.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -24,14 +24,14 @@ class Choosable(Protocol):
 
     @property
     def is_connected(self) -> bool:
-        """Whether a connection stands."""
+        """Whether the link is connected now."""
 
 
 AnyLink = TypeVar("AnyLink", bound=Choosable)
 
 
 def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
-    """Raise `Overloaded` where an endpoint has as many connections of explicit management as it may have."""
+    """Raise `Overloaded` if an endpoint already has ``max_connections`` connections of explicit management."""
     limit = settings.management.max_connections
     held = sum(not link.shared for link in links)
     if held >= limit:
@@ -43,9 +43,9 @@ def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
 
 
 def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection) -> AnyLink:
-    """The link that takes a request: one that is connected, by the rule; else the first, which connects at this need.
+    """Choose the link for a request: a connected one by the rule, else the first, which then connects.
 
-    ``links`` are in the order they were made. Raises `LinkDown` where there is none.
+    ``links`` are in the order they were made. Raises `LinkDown` if there are none.
     """
     if not links:
         raise LinkDown(

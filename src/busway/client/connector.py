@@ -1,6 +1,6 @@
-"""How a link gets its connection: the seam between links and transports.
+"""Connectors: they open the connections of a link, over the transport that its endpoint names.
 
-Knows which transport an endpoint needs, and hands its bytes to the link; knows no conversation beyond its name.
+Knows the transports; knows a session only to pass it on.
 """
 
 import contextlib
@@ -25,13 +25,13 @@ class Connector(Protocol):
     """Makes connections to one endpoint."""
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
-        """A transport with ``protocol`` behind it. Raises `LinkDown`."""
+        """Open a connection and return its transport, which calls ``protocol``. Raises `LinkDown`."""
 
     def dial(self) -> Channel:
-        """A connection for a blocking link. Raises `LinkDown`."""
+        """Open a connection for a blocking link. Raises `LinkDown`."""
 
     def release(self) -> None:
-        """The link is closed for good."""
+        """Free the resources of the connector: its link is closed for good."""
 
 
 class TcpConnector:
@@ -137,7 +137,7 @@ class UdpConnector:
 
 
 def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClientSession, *, user: str) -> Connector:
-    """The connector of an endpoint; ``user`` says who holds it, where nobody else may.
+    """Create the connector of an endpoint; ``user`` names the holder of a serial port in errors to other users.
 
     Raises:
         ConfigError: a carrier that a client cannot use, or a serial port that this process uses already.

@@ -1,6 +1,6 @@
-"""What a link drives: a conversation, whatever its framing.
+"""The interface of client sessions that link drivers use, and the choice of the session for an endpoint.
 
-Knows the shape of a session, and which one an endpoint needs; knows no connection.
+Knows no connection.
 """
 
 import random
@@ -22,12 +22,12 @@ from .settings import LineSettings, LinkSettings
 
 
 class ClientSession(Protocol):
-    """The client's side of one conversation: `TcpClientSession` or `SerialClientSession`.
+    """A client session: `TcpClientSession` or `SerialClientSession`.
 
     Attributes:
-        counters: what happened.
+        counters: counters of the link.
         finished: calls that have all their outcomes; the driver empties the list.
-        recycle: why the connection must be made anew; empty while it need not.
+        recycle: why the driver must close the connection and open another; empty while it need not.
         valid_reply: whether this connection has brought a reply that answers a request.
     """
 
@@ -38,68 +38,68 @@ class ClientSession(Protocol):
 
     @property
     def breakers(self) -> Breakers | None:
-        """Which units are not asked; None where units are not watched."""
+        """The circuit breakers of the units; None without breakers."""
 
     @property
     def has_calls(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether calls wait to be sent."""
 
     @property
     def has_gap(self) -> bool:
-        """Whether what waits may be sent only later."""
+        """Whether waiting calls may be sent only later, after a gap."""
 
     @property
     def in_flight(self) -> int:
-        """Requests whose reply is awaited."""
+        """Number of requests whose reply is awaited."""
 
     @property
     def queued(self) -> int:
-        """Calls with something left to send."""
+        """Number of calls with something left to send."""
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a call. Raises `ModbusError`; nothing was sent then."""
+        """Queue a call. Raises `ModbusError`; nothing was sent then."""
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """The frame of a call that need not queue; None: `submit` it."""
+        """Send a call at once and return its frame; None if it has to be queued with `submit`."""
 
     def serve_units_in_turn(self) -> None:
         """Serve the units of each caller in turn."""
 
     def cancel(self, call: Call) -> bool:
-        """Nobody waits for it any more. Returns whether something of it is in flight."""
+        """Cancel a call. Returns whether some of its requests are in flight."""
 
     def connected(self, now: float) -> None:
-        """A connection stands."""
+        """Report that a connection is open."""
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """It has ended; ``lost``: by itself."""
+        """Report the end of the connection; ``lost`` is False if the client itself closed an unused one."""
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """None can be had: everything that waits fails, but for what is about to be repeated if that is to stay."""
+        """No connection could be opened: fail waiting calls; ``keep_repeated`` spares those about to be repeated."""
 
     def transmit(self, now: float) -> list[bytes]:
-        """What to send now."""
+        """The frames to send now."""
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Work through what was received."""
+        """Process the first ``size`` bytes of ``buffer``."""
 
     def deadline(self) -> float | None:
         """When `tick` or `transmit` has something to do."""
 
     def tick(self, now: float) -> None:
-        """Let time take effect."""
+        """Handle timeouts and deadlines that have passed."""
 
 
 def conversation_for(
     settings: LinkSettings, shared_places: Places | None = None
 ) -> TcpClientSession | SerialClientSession:
-    """The conversation that an endpoint needs, without a connection. Raises `ConfigError`.
+    """Create the session for an endpoint, without a connection. Raises `ConfigError`.
 
-    ``shared_places`` are those that it has in common with the others of its client, if its limit is the client's.
+    ``shared_places`` are the slots for requests in flight that all links of a client share with ``scope=client``.
     """
     name = settings.endpoint.url
     if settings.line is None:
-        # A random first identifier keeps a program that starts anew from meeting replies to its predecessor.
+        # A random first identifier: a restarted program must not take replies to its predecessor for its own.
         session = TcpClientSession(
             settings.parameters,
             endpoint=name,
@@ -130,7 +130,7 @@ def conversation_for(
 
 
 def timing_of(port: SerialSettings | None) -> SerialTiming:
-    """The times of a line that is set so; of a network where there is none."""
+    """Character times for the settings of a port; those of a network if ``port`` is None."""
     if port is None:
         return SerialTiming.of_network()
     return SerialTiming.of_line(

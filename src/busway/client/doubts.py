@@ -1,10 +1,10 @@
-"""What closed links were owed, kept for the next link to the same endpoint.
+"""Replies still outstanding when a serial link was closed, kept for the next link to the same endpoint.
 
-A unit that owes a reply gives it to the port or to the converter, whoever has it open by then: a program that opens and
-closes a link for each reading would take it for the answer to its next request. Knows links by URL; knows no frame.
+A late reply reaches the port or the converter even if the link that asked is closed: a program that opens and closes a
+link for each reading would take it for the answer to its next request. Knows links by URL; knows no frame.
 
-1. What a link is owed when it is closed is kept, and handed to the next one to the same URL when that connects.
-2. So doubt outlives links, and ends with the process.
+1. The outstanding replies of a closed link are kept, and passed to the next link to the same URL when it connects.
+2. So they outlive links, and are forgotten at the end of the process.
 """
 
 import threading
@@ -14,18 +14,18 @@ from typing import Final
 from ..session.doubt import Doubts
 
 KEPT_AT_MOST: Final = 1024
-"""Endpoints whose doubts are kept; the one that was closed first goes first."""
+"""Most endpoints that are remembered; the one closed first is forgotten first."""
 
 
 class KeptDoubts:
-    """The doubts of closed links; safe from any thread."""
+    """Outstanding replies of closed links, by URL; thread-safe."""
 
     def __init__(self) -> None:
         self._by_url: OrderedDict[str, Doubts] = OrderedDict()
         self._lock = threading.Lock()
 
     def keep(self, url: str, doubts: Doubts) -> None:
-        """A link to ``url`` was closed."""
+        """Remember the outstanding replies of a closed link to ``url``."""
         if not doubts.is_owed:
             return
         with self._lock:
@@ -38,7 +38,7 @@ class KeptDoubts:
                 self._by_url.popitem(last=False)
 
     def hand_over(self, url: str, doubts: Doubts) -> None:
-        """A link to ``url`` has connected: its ``doubts`` take over what is kept."""
+        """Add the remembered outstanding replies of ``url`` to ``doubts`` of a new link, and forget them here."""
         if not self._by_url:
             return
         with self._lock:
@@ -53,4 +53,4 @@ class KeptDoubts:
 
 
 KEPT: Final = KeptDoubts()
-"""Those of this process."""
+"""The store of this process."""

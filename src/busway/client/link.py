@@ -1,14 +1,14 @@
-"""A link: one conversation and the connection it has at the moment, on an event loop.
+"""The asyncio driver of a link: one client session and its current connection, on an event loop.
 
-Knows when to connect, write and look at the clock; knows nothing of what is asked.
+Knows when to connect, write and look at the clock; knows no functions or values.
 
-1. It connects at the first need, and again when the connection has gone and something is asked.
-2. One timer, for the next deadline of all; it is moved only where a new one is nearer. On a serial port it is an
-   `Alarm`, because the silence before a frame is shorter than what the loop's timers are late.
-3. What arrived is worked through in one call; calls that it completes wake their callers.
-4. A connection that is not held for ever is closed by that timer, or as soon as nothing is asked any more.
+1. It connects at the first request, and reconnects at the next request after the connection was lost.
+2. One timer serves the earliest deadline; it is moved only for an earlier one. On a serial port it is an
+   `Alarm`, because the silence before a frame is shorter than the delay of the loop's timers.
+3. Received bytes are processed in one call; the callers of completed calls are woken then.
+4. A connection that is not held for ever is closed by that timer, or as soon as no request needs it.
 5. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
-   are those of ``time.monotonic``, as a port tells them.
+   are those of ``time.monotonic``, which serial ports use.
 """
 
 import asyncio
@@ -43,15 +43,15 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.client")
 
 CLOSING_SECONDS: Final = 2.0
-"""How long closing a link waits for its port."""
+"""Seconds that closing a link waits for its port."""
 SPIN: Final = 0.0003
-"""Seconds before a frame that ``precise_timing`` waits for in a loop: a sleeping processor is woken about that late."""
+"""Seconds before a frame that ``precise_timing`` spends in a busy loop: a sleeping processor wakes about that late."""
 COARSE_SPIN: Final = 0.0015
-"""The same where only the timers of the event loop are there, which are up to one millisecond late."""
+"""The same with only the timers of the event loop, which are up to one millisecond late."""
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
-    """Hands what the event loop reports to the link. One per connection, so that an old one cannot speak."""
+    """Passes events of the transport to the link. One per connection, so events of an old connection are recognised."""
 
     __slots__ = ("_buffer", "_link")
 
@@ -91,12 +91,12 @@ class AsyncLinkDriver:
     Attributes:
         shared: whether all users of the endpoint share it.
         home: the event loop it lives on.
-        watch: called when something has come, or time has passed, after the calls that are complete: for whoever
-            looks at those that are not.
-        told: called with each event of the connection and its reason, after the state has followed it.
+        watch: called after received bytes or a timer were handled and completed calls were woken; the gateway looks at
+            the incomplete ones then.
+        told: called with each event of the connection and its reason, after the state has changed.
         opened, last_used: when the connection was made, and last used, in the clock of the loop.
         sent_bytes, received_bytes: of all its connections.
-        now: the clock of calls.
+        now: the clock in which calls give their times.
     """
 
     __slots__ = (
@@ -168,7 +168,7 @@ class AsyncLinkDriver:
         self.sent_bytes = self.received_bytes = 0
         self._hold = management.hold_seconds
         self._scope = scope
-        self._minds = scope is not None or self._hold < math.inf  # whether there is something to do after each use
+        self._minds = scope is not None or self._hold < math.inf  # whether `_after_use` has something to do
         self._spin = 0.0
         self._alarm: Alarm | None = None  # where a silence before each frame is kept: on a serial port
         if settings.line is not None and settings.line.port is not None:
@@ -178,7 +178,7 @@ class AsyncLinkDriver:
             if opening.precise_timing:
                 self._spin = SPIN if self._alarm.exact else COARSE_SPIN
         self._protocol: _LinkProtocol | None = None
-        self._transport: Any = None  # asyncio.Transport, or what a connector gives in its place
+        self._transport: Any = None  # an asyncio.Transport, or a connector's own transport
         self._connecting: asyncio.Task[None] | None = None
         self._frame_leaves: Callable[[], None] | None = None  # tells the session when its frame leaves
         self._held: Callable[[], int] | None = None  # how many bytes the transport has that have not left
@@ -194,12 +194,12 @@ class AsyncLinkDriver:
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         LOCAL.add(self)
 
-    # What the interface asks.
+    # Calls of the public interface.
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
-        """Begin a call; the future is done when all its outcomes are in it. Raises `Overloaded`, `LinkDown`.
+        """Begin a call; the future is done when the call has all its outcomes. Raises `Overloaded`, `LinkDown`.
 
-        Whoever stops waiting for the future calls `give_up`.
+        A caller that stops waiting for the future must call `give_up`.
         """
         future: asyncio.Future[None] = self._loop.create_future()
         call.owner = future
@@ -207,14 +207,14 @@ class AsyncLinkDriver:
         return future
 
     def begin(self, call: Call, now: float) -> None:
-        """Begin a call whose owner is there already: whatever has ``done()`` and ``set_result(None)``, like a future.
+        """Begin a call whose ``owner`` is set: a future, or an object with ``done()`` and ``set_result(None)``.
 
-        ``set_result`` is called when all outcomes are in the call, out of the call that brought the last of them.
+        ``set_result`` is called as soon as the call has all its outcomes, directly from the handling of the last one.
 
         Raises:
             Overloaded, LinkDown, and on a serial line `InvalidRequest` and `UnitSuspended`: nothing was sent.
         """
-        # Mostly nothing waits and there is room: then the request goes out without a visit to the queue (2 of 12 µs).
+        # Usually nothing waits and there is room: then the request bypasses the queue (saves 2 of 12 µs).
         adu = None if self._transport is None or self._paused else self.session.send_now(call, now)
         if adu is not None:
             self.sent_bytes += len(adu)
@@ -237,7 +237,7 @@ class AsyncLinkDriver:
             self._arm(soonest)
 
     def give_up(self, call: Call) -> None:
-        """Nobody waits for a call any more."""
+        """Cancel a call whose caller does not wait for it any more."""
         self._write_outgoing()
         now = self._clock()
         if self.session.cancel(call):
@@ -281,7 +281,7 @@ class AsyncLinkDriver:
         if self._scope is not None:
             self._scope.leave(self)
             self._scope.serve(now)
-        # The loop closes a socket in its next turn, and a thread closes a port; whoever closed a link may count on it.
+        # The loop closes a socket in its next turn, and a thread closes a port; `close` returns after that.
         await asyncio.sleep(0)
         wait_closed = getattr(transport, "wait_closed", None)
         if wait_closed is not None:
@@ -295,7 +295,7 @@ class AsyncLinkDriver:
 
     @property
     def is_connected(self) -> bool:
-        """Whether a connection stands."""
+        """Whether the link is connected now."""
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
@@ -304,18 +304,18 @@ class AsyncLinkDriver:
 
     @property
     def down_because(self) -> str:
-        """Why no connection could be had; empty while one stands, and before the first attempt."""
+        """Why the last attempt to connect failed; empty while connected, and before the first attempt."""
         return self._life.down_because
 
     @property
     def next_attempt(self) -> float | None:
-        """Seconds before no connection is tried; None where the next request tries one."""
+        """Seconds until the next attempt to connect is allowed; None if the next request makes one."""
         if self.reconnect.state is not ConnectionState.BACKING_OFF:
             return None
         return max(self.reconnect.not_before - self._clock(), 0.0)
 
     async def connect(self) -> None:
-        """Connect now, instead of at the first need. Raises `LinkDown`."""
+        """Connect now, instead of at the first request. Raises `LinkDown`."""
         if self.is_connected or self._closed:
             return
         self._ensure_connection(self._clock(), by_name=True)
@@ -325,7 +325,7 @@ class AsyncLinkDriver:
             raise self._failure()
 
     def status(self) -> LocalConnectionStatus:
-        """How the link and its connection do."""
+        """A snapshot of state, traffic and counters of the link."""
         return status_of(
             self,
             endpoint=self.name,
@@ -341,22 +341,22 @@ class AsyncLinkDriver:
         )
 
     def make_room(self) -> bool:
-        """Close the connection if nobody uses it; whether it was closed."""
+        """Close the connection if it is unused. Returns whether it was closed."""
         if self._transport is None or self._is_used():
             return False
         self._release(self._clock(), "another connection needed the place")
         return True
 
     def serve(self, now: float) -> None:
-        """A place that is shared with other links is free: send what waits for one."""
+        """Send requests that wait for a slot: one that is shared with other links has become free."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
 
-    # What the connection reports.
+    # Events of the connection.
 
     def received(self, protocol: _LinkProtocol, buffer: bytes | bytearray, size: int) -> None:
-        """Bytes have come."""
+        """Process received bytes."""
         if protocol is not self._protocol:
             return
         now = self.last_used = self._clock()
@@ -377,7 +377,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
-        """Bytes have come among which the port marks errors."""
+        """Process received bytes with parity or framing errors that the port marked."""
         if protocol is not self._protocol or self._line is None:
             return
         if TRACE.level:
@@ -386,12 +386,12 @@ class AsyncLinkDriver:
         self._rearm()
 
     def peer_ended(self, protocol: _LinkProtocol) -> None:
-        """The peer sends no more. No reply can come, so nothing more is to leave: the transport would send it first."""
+        """Handle the peer's end of stream: no reply can come, so abort instead of letting unsent bytes leave."""
         if protocol is self._protocol and self._held is not None and self._held():
             self._abort()
 
     def lost(self, protocol: _LinkProtocol, reason: str) -> None:
-        """The connection has ended."""
+        """Handle the end of the connection; ignored for a connection that is not the current one."""
         if protocol is not self._protocol:
             return
         self._forget_connection()
@@ -405,7 +405,7 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """The transport can take no more for now, or again."""
+        """Stop or resume sending, as the transport's buffer asks."""
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -421,16 +421,16 @@ class AsyncLinkDriver:
             self._pump(self._clock())
 
     def _write_outgoing(self) -> None:
-        """Hand over what was to leave together at the end of this turn."""
+        """Write the frames that were collected to leave together at the end of this turn of the loop."""
         outgoing = self._outgoing
         if outgoing:
             self._transport.write(b"".join(outgoing))
             outgoing.clear()
 
     def _pump(self, now: float) -> None:
-        """Send what may be sent; connect where there is no connection; recycle one that is out of step.
+        """Send what may be sent; connect if there is no connection; replace one that is out of step.
 
-        ``now`` may be some moments ahead: what is to be sent is found then, and leaves at that time.
+        ``now`` may lie shortly ahead (``precise_timing``): the frame is prepared now, and leaves at that time.
         """
         session = self.session
         if self._transport is None:
@@ -442,7 +442,7 @@ class AsyncLinkDriver:
             self._recycle(now)
         elif out:
             transport = self._transport
-            self._write_outgoing()  # it was asked for before
+            self._write_outgoing()  # keep the order of the calls
             while self._spin and self._clock() < now:
                 pass
             if self._parameters.join:
@@ -455,19 +455,19 @@ class AsyncLinkDriver:
             if session.breakers is not None and self._line is None:
                 self._rearm()  # a probe waits for less than its call
         else:
-            if session.finished:  # a breaker has opened, and what waited for its unit waits no more
+            if session.finished:  # a breaker has opened, and calls to its unit have failed
                 self._wake()
             if session.has_gap:
                 self._rearm()
 
     def _recycle(self, now: float) -> None:
-        """Close a connection that is out of step; what is still asked gets a new one."""
+        """Close a connection that is out of step; remaining requests open a new one."""
         if self._protocol is not None:
             self._abort()
             self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
 
     def _end_if_stuck(self) -> None:
-        """A call has ended: if bytes have not left yet, the connection ends too, or they would leave later."""
+        """After a call ended: abort the connection if bytes have not left yet, or they would leave later."""
         if self._held is None or not self._held() or self._protocol is None:
             return
         if self._writes_late and takes_bytes(self._transport.get_extra_info("socket")):
@@ -476,7 +476,7 @@ class AsyncLinkDriver:
         self.lost(self._protocol, "a call ended before the connection had taken its request")
 
     def _close_transport(self) -> None:
-        """Close the connection; what has not left by now never leaves."""
+        """Close the connection; bytes not sent by now are dropped."""
         transport = self._transport
         if self._held is not None and self._held():
             self._abort()
@@ -485,19 +485,19 @@ class AsyncLinkDriver:
         self._forget_connection()
 
     def _abort(self) -> None:
-        """Close the connection at once, with what the transport and the system have not sent."""
+        """Close the connection at once and drop the bytes that the transport and the system have not sent."""
         if self._held is not None and self._held():
             discard_on_close(self._transport.get_extra_info("socket"))
         self._transport.abort()
 
     def _forget_connection(self) -> None:
-        """Nothing of a connection outlives it, least of all what was to be sent on it."""
+        """Clear all state of the connection, above all the bytes to be sent on it."""
         self._transport = self._protocol = self._frame_leaves = self._held = None
         self._outgoing.clear()
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Give a place that is free to whoever waits for one; close the connection if it is held no longer."""
+        """Offer free slots to the other links of the client; close the connection if it is held no longer."""
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -513,14 +513,14 @@ class AsyncLinkDriver:
         return self.session.has_calls or self.session.in_flight > 0
 
     def _release(self, now: float, reason: str) -> None:
-        """Close a connection that nobody uses; the next need makes another one."""
+        """Close an unused connection; the next request opens another one."""
         self._close_transport()
         self._life.released(now, reason)
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Tell what is new about the connection."""
+        """Log and report an event of the connection."""
         if news:
-            # Where each request has a connection of its own, its beginning and its end are no news for an operator.
+            # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
         if self.told is not None:
             self.told(event, reason)
@@ -553,7 +553,7 @@ class AsyncLinkDriver:
         try:
             LOCAL.make_room(self, self.name)
             transport = await self._connector.connect(lambda: protocol)
-        except Exception as error:  # a `LinkDown`, as a rule; whatever it is, those that wait must hear of it
+        except Exception as error:  # usually a `LinkDown`; waiting calls must end with any error
             self._not_connected(error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name))
             return
         except asyncio.CancelledError:
@@ -574,17 +574,17 @@ class AsyncLinkDriver:
             self.lost(protocol, "the peer closed it at once")
         self._pump(now)
         self._rearm()
-        if self._minds and (self._hold or not by_name):  # one that was asked for by name waits for its first request
+        if self._minds and (self._hold or not by_name):  # after `connect` it stays open for the first request
             self._after_use(now)
 
     def _not_connected(self, failure: LinkDown) -> None:
-        """The attempt to connect came to nothing, and with it everything that waited for it."""
+        """Handle a failed attempt to connect: the calls that waited for it fail."""
         self._connecting = None
         self._life.failed(self._clock(), failure)
         self._wake()
 
     def _wake(self) -> None:
-        """Tell the callers whose calls are complete."""
+        """Wake the callers of completed calls."""
         session = self.session
         finished = session.finished[:]
         session.finished.clear()
@@ -643,9 +643,9 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Wait out the last moments of a gap, if asked to; and believe no silence while our frame is still leaving."""
+        """Wait out the end of a gap with ``precise_timing``, and ignore silence while our frame is still being sent."""
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
-            self._pump(self._timer_at)  # finding out what to send takes a tenth of a millisecond
+            self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond
             now = self._clock()
         if self.session.in_flight and self._frame_leaves is not None:
             self._frame_leaves()
@@ -658,7 +658,7 @@ class AsyncLinkDriver:
 
 
 def _clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """The clock of a loop; of asyncio's own loops the clock of the system, without the call around it."""
+    """The clock of a loop; for asyncio's own loops ``time.monotonic`` itself, which saves a call."""
     is_plain = getattr(loop.time, "__func__", None) is asyncio.BaseEventLoop.time
     return time.monotonic if is_plain else loop.time
 

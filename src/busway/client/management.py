@@ -1,4 +1,4 @@
-"""What can be set about the connections of a link: how long one is held, how it is made anew, how many there may be.
+"""Options of connection management: how long a connection is held, pauses between attempts, number of connections.
 
 Knows times and numbers; knows no connection (Messaging on TCP/IP V1.0b §4.2.1).
 """
@@ -11,15 +11,15 @@ from enum import Enum
 from ..errors import ConfigError
 
 LONGEST_HOLD = 86_400.0
-"""Seconds; whoever wants to hold a connection for more than a day may as well hold it for ever."""
+"""Seconds, one day; for longer use ``forever``."""
 
 
 class Hold(Enum):
-    """How long a connection is kept that nobody uses, where it is no number of seconds.
+    """Hold times of an unused connection other than a number of seconds.
 
     Attributes:
         FOREVER: until its last user closes the link, as Messaging on TCP/IP V1.0b §4.2.1.1 advises.
-        REQUEST: until nothing is asked any more; for devices that take one client and are shared between programs.
+        REQUEST: until no request needs it; for devices that take one client and are shared between programs.
     """
 
     FOREVER = "forever"
@@ -31,7 +31,7 @@ class LinkSelection(Enum):
 
     Attributes:
         FIRST: the one whose link was made first.
-        OLDEST: the one that has stood longest.
+        OLDEST: the one that has been open longest.
     """
 
     FIRST = "first"
@@ -43,14 +43,14 @@ class ManagementParameters:
     """How the connections of a link are managed (Messaging on TCP/IP V1.0b §4.2.1).
 
     Attributes:
-        hold: seconds that a connection is kept while nobody uses it; ``forever``, or ``request``: until nothing is
-            asked any more.
+        hold: seconds that an unused connection is kept; ``forever``, or ``request``: until no request needs
+            it.
         reconnect_first, reconnect_most: seconds between attempts to connect to a peer that does not answer: the first
             pause, which doubles, and the longest.
         max_connections: links with a connection of their own (``shared=False``) to one endpoint, on an event loop or,
             blocking, in the process; one more is refused with `Overloaded`.
-        interface: name of the network interface that connections leave through; None leaves it to the routes of the
-            system. TCP only, and only where the system has it (Linux).
+        interface: name of the network interface to connect through; None leaves it to the routes of the
+            system. TCP only, and only on systems that support it (Linux).
     """
 
     hold: float | Hold = Hold.FOREVER
@@ -86,7 +86,7 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """The rule of a name, as `busway.open` takes it. Raises `ConfigError`."""
+    """The selection rule of a name, as `busway.open` takes it. Raises `ConfigError`."""
     if name is None or isinstance(name, LinkSelection):
         return name
     try:

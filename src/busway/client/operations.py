@@ -1,4 +1,4 @@
-"""What users ask of a unit, as exchanges of requests and replies, without any IO.
+"""The operations of a unit, such as reading values, as generators of requests and replies, without any IO.
 
 Knows which requests an operation needs and what its result is made of; knows no link. Both interfaces run them: each
 operation is a generator that yields requests (one, or several to send together) and is sent their replies.
@@ -38,7 +38,7 @@ from ..values import Address, ValueType, parse_address, value_type
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """A read of a range; the same object for the same range, so a poller encodes each of its requests once."""
+    """Build a read of a range; the same range gives the same object, so a poller encodes each request once."""
     return kind(address, count)
 
 
@@ -69,7 +69,7 @@ def read_values(
     split: bool,
     width: int = NARROW,
 ) -> Operation:
-    """Values from an address: one if ``count`` is None, else a list. ``width`` are the bytes of a register."""
+    """Read values from an address: one if ``count`` is None, else a list. ``width``: bytes of a register."""
     place = place_of(address)
     number = 1 if count is None else count
     if number < 1:
@@ -89,7 +89,7 @@ def read_values(
             kind = f"bit:{place.bit}"
         form = value_type(kind if kind is not None else _natural_type(place, width), order)
         size = 2 * form.registers_for(number)
-        apart = width > 2 * form.registers_for(1)  # each value has a register of its own
+        apart = width > 2 * form.registers_for(1)  # one value in each register
         registers = number if apart else -(-size // width)
         requests = _pieces(place, registers, MAX_DATA // width, split, width)
         replies = yield requests
@@ -107,7 +107,7 @@ def read_values(
 def write_values(
     address: int | str | Address, values: Any, kind: str | ValueType[Any] | None, order: str, function: WriteFunction
 ) -> Operation:
-    """One value or a sequence of values to an address."""
+    """Write one value or a sequence of values to an address."""
     place = place_of(address)
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
@@ -142,7 +142,7 @@ def write_values(
 
 
 def read_identification(level: str, object_id: int | None) -> Operation:
-    """Identification objects by number, however many replies they need."""
+    """Read identification objects, a dict by number, with as many requests as needed."""
     if object_id is not None:
         code, start = INDIVIDUAL, object_id
     elif level in LEVELS:
@@ -172,7 +172,7 @@ def place_of(address: int | str | Address) -> Address:
 
 
 def _hint_of_number(place: Address) -> str:
-    """How to write what a number may mean: 40001 is how manuals call the first holding register."""
+    """Suggest notations for a bare number: manuals call the first holding register 40001."""
     offset = place.offset
     with contextlib.suppress(InvalidRequest):
         meant = parse_address(str(offset))
@@ -190,7 +190,7 @@ READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
 
 
 def _natural_type(place: Address, width: int) -> str:
-    """The type of a register by its width."""
+    """The default type of a register ``width`` bytes wide."""
     if width not in (2, 4, 8):
         raise InvalidRequest(f"{place}: a register of {width} bytes is no number by itself; name a type")
     return f"uint{8 * width}"
@@ -222,7 +222,7 @@ def _check_single(place: Address, items: int, limit: int, function: WriteFunctio
 
 
 def diagnostic_request(sub_function: int, data: bytes) -> Request:
-    """The request of function 08 with a sub-function, also of one that the table does not know."""
+    """Build the request of function 08 with a sub-function, known or not."""
     if not 0 <= as_integer("sub-function", sub_function) <= 0xFFFF:
         raise InvalidRequest(f"sub-function must be 0…65535, not {sub_function}")
     pdu = bytes((FunctionCode.DIAGNOSTICS,)) + sub_function.to_bytes(2, "big") + bytes(data)

@@ -1,4 +1,4 @@
-"""How a blocking link waits at its socket or its port.
+"""Waiting of a blocking link at its socket or port.
 
 Knows descriptors; knows no conversation.
 """
@@ -10,7 +10,7 @@ from ..transport.serial.waiting import wait_ready
 from .channel import Channel
 
 _LONGEST_WAIT: Final = 0.25
-"""Seconds at a port without a look around: closing it does not wake a thread that waits there."""
+"""Longest single wait at a port, in seconds: closing it does not wake a thread that waits there."""
 
 
 class ExactPoll:

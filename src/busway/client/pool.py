@@ -1,11 +1,11 @@
 """Links by endpoint: one shared connection for all users on an event loop (Messaging on TCP/IP V1.0b §4.2.1).
 
-Knows who uses which link; knows nothing of what is asked.
+Knows the users of each link; knows no requests.
 
 1. Automatic management: users of one endpoint share its link; the last one to leave closes it.
 2. Explicit management: a link that is not shared belongs to its user alone; there may be ``max_connections`` of them.
-3. Two users who want different connections cannot share one: the second is told which setting differs.
-4. Where several links lead to one endpoint, a rule says which of them takes a request (§4.2.1.2).
+3. Users with different connection settings cannot share a link: the second gets an error that names the setting.
+4. If several links lead to one endpoint, a rule chooses one for each request (§4.2.1.2).
 """
 
 import asyncio
@@ -40,7 +40,7 @@ class LinkPool:
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
-        """A link for one more user. Raises `ConfigError`, `Overloaded`."""
+        """Get the link for one more user of an endpoint. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         if not shared:
             check_room(list(self._links.get(name, ())), settings)
@@ -53,11 +53,11 @@ class LinkPool:
         return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
-        """The link that takes a request, of those to the endpoint. Raises `LinkDown` where there is none."""
+        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """A user leaves."""
+        """Give a link back; the last user closes its connection."""
         name = settings.endpoint.url
         entry = self._shared.get(name)
         if entry is not None and entry.link is link:
@@ -97,6 +97,6 @@ def pool_of_running_loop() -> LinkPool:
     pool = _pools.get(loop)
     if pool is None:
         for ended in [one for one in _pools if one.is_closed()]:
-            del _pools[ended]  # links that were never closed know their loop, and would keep it alive here
+            del _pools[ended]  # links that were never closed refer to their loop, and would keep it alive here
         pool = _pools[loop] = LinkPool()
     return pool

@@ -1,11 +1,11 @@
-"""The local connections of this process: which there are, how they do, and how many there may be.
+"""The client connections of this process: their list, their status and their limit.
 
-Knows links by what they say of themselves; keeps none alive and asks nothing of a peer.
+Holds links weakly and asks only them, never a peer.
 
 1. A connection is local where this process opened it (Messaging on TCP/IP V1.0b §4.2.1): those of asyncio and of
    blocking links count alike.
-2. Past the limit the unused shared connection whose last use is longest ago makes room; its link connects again at
-   the next need. A connection of explicit management is its user's, and is never closed for another.
+2. At the limit the unused shared connection whose last use is longest ago is closed; its link reconnects at the next
+   request. A connection of explicit management (``shared=False``) is never closed for another.
 3. A connection of an event loop is closed by that loop alone.
 """
 
@@ -20,10 +20,10 @@ from ..session.call_tracker import ClientCounters
 from ..transport.dialled import counted_by
 
 if TYPE_CHECKING:
-    import asyncio  # only its name: blocking programs do without it
+    import asyncio  # for annotations only: blocking programs do not load it
 
 DEFAULT_LIMIT: Final = 10_000
-"""Local connections of a process: more than any plant has devices, fewer than there are ports to leave from."""
+"""Default limit of connections: more than any plant has devices, fewer than there are local ports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +35,18 @@ class LocalConnectionStatus:
         kind: ``asyncio`` or ``blocking``.
         shared: whether all users share it (automatic management), or it belongs to one (explicit management).
         state: ``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``.
-        local: address and port that the connection leaves from; empty where none stands, and on a serial port.
-        age: seconds that the connection has stood; None where none stands.
-        idle: seconds since it was last used, 0 while a reply is awaited; None where none stands.
+        local: local address and port of the connection; empty while not connected, and on a serial port.
+        age: seconds since the connection was opened; None while not connected.
+        idle: seconds since it was last used, 0 while a reply is awaited; None while not connected.
         sent_bytes, received_bytes: of all connections of the link so far.
-        transactions: requests that were sent.
+        transactions: number of requests sent.
         failures: requests without a reply or with a broken one, and connections that were lost.
         connections: how many connections the link has had.
         in_flight: requests whose reply is awaited.
         queued: calls that wait.
-        reason: why no connection stands; empty where one does, or where none was needed yet.
-        late_replies: replies that came when nobody waited for them any more; all were dropped.
-        in_doubt: units that owe replies, on links without transaction numbers.
+        reason: why it is not connected; empty while connected, or if no connection was needed yet.
+        late_replies: replies that came after their timeout; all were dropped.
+        in_doubt: units that may still send late replies, on links without transaction numbers.
     """
 
     endpoint: str
@@ -69,7 +69,7 @@ class LocalConnectionStatus:
 
 
 class LocalLink(Protocol):
-    """What the registry knows of a link.
+    """A link as the registry sees it.
 
     Attributes:
         home: the event loop it lives on; None of a blocking link.
@@ -83,13 +83,13 @@ class LocalLink(Protocol):
 
     @property
     def is_connected(self) -> bool:
-        """Whether a connection stands."""
+        """Whether the link is connected now."""
 
     def status(self) -> LocalConnectionStatus:
-        """How it does."""
+        """A snapshot of state, traffic and counters."""
 
     def make_room(self) -> bool:
-        """Close the connection if nobody uses it; whether it was closed. Called on the loop it lives on."""
+        """Close the connection if it is unused. Returns whether it was closed. Called on the link's own loop."""
 
 
 class LocalConnections:
@@ -105,23 +105,23 @@ class LocalConnections:
         self._lock = threading.Lock()
 
     def add(self, link: LocalLink) -> None:
-        """A link was made."""
+        """Register a new link."""
         with self._lock:
             self._links.add(link)
 
     def discard(self, link: LocalLink) -> None:
-        """A link was closed."""
+        """Remove a closed link."""
         with self._lock:
             self._links.discard(link)
 
     def links(self) -> list[LocalLink]:
-        """The links that are open, but for those whose event loop has ended."""
+        """The open links, except those whose event loop has ended."""
         with self._lock:
             links = list(self._links)
         return [link for link in links if link.home is None or not link.home.is_closed()]
 
     def count(self) -> int:
-        """How many connections stand now."""
+        """Number of open connections."""
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:
@@ -144,24 +144,24 @@ class LocalConnections:
 
 
 LOCAL: Final = LocalConnections()
-"""Those of this process."""
+"""The registry of this process."""
 
 counted_by(LOCAL.count)
 
 
 def local_connections() -> tuple[LocalConnectionStatus, ...]:
-    """How the links of this process do, asyncio and blocking, in the order of their endpoints.
+    """Status of every open link of this process, asyncio and blocking, sorted by endpoint.
 
-    Nothing is sent. Links that were closed are not listed. Numbers that change meanwhile are those of about one moment.
+    Nothing is sent. Closed links are not listed. Links at work on other threads may change while the list is made.
     """
     return tuple(sorted((link.status() for link in LOCAL.links()), key=lambda one: (one.endpoint, one.kind)))
 
 
 def limit_local_connections(supported: int) -> None:
-    """Set how many connections this process may have opened at once: 10 000 at first.
+    """Set how many connections this process may have open at once; 10 000 by default.
 
-    Past the limit the unused shared connection whose last use is longest ago is closed; where all are in use, a request
-    that needs a new one ends as `LinkDown` (Messaging on TCP/IP V1.0b §4.2.1.1). What stands already is left alone.
+    At the limit the unused shared connection whose last use is longest ago is closed; if all are in use, a request
+    that needs a new one ends as `LinkDown` (Messaging on TCP/IP V1.0b §4.2.1.1). Open connections stay open.
 
     Args:
         supported: connections, 1…65535.
@@ -186,20 +186,20 @@ def status_of(
     reason: str,
     in_doubt: Sequence[int] = (),
 ) -> LocalConnectionStatus:
-    """The status of a link from what its driver holds.
+    """Build the status of a link from the values of its driver.
 
     Args:
-        link: whose.
+        link: the driver.
         endpoint: its URL.
-        state: of its connection.
-        counters: what happened on it.
-        now: in its clock.
-        opened: when the connection was made, in its clock.
-        local: socket address that it leaves from; None where there is none.
+        state: state of its connection.
+        counters: counters of its session.
+        now: the time, in its clock.
+        opened: when the connection was opened, in its clock.
+        local: local socket address; None if there is none.
         traffic: bytes sent and received.
         waiting: requests in flight, and calls in the queue.
-        reason: why no connection stands.
-        in_doubt: units that owe replies.
+        reason: why it is not connected.
+        in_doubt: units that may still send late replies.
     """
     stands = link.is_connected
     return LocalConnectionStatus(
@@ -224,7 +224,7 @@ def status_of(
 
 
 def _address(name: object) -> str:
-    """A socket address in the form of URLs."""
+    """A socket address as ``host:port``, IPv6 in brackets."""
     if not isinstance(name, tuple) or len(name) < 2:
         return ""
     host = f"[{name[0]}]" if ":" in str(name[0]) else name[0]

@@ -1,12 +1,12 @@
 """One limit of transactions for all links of a client: NumberMaxOfClientTransaction with ``scope=client``.
 
-Knows links that wait for a place, and serves them in turn; knows nothing of what they send.
+Knows links that wait for a slot, and serves them in turn; knows nothing of what they send.
 
-1. A client is what shares its links: an event loop, or for blocking links the process
+1. "Client" means all links of one event loop, or all blocking links of the process
    (Messaging on TCP/IP V1.0b §4.4.1.1 counts per client).
-2. The sessions take their places from one list, so nothing is counted twice; a link whose place is free again lets the
-   others go first.
-3. Blocking links of one client share a lock, so that no place is taken twice.
+2. The sessions take their slots for requests in flight from one shared list; a link that frees a slot lets the others
+   go first.
+3. Blocking links of one client share a lock, so that no slot is taken twice.
 """
 
 import threading
@@ -19,19 +19,19 @@ from ..session.requests_in_flight import Places, places
 
 
 class ScopedLink(Protocol):
-    """A link that takes its places from a scope."""
+    """A link that takes its slots from a scope."""
 
     def serve(self, now: float) -> None:
-        """Send what waits for a place."""
+        """Send requests that wait for a slot."""
 
 
 class ClientScope:
-    """The places of one client.
+    """The slots for requests in flight that the links of one client share.
 
     Attributes:
         limit: requests in flight on all its connections together, 1…16.
-        places: those that are free.
-        lock: that of its blocking links.
+        places: the free slots.
+        lock: the lock of its blocking links.
     """
 
     def __init__(self, limit: int) -> None:
@@ -42,19 +42,19 @@ class ClientScope:
 
     @property
     def is_used(self) -> bool:
-        """Whether a link takes its places from here."""
+        """Whether any link uses this scope."""
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """A link was made."""
+        """Add a new link."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
-        """A link was closed; its places are free already."""
+        """Remove a closed link; its slots are free already."""
         self._links = deque(one for one in self._links if one() not in (None, link))
 
     def serve(self, now: float) -> None:
-        """Give free places to the links that wait, in turn."""
+        """Let the waiting links use the free slots, in turn."""
         for _ in range(len(self._links)):
             if not self.places:
                 return
@@ -65,7 +65,7 @@ class ClientScope:
 
 
 def same_scope(scope: ClientScope | None, limit: int) -> ClientScope:
-    """The scope of a client for one more link; a new one where it has none in use.
+    """The scope for one more link of a client; a new one if none is in use.
 
     Raises:
         ConfigError: its other links have another limit.

@@ -1,11 +1,11 @@
-"""A serial port as the connection of a link: opened when it is there, with the methods of a stream.
+"""A serial port as the connection of a link, with the methods of a stream.
 
-Knows ports and the session's wish to know when its last character has left; knows no request.
+Knows ports, and tells the session when the last character of its frame has left; knows no request.
 
-1. A port that is not there is waited for as long as a request may wait (``port_wait``).
+1. A missing port is waited for, up to ``port_wait``.
 2. The response timeout counts from the last character: the session is told when it leaves, and again where the system
    turns out to hold it longer.
-3. Where the driver counts characters that it lost, what was read with such a loss is damaged like what it marks.
+3. If the driver counts lost characters, bytes read with such a loss are treated as damaged.
 """
 
 import time
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from ..transport.serial.connection import SerialConnection
 
 HOLDS_AT_MOST: Final = 16
-"""How often a response timeout is put off in a row because the system still holds characters."""
+"""How often in a row a response timeout is put off because the system still holds characters."""
 
 
 class SerialConnector:
-    """Opens one port, again and again."""
+    """Opens one serial port, and opens it again after a loss."""
 
     def __init__(
         self,

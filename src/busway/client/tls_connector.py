@@ -1,6 +1,6 @@
-"""Connections of a link over TLS (MODBUS/TCP Security, port 802), for both kinds of links.
+"""Connections of asyncio and blocking links over TLS (MODBUS/TCP Security, port 802).
 
-Knows TCP, TLS and what their failures mean; knows no conversation.
+Knows TCP, TLS and the meaning of their failures; knows no session.
 
 1. The server is verified: its chain, its time, and its name against the host of the URL or ``server_name``. Without
    that nothing is sent; where it is switched off, each connection says so in the log.
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.client")
 
 _OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
-"""What a second look is worth for: ``ssl`` does not say when a certificate has expired that it refuses."""
+"""Failures that are worth a second connection (rule 4): ``ssl`` does not say when a refused certificate expired."""
 
 
 class TlsConnector:
@@ -59,7 +59,7 @@ class TlsConnector:
         self._look_at_own()
 
     async def connect(self, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> Any:  # a `TlsLayer`, as a transport
-        """A transport over which both sides have agreed. Raises `LinkDown`."""
+        """Connect, complete the TLS handshake and return the transport. Raises `LinkDown`."""
         try:
             return await self._agree(self._context_now(), protocol)
         except TlsFailure as failure:
@@ -110,7 +110,7 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """The failure with the date that it is about, if that can be found out."""
+        """Add the date of the refused certificate to a failure, if a second connection shows it (rule 4)."""
         try:
             layer = await self._agree(timeless_context(self._security), _nobody)
         except (OSError, ValueError):
@@ -120,7 +120,7 @@ class TlsConnector:
         return dated(failure, certificate, time.time())
 
     def dial(self) -> "TlsSocket":
-        """A connection of a blocking link, over which both sides have agreed. Raises `LinkDown`."""
+        """Connect, complete the TLS handshake and return a socket for a blocking link. Raises `LinkDown`."""
         try:
             return self._agree_now(self._context_now())
         except TlsFailure as failure:
@@ -164,14 +164,14 @@ class TlsConnector:
         return context
 
     def _look_at_own(self) -> None:
-        """Say where the own certificate expires soon, or has."""
+        """Log a warning if the own certificate expires soon or has expired."""
         name = self._security.certificate
         if name is None or self._looked_at == self._context.generation:
             return
         from ..transport.tls.certificates.facts import facts_of_file
 
         self._looked_at = self._context.generation
-        with contextlib.suppress(ConfigError):  # TLS can use it; that nobody can read it out is no failure
+        with contextlib.suppress(ConfigError):  # TLS can use it even if its dates cannot be read
             problem = facts_of_file(name)[0].validity()
             if problem:
                 _log.warning("%s: our certificate %s %s", self._endpoint.url, name, problem)
@@ -181,7 +181,7 @@ class TlsConnector:
 
 
 def _nobody() -> "asyncio.BufferedProtocol":
-    """A protocol for a connection over which nothing is said."""
+    """A protocol that ignores all events, for a connection that carries no data."""
     import asyncio
 
     class Nobody(asyncio.BufferedProtocol):
