@@ -4,7 +4,7 @@ Knows a file and lines; knows nothing of what they say (`busway.access.entries`)
 
 1. Lines are kept for at most ``interval`` seconds and then written together. What the process holds when it is killed
    is lost; ``interval=0`` writes each line before the request is answered.
-2. A file that can not be written (disk full) is tried again and again. Meanwhile lines are kept up to a bound; those
+2. A file that cannot be written (disk full) is tried again and again. Meanwhile lines are kept up to a bound; those
    beyond it are counted, and the file says how many when it can be written again. Whoever wants no write without a line
    sets ``on_failure="refuse"``.
 3. A line is whole or is not there at all: what was written of one before a failure is completed before the next.
@@ -34,7 +34,7 @@ _log = logging.getLogger("busway.audit")
 _CHUNK: Final = 64 * 1024
 """Characters of lines that are written without waiting for the interval: one write of this size takes 50 µs."""
 _KEPT: Final = 4 * 1024 * 1024
-"""Bytes that are kept for a file that can not be written: some 15 000 lines."""
+"""Bytes that are kept for a file that cannot be written: some 15 000 lines."""
 _KEPT_OF_DENIALS: Final = 0.25
 """The part of it beyond which denials are not kept."""
 RESERVED: Final = 0.05
@@ -42,7 +42,7 @@ RESERVED: Final = 0.05
 MOST_RESERVED: Final = 256 * 1024 * 1024
 """Bytes: some 900 000 lines."""
 _RETRY: Final = 1.0
-"""Seconds between two attempts at a file that can not be written."""
+"""Seconds between two attempts at a file that cannot be written."""
 _LOOK_PAUSE: Final = 1.0
 """Seconds between two looks at the room of the file system."""
 _LATE: Final = 1.0
@@ -83,7 +83,7 @@ class AuditLog:
     Args:
         path: the file; made with rights for its owner alone (0600) if it is not there, never truncated.
         interval: seconds after which a line stands in the file at the latest, 0…10; 0: at once.
-        on_failure: ``serve`` goes on, counts and logs while the file can not be written; ``refuse`` answers writes
+        on_failure: ``serve`` goes on, counts and logs while the file cannot be written; ``refuse`` answers writes
             with exception 04 then.
         repeat_interval: seconds after which denials that were repeated leave a line with their number, 0…3600; 0: each
             leaves its own.
@@ -92,7 +92,7 @@ class AuditLog:
         room: how much room the file system has.
 
     Raises:
-        ConfigError: the file cannot be opened or is no regular file, or an argument can not be.
+        ConfigError: the file cannot be opened or is no regular file, or an argument cannot be.
 
     Attributes:
         written: lines that stand in the file.
@@ -197,7 +197,7 @@ class AuditLog:
         """Go on in the file that now has the name: after a rotation has renamed the old one.
 
         Raises:
-            ConfigError: it can not be opened; the old one is kept.
+            ConfigError: it cannot be opened; the old one is kept.
         """
         with self._lock:
             self._tell_left_out()

@@ -5,14 +5,14 @@ Knows requests, contexts and the policy; knows no connection and no device.
 1. A denied request never reaches the handler inside. It is answered with the exception code of the rule: 01, or 02
    where a rule of items chooses it. One that is permitted but comes too fast is answered 06, because the client may do
    it, and may try again.
-2. The short road and the plans of reads that are offered hold what the rights of whoever asks permit
+2. The compiled path and the plans of reads that are offered hold what the rights of whoever asks permit
    (`busway.access.compiled`). Who has the same rights shares plans; who has others never meets them.
 3. Every write leaves a line, on whatever road, and so does every denied request; those that a client repeats leave one
-   with their number. With a log, the short road has the writes that
+   with their number. With a log, the compiled path has the writes that
    leave theirs there (`busway.access.writes`).
 4. A policy can be replaced at any time: ``generation`` changes, and conversations ask anew before their next requests.
    No connection is dropped.
-5. With a log that refuses while it can not be written, a write is answered 04 and not executed.
+5. With a log that refuses while it cannot be written, a write is answered 04 and not executed.
 """
 
 import logging
@@ -87,7 +87,7 @@ class _Rights:
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
-        # Nothing is about them: 9 µs of each request that takes the long road, as all do through a gateway.
+        # Nothing is about them: 9 µs of each request that takes the generic path, as all do through a gateway.
         self.permits_all = not policy.rules and policy.default is Action.ALLOW
         self.has_limits = any(rule.limits is not None for rule in policy.rules)
         self.offers: dict[tuple[int, int | None], _Offer] = {}  # by unit asked and listed
@@ -211,7 +211,7 @@ class PolicyHandler:
             self._rates.clear()
             self._replaced_policies += 1
 
-    # ---- the short road
+    # ---- the compiled path
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
         """The answers of the handler inside, as far as whoever asks may have them without being looked at."""
@@ -274,7 +274,7 @@ class PolicyHandler:
             return None
         return inner.forward_plan(context, pdu)
 
-    # ---- the long road
+    # ---- the generic path
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Decide, and let the handler inside answer what is permitted."""

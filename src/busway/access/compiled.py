@@ -1,12 +1,12 @@
-"""A policy compiled into the short road: the answers that whoever has certain rights is offered.
+"""A policy compiled into the compiled path: the answers that whoever has certain rights is offered.
 
 Knows declarations of functions and where address and count stand on the wire; knows no handler.
 
 1. What is permitted everywhere is offered as it is; what is permitted in some windows of addresses, with one check in
    front; what a limit is about, with a block that looks at what is written (`busway.access.writes`); what a rate
-   is about, and what is not a plain range, not at all. It then takes the long road.
-2. What the check does not let through takes the long road too, and is decided, counted and logged there. So the short
-   road only ever permits what the long road permits (a property test holds them together).
+   is about, and what is not a plain range, not at all. It then takes the generic path.
+2. What the check does not let through takes the generic path too, and is decided, counted and logged there. So the
+   short road only ever permits what the generic path permits (a property test holds them together).
 """
 
 import struct
@@ -41,7 +41,7 @@ def permitted_answers(
         unit: the unit asked, 0…255.
         functions: what the handler decodes.
         answers: what it offers, by function code.
-        audited: whether every write has to be seen, so that none takes the short road.
+        audited: whether every write has to be seen, so that none takes the compiled path.
         listed: the unit as which the device is listed, where that is another one.
     """
     policy = _about_unit(policy, unit, listed)
@@ -63,7 +63,7 @@ def permitted_answers(
 def noted_writes(
     policy: Policy, unit: int, functions: FunctionTable, answers: Mapping[int, Answer], *, listed: int | None = None
 ) -> NotedWrites | None:
-    """The writes that may take the short road where each has to leave a line; None where none may.
+    """The writes that may take the compiled path where each has to leave a line; None where none may.
 
     The arguments are those of `permitted_answers`.
     """

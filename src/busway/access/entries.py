@@ -1,7 +1,7 @@
 """One line of the audit log: what is said of a request, as JSON.
 
 Knows requests and their outcome; writes nothing. Lines are put together by hand, from parts that are known before: a
-plant may write thousands of times a second. Of writes on the short road (`busway.access.writes`) all but time,
+plant may write thousands of times a second. Of writes on the compiled path (`busway.access.writes`) all but time,
 address and items is ready before.
 
 ===============  =====================================================================================

@@ -208,7 +208,7 @@ class Rule:
             code: exception code of a refusal, 1 or 2.
 
         Raises:
-            ConfigError: what can not be; its key names the argument.
+            ConfigError: what cannot be; its key names the argument.
         """
         limits = Limits(*values, signed=signed) if isinstance(values, tuple) else values
         given_units = given_functions = given_files = None

@@ -1,16 +1,16 @@
-"""Writes on the short road that are looked at: held against limits, and left in the audit log.
+"""Writes on the compiled path that are looked at: held against limits, and left in the audit log.
 
 Knows the zones of a policy, the blocks of a device and the lines of the log; knows no rule beyond its zone, no session.
 
 1. An answer is compiled by the function itself, with a block that looks (`Block.put`). So what is right on the wire is
    judged where it always is, before anything is looked at.
 2. What lies within one zone, within its limits, is written; what stood there is taken in the same step, and the line is
-   left when the write is done. All else is declined untouched and takes the long road: what is denied, what reaches
+   left when the write is done. All else is declined untouched and takes the generic path: what is denied, what reaches
    over several zones, every write while the log takes none.
-3. The line is that of the long road, to the byte (a property test holds them together).
+3. The line is that of the generic path, to the byte (a property test holds them together).
 
-Measured, with CPython 3.11, from frame to frame: FC06 with a line 4.6 µs, where the long road takes 47; within limits
-and without a line 3.1 for 27; with neither 2.2.
+Measured, with CPython 3.11, from frame to frame: FC06 with a line 4.6 µs, where the generic path takes 47; within
+limits and without a line 3.1 for 27; with neither 2.2.
 """
 
 from bisect import bisect_right
@@ -26,7 +26,7 @@ from .entries import DONE, WallClock, done_line
 from .rules import Zone
 
 LOOKED_AT: Final = frozenset(DONE)
-"""The functions whose writes can be looked at on the short road: they write one range, and do nothing else."""
+"""The functions whose writes can be looked at on the compiled path: they write one range, and do nothing else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class WriteLines:
 
 @dataclass(frozen=True, slots=True)
 class NotedWrites:
-    """The writes that may take the short road where each has to leave a line.
+    """The writes that may take the compiled path where each has to leave a line.
 
     Attributes:
         model: the device.
@@ -96,7 +96,7 @@ def looking_answer(
         lines: where each write leaves its line; None: nowhere.
 
     Returns:
-        The answer; None where there is nothing to permit, or no short road.
+        The answer; None where there is nothing to permit, or no compiled path.
     """
     return kind.direct(_LookingModel(model, kind, zones, lines)) if zones else None
 

@@ -45,19 +45,19 @@ SLOW_LORIS: Final = ClientFaultProfile(
 )
 
 CLIENT_FAULT_PROFILES: Final = {one.name: one for one in (SLOW_LORIS,)}
-"""The personalities of clients."""
+"""The fault profiles of clients."""
 
 
 @contextlib.contextmanager
 def misbehaving_client(
     endpoint: str, personality: ClientFaultProfile, **options: Any
-) -> Iterator[socket.socket]:  # Any: what the personality takes
-    """A connection on which the personality has sent its bytes.
+) -> Iterator[socket.socket]:  # Any: what the fault profile takes
+    """A connection on which the fault profile has sent its bytes.
 
     Args:
         endpoint: URL of the server.
         personality: how it misbehaves.
-        options: of the personality.
+        options: of the fault profile.
     """
     where = parse_endpoint(endpoint)
     with socket.create_connection((where.host, where.port or 0), 5.0) as connection:

@@ -146,13 +146,13 @@ class Fault:
     """What somebody does wrong. What it does not say goes its usual way.
 
     Args:
-        name: of the personality.
+        name: of the fault profile.
         admits: whether a new connection may stay.
         asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
         answered: the frames that leave, made from those that would.
         closes_at: when the connection is closed, in the clock of ``now``; None for never.
         carriers: where it is met.
-        options: of the personality, that it was made with.
+        options: of the fault profile, that it was made with.
     """
 
     name: str = ""
@@ -161,7 +161,7 @@ class Fault:
     answered: Answered | None = None
     closes_at: ClosesAt | None = None
     carriers: frozenset[Carrier] = EVERYWHERE
-    options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the personality declares
+    options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares
 
     def is_met(self, contact: Contact) -> bool:
         """Whether a connection is one where it can be met."""
@@ -296,7 +296,7 @@ class AppliedFault:
 
     @property
     def name(self) -> str:
-        """The personality."""
+        """The fault profile."""
         return self.fault.name
 
     def on(self) -> None:
@@ -365,7 +365,7 @@ class Faults:
             fault: what happens.
             selection: to which requests; None for all.
             enabled: whether it is switched on.
-            label: what it is called; by default its personality's name, with a number where that is taken.
+            label: what it is called; by default its fault profile's name, with a number where that is taken.
 
         Raises:
             ConfigError: there is one of this label.

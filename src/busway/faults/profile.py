@@ -20,12 +20,12 @@ from ..values.refusal import shown
 from .fault import EVERYWHERE, Carrier, Fault
 
 LONGEST = 86_400.0
-"""Seconds, the most that a personality takes for anything: a day."""
+"""Seconds, the most that a fault profile takes for anything: a day."""
 
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """What an option of a personality means, and its range; stands in its annotation.
+    """What an option of a fault profile means, and its range; stands in its annotation.
 
     Attributes:
         meaning: in words, with the unit of measure.
@@ -47,7 +47,7 @@ _TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false"}
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One option of a personality.
+    """One option of a fault profile.
 
     Attributes:
         name, default: as its signature has them.
@@ -71,7 +71,7 @@ class Parameter:
         return f"at least {least:g}" if most is None else f"{least:g}…{most:.6g}"
 
     def check(self, value: Any) -> None:  # Any: what somebody has written
-        """Raises `ConfigError`, with the name as key, for a value that can not be."""
+        """Raises `ConfigError`, with the name as key, for a value that cannot be."""
         if self.kind is None or (value is None and self.is_optional):
             return
         fits = isinstance(value, self.kind) or (self.kind is float and isinstance(value, int))
@@ -124,7 +124,7 @@ class FaultProfile:
         return {name: _parameter(one) for name, one in inspect.signature(self.make).parameters.items()}
 
     def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
-        """The fault. Raises `ConfigError`, its key the option, for one that there is not or a value that can not be."""
+        """The fault. Raises `ConfigError`, its key the option, for one that there is not or a value that cannot be."""
         parameters = self.parameters
         for name, value in options.items():
             if name not in parameters:
@@ -152,7 +152,7 @@ class FaultyTable(Mapping[str, FaultProfile]):
         return FaultyTable(*self.values(), *personalities)
 
     def named(self, name: str) -> FaultProfile:
-        """The personality of a name. Raises `ConfigError` that lists those there are."""
+        """The fault profile of a name. Raises `ConfigError` that lists those there are."""
         found = self._by_name.get(name)
         if found is None:
             raise ConfigError(f"there is no personality {name!r}; there are {', '.join(self._by_name)}", key=name)

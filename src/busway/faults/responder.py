@@ -2,7 +2,7 @@
 
 Knows requests, faults and the ways of replies; knows no socket.
 
-1. While no fault is on, the short road and the plans of reads are those of the handler inside: it costs nothing.
+1. While no fault is on, the compiled path and the plans of reads are those of the handler inside: it costs nothing.
    Switching changes ``generation``, and conversations ask anew before their next request.
 2. A request that no fault strikes is answered by the handler inside as if nothing were around it, unless something
    that was asked before on the same way has not left yet: then its reply waits its turn.
@@ -41,7 +41,7 @@ class FaultyHandler:
         inner: what answers rightly.
         faults: what goes wrong.
         tap: where replies leave; the server has to be given the same.
-        heard: called with every request; with it, none takes the short road.
+        heard: called with every request; with it, none takes the compiled path.
 
     Attributes:
         serial_units: as the handler inside has it, if it has.
@@ -79,7 +79,7 @@ class FaultyHandler:
     def _is_aside(self) -> bool:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
-    # The short road.
+    # The compiled path.
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
         """The answers of the handler inside, while no fault is on."""
@@ -93,7 +93,7 @@ class FaultyHandler:
         """The plan of a read, while no fault is on."""
         return self._planner.plan(context, pdu) if self._planner is not None and self._is_aside else None
 
-    # The long road.
+    # The generic path.
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Answer a request, rightly or not."""

@@ -1,6 +1,6 @@
 """Faults by name: what somebody switches who does not hold the objects, from a file, a command line, a page.
 
-Knows personalities, names and the server's side of faults; knows no file and no HTTP.
+Knows fault profiles, names and the server's side of faults; knows no file and no HTTP.
 
 ::
 
@@ -38,7 +38,7 @@ class FaultStatus:
         happens: what happens, in words.
         is_on: the switch.
         struck: requests that it has struck, connections that it has refused or closed.
-        parameters: all of the personality, as they hold.
+        parameters: all of the fault profile, as they hold.
         selection: which requests it is for.
     """
 
@@ -47,7 +47,7 @@ class FaultStatus:
     happens: str
     is_on: bool
     struck: int
-    parameters: Mapping[str, Any]  # of the types that the personality declares
+    parameters: Mapping[str, Any]  # of the types that the fault profile declares
     selection: Selection
 
 
@@ -99,7 +99,7 @@ class FaultSwitchboard:
 
         Args:
             personality: its name.
-            name: what to call it; by default as its personality, with a number where that is taken.
+            name: what to call it; by default as its fault profile, with a number where that is taken.
             units: unit identifiers that it strikes, 0…255; None for all, here and below.
             functions: function codes, 1…127.
             addresses: items of any table, 0-based; requests that touch one of them.
@@ -107,13 +107,13 @@ class FaultSwitchboard:
             probability: 0…1, the part of those requests that it strikes.
             schedule: when.
             on: whether it is switched on.
-            parameters: of the personality.
+            parameters: of the fault profile.
 
         Returns:
             Its name.
 
         Raises:
-            ConfigError: a name is unknown or taken, a parameter or a choice can not be; its key says which.
+            ConfigError: a name is unknown or taken, a parameter or a choice cannot be; its key says which.
         """
         fault = self.personalities.named(personality)(**(parameters or {}))
         selection = Selection(units, functions, addresses, probability, schedule or Schedule(), items)

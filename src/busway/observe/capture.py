@@ -11,7 +11,7 @@ Knows what Wireshark makes of each kind of packet; knows no driver. A driver han
    words for them as comment (and in the list of packets, from Wireshark 4.2 on). An ASCII frame is written in its RTU
    form, with its characters in the comment: there is no dissector for ASCII.
 4. Damaged bytes are packets too; their comment says what is wrong with them.
-5. Capturing never disturbs the conversation: where the file can not be written any more, it ends there, is said once
+5. Capturing never disturbs the conversation: where the file cannot be written any more, it ends there, is said once
    in the log, and everything else goes on.
 6. A packet is in the file as soon as it is known: of a line, as soon as silence ends it. At `close` all are there.
 """
@@ -69,7 +69,7 @@ class Capture:
             clock: seconds since 1970.
 
         Raises:
-            OSError: the beginning can not be written.
+            OSError: the beginning cannot be written.
         """
         self.failure = ""
         self._stream = stream

@@ -227,7 +227,7 @@ def _likelier(as_request: Description, as_reply: Description, pdu: bytes, *, due
 
 
 def _mismatch(asked: _Asked, frame: _Frame) -> str:
-    """Why the frame can not be the answer; empty if it can."""
+    """Why the frame cannot be the answer; empty if it can."""
     if asked.transaction != frame.transaction and None not in (asked.transaction, frame.transaction):
         return f"transaction {frame.transaction} where {asked.transaction} was asked"
     if asked.unit != frame.unit and None not in (asked.unit, frame.unit):

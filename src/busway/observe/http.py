@@ -280,7 +280,7 @@ def parse_host_port(text: str, key: str) -> tuple[str, int]:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """A bound TCP socket. Raises `LinkDown` where that can not be."""
+    """A bound TCP socket. Raises `LinkDown` where that cannot be."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(family, socket.SOCK_STREAM)

@@ -189,7 +189,7 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
     ``receive_buffer``. The host of a UDP URL is one of this machine, empty for every IPv4 address of it.
 
     Raises:
-        ConfigError: another scheme, or an option that can not be.
+        ConfigError: another scheme, or an option that cannot be.
     """
     endpoint = parse_endpoint(url)
     if endpoint.framing == "mbap":
@@ -263,8 +263,8 @@ class Listening:
             returned: told when it is there again.
 
         Raises:
-            LinkDown: port or connection can not be had.
-            ConfigError: it can not be set so.
+            LinkDown: port or connection cannot be had.
+            ConfigError: it cannot be set so.
         """
         self.pairing = pairing or Pairing()
         self.bytes_heard = 0

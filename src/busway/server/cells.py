@@ -2,7 +2,7 @@
 
 Knows numbers, sequences and mappings; knows no lock, no store and no request.
 
-1. What can not be is refused here, at construction, with `ConfigError`: an address outside 0…65535, two values for one
+1. What cannot be is refused here, at construction, with `ConfigError`: an address outside 0…65535, two values for one
    address, a value that does not fit, a read-only range of items that do not exist.
 2. Items of adjacent addresses become one run, however they were declared: a request may cross where they meet.
 """
@@ -29,7 +29,7 @@ class Cells:
         values: what the items hold at first: a sequence, from ``first`` on; or a mapping of an address to its value or
             to the values from there on. With a mapping and no ``count``, exactly the addresses in it exist. What has
             no value holds zero. Registers take 0…65535, bits ``bool`` or 0 and 1.
-        read_only: ranges, each first address and count, that Modbus can not write (exception 02); the application can.
+        read_only: ranges, each first address and count, that Modbus cannot write (exception 02); the application can.
     """
 
     first: int = 0
@@ -73,7 +73,7 @@ def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TA
         size: addresses that there can be.
 
     Raises:
-        ConfigError: the declaration can not be.
+        ConfigError: the declaration cannot be.
     """
     cells = _as_cells(declared, key)
     pieces = _merged(_pieces(cells, key, bits, size), key)

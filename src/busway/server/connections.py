@@ -4,7 +4,7 @@ Knows connections and their limits; knows no request.
 
 1. Whether a host may connect is asked before anybody makes room for it.
 2. Who makes room is decided by `busway.server.pools`; what is overdue by `busway.server.deadlines`.
-3. No timeout, rate or newcomer closes or slows a connection of a marked device, nor does the user timeout of its
+3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
    socket. It ends with an error, with the server, or when the system finds its other end gone.
 4. There is one timer for all connections of a listener.
 5. What happens is counted, and can be seen.
@@ -50,11 +50,11 @@ class ConnectionManagement:
     Args:
         listener_context: what the listener knows beside its connections.
         pools: places, its own or shared with other listeners.
-        sockets: parameters of the sockets of newcomers.
+        sockets: parameters of the sockets of new connections.
         turns: where connections wait that have more to do than one turn allows; None for its own, unshared.
 
     Attributes:
-        handshake_acceptor: where newcomers agree on TLS before they get here; None without TLS.
+        handshake_acceptor: where new connections agree on TLS before they get here; None without TLS.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class ConnectionManagement:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """For the lamps."""
+        """For the status indicators."""
         return self.listener_context.diagnosis
 
     @property
@@ -118,7 +118,7 @@ class ConnectionManagement:
     # Coming and going.
 
     def accept(self, transport: asyncio.BaseTransport) -> bool:
-        """Whether a newcomer may stay, asked before a byte of it is read; the parameters of its socket are set.
+        """Whether a new connection may stay, asked before a byte of it is read; the parameters of its socket are set.
 
         A refusal is counted and logged; closing is the caller's.
         """
@@ -133,7 +133,7 @@ class ConnectionManagement:
         return True
 
     def admit(self, connection: ServerConnection) -> Session | None:
-        """Give a newcomer a place, and its session; None where nobody can make room for it."""
+        """Give a new connection a place, and its session; None where nobody can make room for it."""
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)
@@ -158,7 +158,7 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ServerConnection) -> None:
-        """A connection has lost its place to a newcomer."""
+        """A connection has lost its place to a new connection."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,
@@ -184,7 +184,7 @@ class ConnectionManagement:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
     def broken(self, connection: ServerConnection, reason: str) -> None:
-        """The stream of a connection can not be followed any more."""
+        """The stream of a connection cannot be followed any more."""
         self.counters.broken_streams += 1
         self.listener_context.broken()
         self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)

@@ -21,9 +21,9 @@ class ServerCounters:
 
     Attributes:
         accepted, closed: connections, and peers over UDP.
-        unauthorised: newcomers that were refused by their address.
+        unauthorised: new connections that were refused by their address.
         no_longer_authorised: connections, and peers over UDP, that were ended because address lists have changed.
-        refused_full: newcomers for whom nobody could make room, or nobody had to: they had closed already.
+        refused_full: new connections for whom nobody could make room, or nobody had to: they had closed already.
         evicted: connections that made room.
         broken_streams: connections that could not be followed any more.
         header_timeouts, frame_timeouts: requests that did not end in time, in their header or after it.

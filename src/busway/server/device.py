@@ -8,7 +8,7 @@ it is reached by, and no function beyond their codes.
 2. What changes items holds ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
    Whoever executes a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
 3. Hooks are for Modbus. The application's own accesses call none.
-4. ``generation`` changes with whatever ends a short road that was offered earlier.
+4. ``generation`` changes with whatever ends a compiled path that was offered earlier.
 """
 
 import threading
@@ -64,7 +64,7 @@ class Device:
         block: one block of memory behind several tables; those it serves are not declared a second time.
 
     Raises:
-        ConfigError: something declared can not be; names the argument.
+        ConfigError: something declared cannot be; names the argument.
 
     Attributes:
         holding_registers, input_registers, coils, discrete_inputs: the tables for the application (`TableView`).
@@ -274,7 +274,7 @@ class Device:
         """Call a function at every write by Modbus: ``@device.on_write("holding_registers")``, or with it second.
 
         ``before`` the write, it may raise `Refusal` with an exception code (04 without one), and nothing changes; it
-        can not replace the value. ``after``, the items have changed, and stay changed whatever it raises. Any other
+        cannot replace the value. ``after``, the items have changed, and stay changed whatever it raises. Any other
         exception is answered with 04.
 
         Args:
@@ -288,7 +288,7 @@ class Device:
             The function, or without one a decorator that gives it back.
 
         Raises:
-            ConfigError: no such table or moment, a table that Modbus can not write, or an impossible range.
+            ConfigError: no such table or moment, a table that Modbus cannot write, or an impossible range.
         """
         written = as_table(table)
         if not written.is_writable:

@@ -1,9 +1,10 @@
-"""Visual diagnosis of a listener: three lamps, as states that a status, a page or a real lamp shows (S19).
+"""Visual diagnosis of a listener: three status indicators, as states that a status, a page or a real status indicator
+shows (S19).
 
 Knows when something happened; knows no bytes and no clock.
 
 1. Communication: on while frames come or go.
-2. Error: steady for an internal fault (a handler failed, no newcomer can be accepted), flashing for a fault of
+2. Error: steady for an internal fault (a handler failed, no new connection can be accepted), flashing for a fault of
    communication or configuration (a damaged frame, a port that is not there). The steady one goes before.
 3. Device status: on when it answers, flashing in listen-only mode, off otherwise.
 """
@@ -20,7 +21,7 @@ _NEVER: Final = float("-inf")
 
 
 class StatusIndicator(Enum):
-    """The states of one lamp."""
+    """The states of one status indicator."""
 
     OFF = "off"
     ON = "on"
@@ -29,7 +30,7 @@ class StatusIndicator(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StatusIndicators:
-    """The lamps of a listener at one moment."""
+    """The status indicators of a listener at one moment."""
 
     communication: StatusIndicator
     error: StatusIndicator
@@ -43,7 +44,7 @@ class Diagnosis:
         is_open: whether it can be reached.
         traffic: when a frame came or went, in seconds of whatever clock ``now`` is of.
         communication_fault: when one was damaged.
-        internal_fault: when a handler failed, or the system had nothing left for a newcomer.
+        internal_fault: when a handler failed, or the system had nothing left for a new connection.
     """
 
     __slots__ = ("communication_fault", "internal_fault", "is_open", "traffic")
@@ -53,7 +54,7 @@ class Diagnosis:
         self.traffic = self.communication_fault = self.internal_fault = _NEVER
 
     def lamps(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
-        """What the lamps show at ``now``."""
+        """What the status indicators show at ``now``."""
         error = StatusIndicator.OFF
         if now < self.internal_fault + FAULT_SHOWN:
             error = StatusIndicator.ON

@@ -24,7 +24,7 @@ ExceptionStatus = int | Callable[[], int]
 
 
 def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[int, bytes]:
-    """The objects by number, in ascending order, the mandatory ones always; `ConfigError` where one can not be."""
+    """The objects by number, in ascending order, the mandatory ones always; `ConfigError` where one cannot be."""
     objects = dict(MANDATORY_OBJECTS)
     for number, value in (declared or {}).items():
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= 255:

@@ -51,7 +51,7 @@ class SerialListener:
     Attributes:
         name: URL of the endpoint.
         diagnostics: counters and modes of the units of the line.
-        diagnosis: for the lamps.
+        diagnosis: for the status indicators.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class SerialListener:
 
         Raises:
             LinkDown: it is taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, can not be set so, or is in use in this process.
+            ConfigError: it is no serial port, cannot be set so, or is in use in this process.
         """
         self._claim = Claim(self._settings.endpoint.path, "busway.serve")
         self._emission_alarm = Alarm(self._emit)

@@ -22,7 +22,7 @@ class Listener:
 
     Attributes:
         endpoint: URL.
-        access: asked with the host of each newcomer, beside the server's own question; both must say yes.
+        access: asked with the host of each new connection, beside the server's own question; both must say yes.
         tls: certificate, key and authorities of a ``tls://`` listener; None takes the server's.
         limits: limits of its connections; None takes the server's.
     """

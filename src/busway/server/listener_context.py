@@ -92,7 +92,7 @@ class ListenerContext:
         settings, parameters: of the listener.
         counters: shared by all listeners of a server.
         diagnostics: communication counters of the listener and its units (functions 08, 11, 12).
-        diagnosis: for the lamps.
+        diagnosis: for the status indicators.
         rates: of requests; None without a limit.
         damaged: what could not be followed.
     """
@@ -139,7 +139,7 @@ class ListenerContext:
         return self.settings.endpoint.framing
 
     def welcomes(self, host: str, address: object) -> bool:
-        """Whether a newcomer at a socket address may stay. A refusal is counted and logged."""
+        """Whether a new connection at a socket address may stay. A refusal is counted and logged."""
         if self._authorise(host):
             return True
         self.counters.unauthorised += 1
@@ -148,7 +148,7 @@ class ListenerContext:
         return False
 
     def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a guest may keep its place: address lists may have changed. A refusal is counted and logged."""
+        """Whether a peer may keep its place: address lists may have changed. A refusal is counted and logged."""
         if self._authorise(connected_peer.host):
             return True
         self.counters.no_longer_authorised += 1
@@ -160,7 +160,7 @@ class ListenerContext:
         return host in self.parameters.priority
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
-        """A conversation for a newcomer; ``share``: requests on TCP that one call of it works through."""
+        """A conversation for a new connection; ``share``: requests on TCP that one call of it works through."""
         if self.framing != "mbap":
             return FramedSession(
                 self.loop,
@@ -191,7 +191,7 @@ class ListenerContext:
     # What is counted.
 
     def connection_opened(self, connected_peer: ConnectedPeer) -> None:
-        """A newcomer has a place."""
+        """A new connection has a place."""
         self.counters.accepted += 1
         self.counters.of_class(is_priority=connected_peer.is_priority).accepted += 1
         if self._tap is not None:
@@ -214,7 +214,7 @@ class ListenerContext:
             self._tap.connection_closed(connection)
 
     def broken(self) -> None:
-        """Something came that can not be followed, or did not end."""
+        """Something came that cannot be followed, or did not end."""
         self.damaged += 1
         self.diagnosis.communication_fault = time.monotonic()
 

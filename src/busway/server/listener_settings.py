@@ -40,7 +40,7 @@ class ListenerSettings:
         limits: of its connections.
         access: who may connect, beside the server's own question; None leaves it to that.
         tls: certificate, key and authorities; None where the carrier is not TLS.
-        is_optional: whether the others go on where it can not be had.
+        is_optional: whether the others go on where it cannot be had.
     """
 
     endpoint: Endpoint
@@ -77,7 +77,7 @@ def listener_settings(
     """The settings of a listener; ``limits`` and ``tls`` are the server's, for those that have none of their own.
 
     Raises:
-        ConfigError: the URL can not be listened on, with the options of its scheme.
+        ConfigError: the URL cannot be listened on, with the options of its scheme.
     """
     endpoint = parse_endpoint(listener.endpoint)
     offered = _offered(endpoint)

@@ -16,7 +16,7 @@ async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerS
     """The sockets of an endpoint, bound.
 
     Raises:
-        OSError: one can not be had, or the host is not known; then none is bound.
+        OSError: one cannot be had, or the host is not known; then none is bound.
         ConfigError: it shall listen on one interface, and the system has no means for that.
     """
     endpoint = settings.endpoint

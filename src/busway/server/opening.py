@@ -72,7 +72,7 @@ class Opening:
         self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
-        """A listener over TCP or TLS; None where it is optional and can not be had. Raises `OSError`, `ConfigError`."""
+        """A listener over TCP or TLS; None where it is optional and cannot be had. Raises `OSError`, `ConfigError`."""
         limits = settings.limits
         shares = limits.shared_places and limits is self.limits
         management = ConnectionManagement(

@@ -15,14 +15,14 @@ NOBODY: Final = Networks()
 class ListenerParameters:
     """How a listener treats its connections.
 
-    None of the timeouts, nor ``request_rate``, touches a connection of a marked device.
+    None of the timeouts, nor ``request_rate``, touches a connection of a priority host.
 
     Attributes:
         backlog: connections that the system may hold before they are accepted.
-        priority: addresses and networks of the marked devices, whose connections are never closed by us.
+        priority: addresses and networks of the priority hosts, whose connections are never closed by us.
         max_priority_connections: places for them.
         max_priority_per_remote: of these, places for one device; None is half of them.
-        max_connections: places for all others; the next newcomer takes that of the oldest unused one.
+        max_connections: places for all others; the next new connection takes that of the oldest unused one.
         max_per_remote: of these, places for one device; its next connection replaces its oldest. None for all.
         shared_places: whether all listeners of a server over TCP and TLS that have no limits of their own share these
             places; otherwise each has as many.

@@ -2,16 +2,16 @@
 
 Pure: knows who is connected and since when unused; closes nothing, logs nothing, looks at no clock.
 
-1. There are two pools. A connection of a marked device takes a place of the priority pool, from where nothing ever
+1. There are two pools. A connection of a priority host takes a place of the priority pool, from where nothing ever
    moves it. Each device has a limit there, so that one does not take all.
-2. A marked newcomer is always accepted: beyond its limit it takes a place of the other pool, and moves up when one of
-   the priority pool becomes free.
-3. In the other pool a newcomer pushes out one that has never said anything, if its other end has closed or it had
+2. A priority connection is always accepted: beyond its limit it takes a place of the other pool, and moves up when one
+   of the priority pool becomes free.
+3. In the other pool a new connection pushes out one that has never said anything, if its other end has closed or it had
    `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are busy. One that is not marked
    never pushes out one that is: where only such are left, it is refused itself. So who knocks and goes, or knocks and
-   says nothing, takes no place of one who has worked; and a newcomer whose other end has closed takes nobody's.
-4. Only a marked newcomer that finds nothing but marked connections takes the place of one: of its own device's oldest,
-   if there is one. Nothing else keeps both the bound and rule 2.
+   says nothing, takes no place of one who has worked; and a new connection whose other end has closed takes nobody's.
+4. Only a priority connection that finds nothing but priority connections takes the place of one: of its own device's
+   oldest, if there is one. Nothing else keeps both the bound and rule 2.
 5. A device that is not marked may have a limit of its own; its next connection replaces its oldest. With a limit of 1
    a client that has started anew replaces what is left of it (§4.2.2).
 """
@@ -25,7 +25,7 @@ from typing import Final, Generic, Protocol, TypeVar
 SECONDS_TO_SPEAK: Final = 1.0
 """So long a connection may stand and say nothing until it makes room before all that have said something."""
 _LOOKS: Final = 64
-"""Silent connections whose other ends are looked at for one newcomer at most."""
+"""Silent connections whose other ends are looked at for one new connection at most."""
 
 
 class Pool(Enum):
@@ -83,7 +83,7 @@ class PoolLimits:
 
 @dataclass(frozen=True, slots=True)
 class Admission(Generic[One]):
-    """What becomes of a newcomer.
+    """What becomes of a new connection.
 
     Attributes:
         accepted: whether it has a place.
@@ -116,7 +116,7 @@ class Pools(Generic[One]):
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a newcomer a place, if need be somebody else's."""
+        """Give a new connection a place, if need be somebody else's."""
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
@@ -166,8 +166,8 @@ class Pools(Generic[One]):
         """Of those that are not marked: the one unused longest, or the oldest if all are busy."""
         found = self._first_idle()
         if found is None:
-            # Sorted once for many newcomers: what has not been used since then stands in its order still, and all
-            # others have been used later. A storm of newcomers costs a step for each, not a look at everybody.
+            # Sorted once for many new connections: what has not been used since then stands in its order still, and all
+            # others have been used later. A storm of new connections costs a step for each, not a look at everybody.
             self._by_use = deque(
                 sorted((member.last_used, number) for member, number in self._other.items() if not member.is_priority)
             )

@@ -34,7 +34,7 @@ class RecordFile(TableView):
         self.is_consistent = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """The run that holds some records; `Refusal` if Modbus can not have them: 02, 03 for none at all, 08."""
+        """The run that holds some records; `Refusal` if Modbus cannot have them: 02, 03 for none at all, 08."""
         if count == 0:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")
         run = self._store.find(record, count)
@@ -91,7 +91,7 @@ class RegisterQueue:
 def build_files(
     declared: Mapping[int, TableLike] | None, lock: threading.RLock, groups: Groups
 ) -> dict[int, RecordFile]:
-    """The files of a declaration, each as `lay_out` takes it; `ConfigError` where one can not be."""
+    """The files of a declaration, each as `lay_out` takes it; `ConfigError` where one cannot be."""
     files = {}
     for number, cells in (declared or {}).items():
         key = f"files[{shown(number)}]"
@@ -103,7 +103,7 @@ def build_files(
 
 
 def build_queues(declared: Mapping[int, Sequence[int]] | None, lock: threading.RLock) -> dict[int, RegisterQueue]:
-    """The queues of a declaration, by address; `ConfigError` where one can not be."""
+    """The queues of a declaration, by address; `ConfigError` where one cannot be."""
     queues = {}
     for address, values in (declared or {}).items():
         if not isinstance(address, int) or not 0 <= address < TABLE_SIZE:

@@ -1,4 +1,5 @@
-"""The gate of a secure listener: newcomers come in when TLS is agreed on and their certificate has been looked at.
+"""The gate of a secure listener: new connections come in when TLS is agreed on and their certificate has been looked
+at.
 
 Knows connections that are not admitted yet; knows no request. What a role may do is policy's business.
 
@@ -7,9 +8,9 @@ Knows connections that are not admitted yet; knows no request. What a role may d
    the same host and reason, with how many there were.
 2. The context is taken when a connection is accepted: certificates and authorities that have changed hold from the
    next connection on, and those that stand are not disturbed.
-3. At most ``max_handshakes`` are under way; a newcomer takes the place of the oldest of them, so that clients who begin
-   and fall silent keep nobody out. That of a marked device is taken by another marked device alone: who it is, is known
-   before, and strangers shall not keep it from its place.
+3. At most ``max_handshakes`` are under way; a new connection takes the place of the oldest of them, so that clients
+   who begin and fall silent keep nobody out. That of a priority host is taken by another priority host alone: who it
+   is, is known before, and strangers shall not keep it from its place.
 4. A resumed session brings the certificate it was made with; it is looked at again, because its time may be over.
 """
 
@@ -38,10 +39,10 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """The gate of a listener; calling it gives the protocol of a newcomer.
+    """The gate of a listener; calling it gives the protocol of a new connection.
 
     Raises:
-        ConfigError: a file can not be used, or ``cryptography`` is missing.
+        ConfigError: a file cannot be used, or ``cryptography`` is missing.
     """
     management.handshake_acceptor = made = TlsHandshakeAcceptor(management, parameters)
     return made
@@ -137,7 +138,7 @@ class TlsHandshakeAcceptor:
                 _log.warning("%s: the certificate %s %s", name, self._own.subject, problem)
         return self._own
 
-    # What newcomers and their TLS report.
+    # What new connections and their TLS report.
 
     def arrived(self, transport: asyncio.Transport) -> None:
         """A connection was accepted."""
@@ -213,7 +214,7 @@ class TlsHandshakeAcceptor:
         return reading.role, facts.subject
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
-        """A newcomer is not let in, or has gone."""
+        """A new connection is not let in, or has gone."""
         self._strangers.pop(layer, None)
         self._refuse(self._waiting.pop(layer, "?"), failure)
         if layer.state is TlsState.REFUSED:

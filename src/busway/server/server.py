@@ -3,7 +3,7 @@
 Knows listeners and their life; knows no request.
 
 1. It answers only between start and stop. Stopping ends within a second, whatever the clients do.
-2. Start, stop and reset say what they did, or raise. A listener that can not be opened closes those opened before.
+2. Start, stop and reset say what they did, or raise. A listener that cannot be opened closes those opened before.
 """
 
 import asyncio
@@ -59,7 +59,7 @@ class Server:
         audit: where denied requests and writes are recorded.
         standard_port: whether port 502 is listened on beside each other port of ``tcp://`` (Messaging on TCP/IP V1.0b
             §3.1.3): True, and then it must be had; False; or None: where the host can be reached from the network and
-            the port was chosen, and where it can not be had, that is only said.
+            the port was chosen, and where it cannot be had, that is only said.
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.
         tap: is told of every way by which bytes leave, and may send by them; for simulated devices that misbehave.
@@ -69,7 +69,7 @@ class Server:
         counters: what has happened, without what living connections have not handed over yet; see `status`.
 
     Raises:
-        ConfigError: an endpoint that can not be listened on.
+        ConfigError: an endpoint that cannot be listened on.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class Server:
         Listeners also find out themselves that a file has changed, at the next connection.
 
         Raises:
-            ConfigError: a file can not be used, with its name; its listener stays as it was, the others have theirs.
+            ConfigError: a file cannot be used, with its name; its listener stays as it was, the others have theirs.
         """
         handshake_acceptors = [each.management.handshake_acceptor for each in self._streams]
         failures: list[ConfigError] = []
@@ -186,7 +186,7 @@ class Server:
         """Open all listeners. A serial port that is not there is waited for.
 
         Raises:
-            LinkDown, ConfigError: a listener can not be had; then none is open.
+            LinkDown, ConfigError: a listener cannot be had; then none is open.
         """
         if self.is_running:
             return

@@ -76,8 +76,8 @@ def serve(
         unit_policy: ``listed`` (others get exception 0B) or ``any`` (the sole device answers every unit).
         unlisted: what a unit that is not listed gets: ``exception`` (0B, the default) or ``silence``.
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
-        authorise: asked with the host of each newcomer (``"10.0.0.7"``), before a byte of it is parsed; where it gives
-            False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
+        authorise: asked with the host of each new connection (``"10.0.0.7"``), before a byte of it is parsed; where it
+            gives False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         tls: certificate, key and authorities of ``tls://`` listeners.
         policy: who may ask what; ``Policy.read_only()`` refuses all writes. Without one a server that the network can
             reach takes writes from everybody, and says so in the log.
@@ -89,7 +89,7 @@ def serve(
             listened on beside other TCP ports (§4.2.1), and without it that is `Server`'s rule.
 
     Raises:
-        ConfigError: an endpoint, unit or option that can not be, or that contradicts the preset.
+        ConfigError: an endpoint, unit or option that cannot be, or that contradicts the preset.
     """
     kinds = (ServerParameters, ListenerParameters, SocketParameters)
     beside = options.get(STANDARD_PORT)

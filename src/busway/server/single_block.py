@@ -38,7 +38,7 @@ class SingleBlock:
 
 
 def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, Store]:
-    """The store of each table that the block serves; `ConfigError` where the block can not be."""
+    """The store of each table that the block serves; `ConfigError` where the block cannot be."""
     words = register_store(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")

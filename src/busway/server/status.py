@@ -94,7 +94,7 @@ class ListenerStatus:
     Attributes:
         endpoint: its URL, as it is bound.
         is_open: whether it can be reached: False while a port is waited for.
-        lamps: what its lamps show.
+        lamps: what its status indicators show.
         counters: the diagnostic counters of function 08 (Serial Line V1.02 appendix A). Bus messages, communication
             errors and overruns are those of the line since the start, whatever a unit has cleared. The others are sums
             over its units, since the last restart or clear of each; a broadcast counts once for each unit.
@@ -140,7 +140,7 @@ class ServerStatus:
         remote_connections: how many there are.
         local_connections: how many this program has itself towards others.
         counters: what happened since the server was made or reset.
-        listeners: the listeners, with their lamps and diagnostic counters.
+        listeners: the listeners, with their status indicators and diagnostic counters.
         refusals: requests that the policy has refused, by the name of the rule.
     """
 

@@ -1,4 +1,4 @@
-"""One table of a device: its runs, found by address, and the ranges that Modbus can not write.
+"""One table of a device: its runs, found by address, and the ranges that Modbus cannot write.
 
 Knows runs and addresses; knows no hook, no group of changes and no request.
 
@@ -20,7 +20,7 @@ class Store:
 
     Args:
         runs: in ascending order, no two adjacent.
-        read_only: ranges (first address, address after the last) that Modbus can not write, ascending.
+        read_only: ranges (first address, address after the last) that Modbus cannot write, ascending.
     """
 
     __slots__ = ("_firsts", "count", "read_only", "runs")

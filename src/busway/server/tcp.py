@@ -78,7 +78,7 @@ class TcpListener:
         listener_context.diagnosis.is_open = True
 
     def _protocols(self) -> Callable[[], asyncio.BaseProtocol]:
-        """What makes the protocol of each newcomer: over TLS, a gate that lets it in after the handshake."""
+        """What makes the protocol of each new connection: over TLS, a gate that lets it in after the handshake."""
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)
@@ -94,7 +94,7 @@ class TcpListener:
         listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:
-        """Take no newcomer. Those that are being accepted arrive within `settle`."""
+        """Take no new connection. Those that are being accepted arrive within `settle`."""
         for acceptor in self._acceptors:
             acceptor.accept_no_more()
 

@@ -8,9 +8,9 @@ Knows datagrams and peers; knows nothing of what they say.
    senders, and shall push nobody off TCP.
 3. For a datagram at most one leaves: the reply of its request. Nothing is sent to a sender that is refused, over its
    rate, or without a place.
-4. Nobody says when a sender has gone. So where all other places are marked senders', one of them makes room for a
+4. Nobody says when a sender has gone. So where all other places are priority hosts', one of them makes room for a
    stranger if nothing of it is in work: it loses nothing, because its next datagram has a place again. Without this a
-   marked device that asks from a new port each time would keep all others out for ever.
+   priority host that asks from a new port each time would keep all others out for ever.
 """
 
 import asyncio
@@ -164,7 +164,7 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Give up a marked peer that has nothing in work and no priority place; whether there was one (rule 4)."""
+        """Give up a priority peer that has nothing in work and no priority place; whether there was one (rule 4)."""
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
             return False

@@ -44,12 +44,12 @@ class FaultyServer:
 
     Args:
         device: answers whatever unit is asked; or devices by unit identifier, 0…255.
-        personalities: names of personalities, or faults that were made from them.
+        personalities: names of fault profiles, or faults that were made from them.
         seed: what chance is made from.
         clock: what delays are measured by; the event loop's clock by default.
         host: address to listen on; the port is a free one.
         functions: the table of functions.
-        options: of the named personalities, each to those that have it.
+        options: of the named fault profiles, each to those that have it.
 
     Raises:
         ConfigError: a name or an option that there is not.
@@ -67,7 +67,7 @@ class FaultyServer:
         clock: Clock | None = None,
         host: str = "127.0.0.1",
         functions: FunctionTable = STANDARD,
-        **options: Any,  # Any: what the personalities take
+        **options: Any,  # Any: what the fault profiles take
     ) -> None:
         units = {1: device} if isinstance(device, Device) else device
         policy = UnitPolicy.ANY if isinstance(device, Device) else UnitPolicy.LISTED
@@ -98,7 +98,7 @@ class FaultyServer:
         addresses: range | None = None,
         probability: float = 1.0,
         schedule: Schedule | None = None,
-        **options: Any,  # Any: what the personality takes
+        **options: Any,  # Any: what the fault profile takes
     ) -> AppliedFault:
         """Put a fault on.
 
@@ -109,13 +109,13 @@ class FaultyServer:
             addresses: items, 0-based; requests that touch one of them.
             probability: 0…1, the part of those requests that it strikes.
             schedule: when.
-            options: of the personality.
+            options: of the fault profile.
 
         Returns:
             The fault with its switch: ``on()``, ``off()``, ``struck``.
 
         Raises:
-            ConfigError: a name, an option or a choice that can not be.
+            ConfigError: a name, an option or a choice that cannot be.
         """
         (fault,) = _faults_of((personality,), options)
         selection = Selection(units, functions, addresses, probability, schedule or Schedule())
@@ -251,7 +251,7 @@ class _ServerThread:
 
 
 def _faults_of(personalities: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """The faults of names; each option goes to the personalities that have it."""
+    """The faults of names; each option goes to the fault profiles that have it."""
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in personalities]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:

@@ -66,8 +66,8 @@ def simulated_device(
         clock: what delays and behaviours are measured by, such as a `FakeClock`; the real time by default.
 
     Raises:
-        ConfigError: the content, a value or the URL can not be.
-        LinkDown: the URL can not be listened on.
+        ConfigError: the content, a value or the URL cannot be.
+        LinkDown: the URL cannot be listened on.
     """
     from ..apps.simulator.simulation import Simulation
 
@@ -156,7 +156,7 @@ class SimulatedDevice:
         probability: float = 1.0,
         skip: int = 0,
         times: int | None = None,
-        **parameters: Any,  # Any: what the personality takes
+        **parameters: Any,  # Any: what the fault profile takes
     ) -> "Iterator[AppliedFault]":
         """A fault that is on while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
 
@@ -168,13 +168,13 @@ class SimulatedDevice:
             probability: 0…1, the part of those requests that it strikes.
             skip: requests, of those, that pass first.
             times: requests that it strikes; None for any number.
-            parameters: of the personality.
+            parameters: of the fault profile.
 
         Returns:
             The fault: ``struck`` counts, ``off()`` and ``on()`` switch it within the block.
 
         Raises:
-            ConfigError: a name, a parameter or a choice that can not be.
+            ConfigError: a name, a parameter or a choice that cannot be.
         """
         from ..faults.fault import Schedule
 

@@ -2,7 +2,7 @@
 
 Knows sockets that listen, and how their connections begin; knows no Modbus.
 
-1. So many newcomers in a turn of the loop at most: those who are connected have their turn as well.
+1. So many new connections in a turn of the loop at most: those who are connected have their turn as well.
 2. Where the system has nothing left for another connection (file handles, memory), it goes on to say that somebody
    waits. Nobody is accepted for a second then, and those who are connected notice nothing.
 3. A connection is accepted in one call, from the socket to its protocol: there is no moment in which it is in nobody's
@@ -29,7 +29,7 @@ class Acceptor(Protocol):
     """Takes connections from one listening socket, and owns it."""
 
     def accept_no_more(self) -> None:
-        """Take no newcomer; the socket stays bound."""
+        """Take no new connection; the socket stays bound."""
 
     def close(self) -> None:
         """Close the socket. Connections that were accepted stay."""
@@ -44,18 +44,18 @@ async def accept_from(
     backlog: int,
     failed: Callable[[OSError], None],
 ) -> Acceptor:
-    """Listen, and give each newcomer a transport and a protocol.
+    """Listen, and give each new connection a transport and a protocol.
 
     Args:
         listening: bound and non-blocking; the acceptor's own when this has returned.
-        protocols: makes the protocol of a newcomer; buffered, or replaced by a buffered one in `connection_made`.
+        protocols: makes the protocol of a new connection; buffered, or replaced by a buffered one in `connection_made`.
         loop: the event loop.
         epoll_set: where acceptor and connections wait; None leaves both to the loop.
         backlog: connections that the system may hold until they are accepted.
-        failed: is told why somebody who waits can not be accepted; without a crowd the loop says it in its own way.
+        failed: is told why somebody who waits cannot be accepted; without a epoll set the loop says it in its own way.
 
     Raises:
-        OSError: it can not listen, or not be watched.
+        OSError: it cannot listen, or not be watched.
     """
     if epoll_set is not None:
         return EpollAcceptor(epoll_set, listening, protocols, backlog=backlog, failed=failed)
@@ -63,7 +63,7 @@ async def accept_from(
 
 
 class EpollAcceptor:
-    """Accepts in a crowd; arguments as of `accept_from`. Raises `OSError`."""
+    """Accepts in a epoll set; arguments as of `accept_from`. Raises `OSError`."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class EpollAcceptor:
         return True
 
     def accept_no_more(self) -> None:
-        """Take no newcomer."""
+        """Take no new connection."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -158,7 +158,7 @@ class LoopAcceptor:
         self._server = server
 
     def accept_no_more(self) -> None:
-        """Take no newcomer. Those that are being accepted arrive within a few turns of the loop.
+        """Take no new connection. Those that are being accepted arrive within a few turns of the loop.
 
         asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
         nobody's hands, until the garbage collection finds it.

@@ -21,7 +21,7 @@ from .epoll.watcher import EpollSet, can_watch
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
-"""By loop. A crowd lives as long as its connections, and keeps its loop no longer than that."""
+"""By loop. A epoll set lives as long as its connections, and keeps its loop no longer than that."""
 
 
 async def open_stream(

@@ -32,8 +32,8 @@ def bound_sockets(
         interface: name of the only interface to hear; None for all.
 
     Raises:
-        OSError: an address can not be had; then none is bound.
-        ConfigError: this system can not bind to an interface.
+        OSError: an address cannot be had; then none is bound.
+        ConfigError: this system cannot bind to an interface.
     """
     if interface is not None and not hasattr(socket, "SO_BINDTODEVICE"):
         raise ConfigError("this system can not bind a socket to an interface", key="interface")

@@ -92,7 +92,7 @@ async def open_datagram(
     """A client's end towards ``host:port``; ``whole`` judges each datagram, ``received`` gets those that are.
 
     Raises:
-        LinkDown: the name can not be resolved, or no socket be had. Nothing was sent.
+        LinkDown: the name cannot be resolved, or no socket be had. Nothing was sent.
     """
     loop = asyncio.get_running_loop()
     try:

@@ -1,6 +1,6 @@
-"""All personalities that there are, in one table.
+"""All fault profiles that there are, in one table.
 
-Knows the list; each personality stands in the file of its kind.
+Knows the list; each fault profile stands in the file of its kind.
 """
 
 from typing import Final
@@ -56,4 +56,4 @@ FAULT_PROFILES: Final = FaultyTable(
     ECHO,
     BROADCAST_REPLY,
 )
-"""The personalities of servers."""
+"""The fault profiles of servers."""

@@ -1,6 +1,6 @@
 """Personalities that no fault of a server can play, and who plays them instead.
 
-Knows names and words; they stand here so that the documentation's table has every personality that there is.
+Knows names and words; they stand here so that the documentation's table has every fault profile that there is.
 """
 
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from ..clients import CLIENT_FAULT_PROFILES
 
 @dataclass(frozen=True, slots=True)
 class PlayedElsewhere:
-    """A personality that is not switched on at a server.
+    """A fault profile that is not switched on at a server.
 
     Attributes:
         name, happens, seen_in, answer: as of `FaultProfile`.
-        played_by: what plays it, and why a server's fault can not.
+        played_by: what plays it, and why a server's fault cannot.
     """
 
     name: str

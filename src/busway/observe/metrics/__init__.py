@@ -4,7 +4,7 @@
 hands them to whoever scrapes. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.
 
 1. Off costs nothing: no handler is wrapped, and nothing is counted that is not counted anyway.
-2. What a client can choose never makes more than a fixed number of time series: a request can not fill the memory.
+2. What a client can choose never makes more than a fixed number of time series: a request cannot fill the memory.
    Addresses of peers are no labels.
 """
 

@@ -211,7 +211,7 @@ def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
 
 
 def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """The listeners: their lamps, their mode, and the diagnostic counters of function 08."""
+    """The listeners: their status indicators, their mode, and the diagnostic counters of function 08."""
     lamps = StateSetMetricFamily("busway_listener_lamp", "What the lamps show.", labels=("listener", "lamp"))
     is_open = GaugeMetricFamily("busway_listener_open", "Whether it can be reached.", labels=("listener",))
     muted = GaugeMetricFamily(

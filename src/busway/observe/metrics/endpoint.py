@@ -77,7 +77,7 @@ def start_metrics(
 
     Raises:
         ConfigError: ``where`` is no address, ``prometheus-client`` is not installed, or the source runs already.
-        LinkDown: the address can not be listened on.
+        LinkDown: the address cannot be listened on.
     """
     return MetricsEndpoint(source, where, classify=classify, links=links)
 
@@ -174,7 +174,7 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
 
     try:
         encode, content_type = choose_encoder(accept)
-    except Exception:  # of a header that the library can not read: it raises whatever it stumbles over
+    except Exception:  # of a header that the library cannot read: it raises whatever it stumbles over
         encode, content_type = choose_encoder("")
     return HttpResponse(encode(registry), content_type)
 

@@ -2,10 +2,10 @@
 
 Knows outcomes; knows nothing of what the requests want, nor how counts are shown.
 
-1. Every request that the inner handler answers is counted once, when the answer is there: at once, by the short road,
-   or later. What a session answers without asking a handler (06 while all slots are taken, function 0) is counted by
-   the server.
-2. The short road stays short: each compiled answer gets a closure around it that counts. Read plans are not offered,
+1. Every request that the inner handler answers is counted once, when the answer is there: at once, by the compiled
+   path, or later. What a session answers without asking a handler (06 while all slots are taken, function 0) is
+   counted by the server.
+2. The compiled path stays short: each compiled answer gets a closure around it that counts. Read plans are not offered,
    since nothing sees them being used.
 3. It sees and hands on: no outcome is changed.
 """
@@ -96,7 +96,7 @@ class MeteredHandler:
         return self.inner.generation
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """The inner handler's short road, each answer with a counter around it."""
+        """The inner handler's compiled path, each answer with a counter around it."""
         if self._generation != self.inner.generation or len(self._memo) >= _MEMO_LIMIT:
             self._generation = self.inner.generation
             self._memo.clear()

@@ -79,7 +79,7 @@ class EpollStream(asyncio.Transport):
         """Tell the protocol that the connection stands, and read.
 
         Raises:
-            OSError: the system can not watch another descriptor; the protocol is told so by `connection_lost`, too.
+            OSError: the system cannot watch another descriptor; the protocol is told so by `connection_lost`, too.
         """
         try:
             self._protocol.connection_made(self)
@@ -94,7 +94,7 @@ class EpollStream(asyncio.Transport):
             self._force_close(error)
             raise
 
-    # What the crowd calls.
+    # What the epoll set calls.
 
     def ready(self, events: int) -> None:
         """The socket is ready to be read or to be written to, or has come to its end."""
@@ -181,7 +181,7 @@ class EpollStream(asyncio.Transport):
         if not self._events & WRITABLE:
             try:
                 self._watch()
-            except OSError as error:  # it was paused, and the system can not watch another one
+            except OSError as error:  # it was paused, and the system cannot watch another one
                 self._force_close(error)
                 return
         self._ask_to_pause()
@@ -283,7 +283,7 @@ class EpollStream(asyncio.Transport):
             self._paused = False
             try:
                 self._watch()
-            except OSError as error:  # the system can not watch another one
+            except OSError as error:  # the system cannot watch another one
                 self._force_close(error)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:

@@ -11,7 +11,7 @@ the transports of asyncio take 1.9 µs.
    however many are ready. Who was left out comes first in the next look, as the system keeps the order.
 2. Level-triggered: whoever does not take what is there is called again.
 3. Who has gone while others of the same look were called is not called. Members close their descriptors in a later turn
-   of the loop, never inside a look, so that a number can not mean somebody else by then.
+   of the loop, never inside a look, so that a number cannot mean somebody else by then.
 4. The epoll object exists while anybody is watched, and no longer: nobody has to close it.
 """
 
@@ -61,7 +61,7 @@ class EpollSet:
         """Call ``member`` while ``descriptor`` is ready for one of ``events``; it was not watched before.
 
         Raises:
-            OSError: the system can not watch another one; nothing has changed.
+            OSError: the system cannot watch another one; nothing has changed.
         """
         if self._epoll is None:
             self._open()
@@ -113,7 +113,7 @@ class EpollSet:
 
 
 def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
-    """A crowd for ``loop``; None where it can have none, and its own transports are to be used."""
+    """A epoll set for ``loop``; None where it can have none, and its own transports are to be used."""
     return EpollSet(loop) if can_watch(loop) else None
 
 

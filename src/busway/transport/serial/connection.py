@@ -84,7 +84,7 @@ class SerialConnection:
 
         Raises:
             LinkDown: it is not there, taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, can not be set so, or `serialx` is not installed.
+            ConfigError: it is no serial port, cannot be set so, or `serialx` is not installed.
         """
         require("serialx", "a serial port")
         import serialx

@@ -51,7 +51,7 @@ def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
 
 
 def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
-    """Who holds the port at ``path``: who locked it, or else who has it open. None where that can not be seen."""
+    """Who holds the port at ``path``: who locked it, or else who has it open. None where that cannot be seen."""
     if not processes.is_dir():
         return None
     try:

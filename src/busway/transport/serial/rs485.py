@@ -64,7 +64,7 @@ def _kernel_mode(descriptor: int, settings: SerialSettings, ioctl: Ioctl) -> boo
     after = math.ceil(settings.delay_after_send * 1000)
     if not asked(ioctl, descriptor, TIOCSRS485, bytearray(_LAYOUT.pack(flags, before, after))):
         return False
-    # Drivers change what they can not do and report success; only what they give back counts.
+    # Drivers change what they cannot do and report success; only what they give back counts.
     taken = bytearray(_LAYOUT.size)
     if not asked(ioctl, descriptor, TIOCGRS485, taken):
         return True

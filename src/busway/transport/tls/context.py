@@ -201,7 +201,7 @@ class WatchedContext:
         clock: monotonic seconds.
 
     Raises:
-        ConfigError: the files can not be used now.
+        ConfigError: the files cannot be used now.
     """
 
     def __init__(

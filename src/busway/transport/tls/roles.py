@@ -43,7 +43,7 @@ def role_of_certificate(certificate: bytes) -> RoleReading:
     """The role in a certificate in DER.
 
     Raises:
-        TlsFailure: the certificate has an extension twice, or can not be read.
+        TlsFailure: the certificate has an extension twice, or cannot be read.
     """
     from cryptography import x509
 

@@ -4,7 +4,7 @@ Knows a socket and a `TlsStream`; knows no Modbus.
 
 1. What one receive call takes out of the socket is decrypted whole and handed over whole: nothing that has come waits
    inside where ``poll`` would not see it.
-2. What was encrypted can not be encrypted again: where the socket takes only a part, the rest goes out first at the
+2. What was encrypted cannot be encrypted again: where the socket takes only a part, the rest goes out first at the
    next `send`, and only then are the plain bytes said to be sent.
 """
 
