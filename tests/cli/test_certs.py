@@ -79,7 +79,7 @@ def test_the_commands_it_names_are_commands_that_work(run: Run, tmp_path: Path) 
     [
         (["a", "b"], "one directory is needed, not 2"),
         (["show"], "name the file with the certificate"),
-        (["show", "missing.pem"], "missing.pem: can not be read: no such file or directory"),
+        (["show", "missing.pem"], "missing.pem: cannot be read: no such file or directory"),
         (["lab", "--days", "0"], "--days: a whole number 1…36500 is needed"),
         (["lab", "--role", "a b", "--role", "a-b"], "two roles would have the file client-a-b.pem"),
         (["lab", "--host", "ä ö"], "'ä ö' is no host name or address"),

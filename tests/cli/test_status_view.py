@@ -123,14 +123,14 @@ def upstream_told(**links: object) -> dict[str, object]:
 def test_why_a_line_cannot_be_reached_is_shown_with_its_lamp_and_the_next_attempt(
     pause: float | None, words: str
 ) -> None:
-    line = upstream_told(state="backing off", reason="/dev/ttyUSB0 can not be opened", next_attempt=pause)
+    line = upstream_told(state="backing off", reason="/dev/ttyUSB0 cannot be opened", next_attempt=pause)
     line["lamps"] = {"communication": "off", "error": "flashing", "device_status": "off"}
     *_, table, down = sections_of(told(upstreams=[line]))
     assert table.rows[0][table.columns.index("error")] == "flashing"
     assert table.style_of(table.columns.index("error"), "flashing") == "yellow"
     assert (down.title, down.rows) == (
         "cannot be reached",
-        [["hall", "/dev/ttyUSB0 can not be opened", f"tried again {words}"]],
+        [["hall", "/dev/ttyUSB0 cannot be opened", f"tried again {words}"]],
     )
 
 

@@ -117,7 +117,7 @@ def test_datagrams_of_a_device_server_are_heard_where_they_arrive(framing: str, 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
 def test_datagrams_can_only_be_taken_at_this_machine(host: str) -> None:
-    with pytest.raises(LinkDown, match="datagrams can not be taken there"):
+    with pytest.raises(LinkDown, match="datagrams cannot be taken there"):
         Listening(line_to_hear(f"rtu+udp://{host}:4001"))
 
 

@@ -29,5 +29,5 @@ def test_what_is_not_known_is_said_as_it_came() -> None:
 
 
 def test_a_name_that_is_not_known_and_a_connection_that_takes_too_long() -> None:
-    assert network_reason(socket.gaierror(-2, "no such name")) == "the host name can not be resolved (no such name)"
+    assert network_reason(socket.gaierror(-2, "no such name")) == "the host name cannot be resolved (no such name)"
     assert network_reason(TimeoutError()) == "no connection within the connect timeout"

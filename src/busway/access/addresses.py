@@ -2,9 +2,9 @@
 
 Knows hosts; knows no request. It is asked before a byte of a client is parsed.
 
-1. Deny goes before allow, however specific either is: who reads the two lists knows what holds without weighing them.
-2. In secure mode what is not listed is refused. A list of who is allowed means just that, so it switches secure mode
-   on; only whoever says ``secure=False`` beside it lets the others in.
+1. Deny goes before allow, however specific either is, so that the two lists can be read one by one.
+2. In secure mode every host that is not listed is refused. An allow list switches secure mode on, unless
+   ``secure=False`` is given too.
 """
 
 from collections.abc import Iterable
@@ -13,7 +13,9 @@ from .networks import Networks
 
 
 class AddressList:
-    """Whether a host may connect: ``access("10.0.0.7")``, as a server asks with ``authorise``.
+    """The allow and deny list of a server. Call it with a host to learn whether the host may connect.
+
+    ``access("10.0.0.7")`` is True or False; a server takes it as its ``authorise``.
 
     Args:
         allow: addresses and networks that may connect, as `Networks` takes them.
@@ -40,7 +42,7 @@ class AddressList:
         return host not in self.deny and (not self.secure or host in self.allow)
 
     def why(self, host: str) -> str:
-        """What decides about a host, for a log: ``denied by 10.0.0.0/8``."""
+        """Why a host may connect or not, in words for a log: ``denied by 10.0.0.0/8``."""
         denied = self.deny.find(host)
         if denied is not None:
             return f"denied by {denied}"

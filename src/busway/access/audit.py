@@ -2,15 +2,15 @@
 
 Knows a file and lines; knows nothing of what they say (`busway.access.entries`).
 
-1. Lines are kept for at most ``interval`` seconds and then written together. What the process holds when it is killed
-   is lost; ``interval=0`` writes each line before the request is answered.
-2. A file that cannot be written (disk full) is tried again and again. Meanwhile lines are kept up to a bound; those
-   beyond it are counted, and the file says how many when it can be written again. Whoever wants no write without a line
-   sets ``on_failure="refuse"``.
-3. A line is whole or is not there at all: what was written of one before a failure is completed before the next.
-4. Denials that a client repeats are counted, and leave a line every ``repeat_interval`` (`RepeatedDenials`).
-5. Denials leave room for writes: where the file system has less than `RESERVED` left, or a quarter of what is kept for
-   a file that cannot be written is taken, they leave no line and are counted. Writes still do.
+1. Lines are buffered for at most ``interval`` seconds and then written together. Buffered lines are lost when the
+   process is killed; ``interval=0`` writes each line before the request is answered.
+2. A file that cannot be written (disk full) is retried. Meanwhile lines are buffered up to a bound; those beyond it
+   are counted, and the file says how many when it can be written again. ``on_failure="refuse"`` refuses writes
+   instead of losing their lines.
+3. A line is never left incomplete: a line that a failure has cut is completed before the next one.
+4. Denials that a client repeats are counted, and get one line every ``repeat_interval`` (`RepeatedDenials`).
+5. Writes take precedence over denials: where the file system has less than `RESERVED` left, or a quarter of the buffer
+   for a failing file is used, denials are only counted. Writes are still recorded.
 """
 
 import asyncio
@@ -50,14 +50,14 @@ _LATE: Final = 1.0
 
 
 class FlushSchedule(Protocol):
-    """Calls a function some seconds later; False where nobody can."""
+    """A timer: calls a function some seconds later; False where there is no event loop to do so."""
 
     def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
         """Arrange it."""
 
 
 def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
-    """Let the running event loop call it."""
+    """Schedule a function on the running event loop; False if none is running."""
     try:
         asyncio.get_running_loop().call_later(seconds, function)
     except RuntimeError:
@@ -70,7 +70,7 @@ Room = Callable[[int], tuple[int, int]]
 
 
 def room_of_file(file: int) -> tuple[int, int]:
-    """What the system says of it; all of it is free where the system says nothing."""
+    """Free and total bytes of the file system of an open file; all bytes count as free where the system cannot say."""
     if not hasattr(os, "fstatvfs"):
         return MOST_RESERVED, MOST_RESERVED
     facts = os.fstatvfs(file)
@@ -188,13 +188,13 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def flush(self) -> None:
-        """Write what is kept, as far as the file takes it. Raises nothing: a failure is counted and logged."""
+        """Write the buffered lines, as far as the file takes them. Raises nothing: a failure is counted and logged."""
         with self._lock:
             self._due = None
             self._write_kept()
 
     def reopen(self) -> None:
-        """Go on in the file that now has the name: after a rotation has renamed the old one.
+        """Open the file of this name again, after log rotation has renamed the old one.
 
         Raises:
             ConfigError: it cannot be opened; the old one is kept.
@@ -212,7 +212,7 @@ class AuditLog:
             self.flush()
 
     def close(self) -> None:
-        """Write what is kept and close the file. Lines that come later are lost, and counted."""
+        """Write the buffered lines and close the file. Later lines are lost, and counted."""
         with self._lock:
             self._tell_repeated()
             self._tell_left_out()
@@ -240,7 +240,7 @@ class AuditLog:
     # ---- denials
 
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
-        """Leave the line of a denial if there is room for denials; ``repeated`` of them, 0 for itself alone."""
+        """Append the line of a denial if there is room; ``repeated`` is how many it counts, 0 for itself alone."""
         if self._has_room_for_denials():
             self._tell_left_out()
             self.append(line(repeated))
@@ -249,7 +249,7 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Leave the lines of denials that were repeated; be back as long as there are such."""
+        """Append the lines of repeated denials, and schedule the next time while there are any."""
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():
@@ -262,7 +262,7 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def _tell_left_out(self) -> None:
-        """Say how many denials left no line, if there were any."""
+        """Append a line with the number of denials that were not recorded, if there were any."""
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self.append(f'{{"time":"{time_text(time.time())}","outcome":"denials left out","lines":{left_out}}}\n')
@@ -306,7 +306,7 @@ class AuditLog:
             self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
-        """Count the lines that stand in the file before ``at``, and keep what is behind."""
+        """Count the lines written up to byte ``at``, and keep the rest in the buffer."""
         if at == len(data):
             self.written += len(self._lines) + bool(self._begun)
             self._lines, self._size, self._begun = [], 0, b""
@@ -324,7 +324,7 @@ class AuditLog:
         if not self.is_failing:
             self.is_failing = True
             reason = error.strerror or str(error)
-            _log.error("%s: the audit log can not be written: %s", self.path, reason[:1].lower() + reason[1:])
+            _log.error("%s: the audit log cannot be written: %s", self.path, reason[:1].lower() + reason[1:])
         if self._schedule(_RETRY, self.flush):
             self._due = self._clock() + _RETRY
 
@@ -342,7 +342,7 @@ class AuditLog:
 
 
 def _others_line(repeated: int) -> str:
-    """The line of denials that are not told apart."""
+    """The audit line for denials beyond the number of combinations that are counted separately."""
     return f'{{"time":"{time_text(time.time())}","outcome":"denied","repeated":{repeated}}}\n'
 
 

@@ -1,18 +1,17 @@
-"""A handler around a handler: asks a policy about every request, and leaves lines in the audit log (M6, T15).
+"""The authorizer: a handler wrapper that checks every request against a policy and writes the audit log (M6, T15).
 
 Knows requests, contexts and the policy; knows no connection and no device.
 
-1. A denied request never reaches the handler inside. It is answered with the exception code of the rule: 01, or 02
-   where a rule of items chooses it. One that is permitted but comes too fast is answered 06, because the client may do
-   it, and may try again.
-2. The compiled path and the plans of reads that are offered hold what the rights of whoever asks permit
-   (`busway.access.compiled`). Who has the same rights shares plans; who has others never meets them.
-3. Every write leaves a line, on whatever road, and so does every denied request; those that a client repeats leave one
-   with their number. With a log, the compiled path has the writes that
-   leave theirs there (`busway.access.writes`).
-4. A policy can be replaced at any time: ``generation`` changes, and conversations ask anew before their next requests.
+1. A denied request never reaches the wrapped handler. It is answered with the exception code of the rule: 01, or 02
+   where a rule about items chooses it. A permitted request above the rate of its rule is answered 06, because the
+   client may try again.
+2. The compiled path and the read plans contain only what the rights of the client permit (`busway.access.compiled`).
+   Clients with equal rights share plans; clients with other rights never use them.
+3. Every write and every denied request is recorded in the audit log, on every path; repeated denials of a client are
+   recorded as one line with their number. Writes on the compiled path write their own lines (`busway.access.writes`).
+4. A policy can be replaced at any time: ``generation`` changes, and sessions ask again before their next request.
    No connection is dropped.
-5. With a log that refuses while it cannot be written, a write is answered 04 and not executed.
+5. With ``on_failure="refuse"``, a write is answered 04 and not executed while the log cannot be written.
 """
 
 import logging
@@ -58,21 +57,21 @@ from .writes import NotedWrites, WriteLines, with_lines
 _log = logging.getLogger("busway.policy")
 
 _MOST_ASKERS: Final = 4096
-"""Peers that are remembered; beyond, all are looked up anew."""
+"""Most peers whose rights are cached; beyond that, the cache is cleared."""
 _MOST_DECISIONS: Final = 1024
-"""Decisions that are remembered of each of these rights; beyond, all are made anew."""
+"""Most decisions cached for each set of rights; beyond that, the cache is cleared."""
 _MOST_RIGHTS: Final = 256
-"""Different rights whose plans are shared; beyond, the oldest are forgotten, and shared no more."""
+"""Most sets of rights whose plans are shared; beyond that, the oldest is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Offer:
-    """What those with the same rights are offered of a unit, and of what it was made.
+    """Compiled answers for one unit, shared by clients with equal rights.
 
     Attributes:
-        of: what the handler inside offers.
-        answers: what all of them may use as it is.
-        writes: what each of them gets with lines of its own; None where there is none.
+        of: the answers of the wrapped handler that these were made from.
+        answers: answers that need no audit line.
+        writes: audited writes, which each client gets with lines of its own; None without any.
     """
 
     of: Mapping[int, Answer]
@@ -81,13 +80,13 @@ class _Offer:
 
 
 class _Rights:
-    """What some askers may do: the rules that are about them, and what they share: offers, plans and decisions."""
+    """A set of rights: the rules that apply to some clients, and the answers, plans and decisions they share."""
 
     __slots__ = ("decided", "forwards", "has_limits", "offers", "permits_all", "plans", "policy")
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
-        # Nothing is about them: 9 µs of each request that takes the generic path, as all do through a gateway.
+        # No rule applies to them: saves 9 µs of each request on the generic path, which every gateway request takes.
         self.permits_all = not policy.rules and policy.default is Action.ALLOW
         self.has_limits = any(rule.limits is not None for rule in policy.rules)
         self.offers: dict[tuple[int, int | None], _Offer] = {}  # by unit asked and listed
@@ -98,7 +97,7 @@ class _Rights:
 
 
 class _Known:
-    """An asker, with what is looked up once."""
+    """A client with its rights and its part of an audit line, looked up once."""
 
     __slots__ = ("asker", "rights", "who")
 
@@ -109,11 +108,11 @@ class _Known:
 
 
 class _InForce:
-    """A policy and what was derived from it: replaced as a whole, so that nothing of an old one is left behind.
+    """A policy and all that is cached from it. Replaced as a whole, so that no cache outlives its policy.
 
     Args:
         policy: the policy.
-        inside: generation of the handler inside that plans were made with.
+        inside: generation of the wrapped handler when the plans were made.
     """
 
     __slots__ = ("askers", "inside", "policy", "rights", "rights_of_hosts")
@@ -127,7 +126,7 @@ class _InForce:
 
 
 class _Denied(Refusal):
-    """A refusal by the policy, out of the step in which the handler inside shows what it would replace."""
+    """A refusal by the policy, raised when the wrapped handler shows the values that a write would replace."""
 
     def __init__(self, decision: Decision) -> None:
         super().__init__(decision.code, decision.reason)
@@ -135,21 +134,21 @@ class _Denied(Refusal):
 
 
 class PolicyHandler:
-    """Asks a policy before a handler.
+    """A handler that lets another handler answer only the requests that a policy permits.
 
     Args:
-        inner: what answers permitted requests.
-        policy: who may ask what.
-        audit: where denied requests and writes leave their lines; None: nowhere.
-        rates: what was asked lately under rules that have a rate, where several handlers count together.
-        clock: seconds, monotonic, for rates.
-        now: seconds since 1970, for the lines.
+        inner: the wrapped handler, which answers permitted requests.
+        policy: the rules.
+        audit: the audit log for writes and denied requests; None for no log.
+        rates: token buckets by rule name, for several handlers that count together.
+        clock: monotonic seconds, for rates.
+        now: seconds since 1970, for audit lines.
 
     Attributes:
-        refusals: how many requests each rule has refused, by the name of the rule (``default`` where none decided).
-        serial_units, listed_unit: as the handler inside has them, if it has.
-        forward_plans, forward_plan: those of a `ReadForwarder`, if the handler inside is one: reads that are permitted
-            without a rate are handed on as they are without a policy.
+        refusals: number of refused requests by name of the rule (``default`` where none decided).
+        serial_units, listed_unit: those of the wrapped handler, if it has them.
+        forward_plans, forward_plan: those of the wrapped handler, if it is a `ReadForwarder`: reads that are permitted
+            without a rate are forwarded as without a policy.
     """
 
     serial_units: Container[int]
@@ -178,7 +177,7 @@ class PolicyHandler:
         self._planner = inner if isinstance(inner, ReadPlanner) else None
         self._observer = inner if isinstance(inner, WriteObserver) else None
         self._names = inner if isinstance(inner, ListedUnits) else None
-        # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
+        # Set only where the wrapped handler has it, so that an isinstance test against `UnitHolder` stays right.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
         if isinstance(inner, ListedUnits):
@@ -191,12 +190,12 @@ class PolicyHandler:
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions of the handler inside."""
+        """The functions of the wrapped handler."""
         return self.inner.functions
 
     @property
     def generation(self) -> int:
-        """Changes with the policy, and with the handler inside."""
+        """A number that changes with the policy and with the wrapped handler."""
         return self.inner.generation + self._replaced_policies
 
     @property
@@ -205,7 +204,7 @@ class PolicyHandler:
         return self._in_force.policy
 
     def replace_policy(self, policy: Policy) -> None:
-        """Put another policy into force from the next request on; connections stay. From any thread."""
+        """Replace the policy, from the next request on; connections stay open. May be called from any thread."""
         with self._lock:
             self._in_force = _InForce(policy, self.inner.generation)
             self._rates.clear()
@@ -214,7 +213,7 @@ class PolicyHandler:
     # ---- the compiled path
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """The answers of the handler inside, as far as whoever asks may have them without being looked at."""
+        """The compiled answers of the wrapped handler that the client may use without a further check."""
         answers = self.inner.direct(context)
         if not answers:
             return answers
@@ -228,7 +227,7 @@ class PolicyHandler:
         return with_lines(offered.answers, offered.writes, WriteLines(self.audit, self._time, known.who, context.unit))
 
     def _offer(self, rights: _Rights, unit: int, listed: int | None, answers: Mapping[int, Answer]) -> _Offer:
-        """What those with some rights are offered of a unit; kept for the next of them."""
+        """Compile and cache the answers of one unit for one set of rights."""
         functions, audited = self.inner.functions, self.audit is not None
         offered = rights.offers[unit, listed] = _Offer(
             answers,
@@ -238,7 +237,7 @@ class PolicyHandler:
         return offered
 
     def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
-        """Plans of reads, shared by those who have the same rights."""
+        """Read plans, shared by clients with equal rights."""
         if self._planner is None:
             return {}
         inside = self._planner.plans(context)
@@ -248,7 +247,7 @@ class PolicyHandler:
         return found.setdefault(id(inside), (inside, {}))[1]
 
     def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
-        """The plan of a read, if it is permitted without a rate."""
+        """The plan of a read; None unless the read is permitted without a rate."""
         if self._planner is None:
             return None
         known = self._known(context)
@@ -259,7 +258,7 @@ class PolicyHandler:
         return self._planner.plan(context, pdu)
 
     def _forward_plans(self, inner: ReadForwarder, context: RequestContext) -> ForwardPlans:
-        """What is known of reads that are handed on, shared by those who have the same rights."""
+        """Plans of forwarded reads, shared by clients with equal rights."""
         inside = inner.forward_plans(context)
         found = self._known(context).rights.forwards
         if len(found) >= _MOST_RIGHTS:
@@ -267,7 +266,7 @@ class PolicyHandler:
         return found.setdefault(id(inside), (inside, ForwardPlans()))[1]
 
     def _forward_plan(self, inner: ReadForwarder, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """What becomes of a read, if it is permitted without a rate."""
+        """The plan of a forwarded read; None unless the read is permitted without a rate."""
         request = self.functions.decode_request(pdu)
         decision, writes = self._decide(context, request, self._known(context))
         if not decision.allowed or decision.rates or writes:
@@ -277,7 +276,7 @@ class PolicyHandler:
     # ---- the generic path
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Decide, and let the handler inside answer what is permitted."""
+        """Check a request against the policy, and let the wrapped handler answer it if it is permitted."""
         known = self._known(context)
         if known.rights.permits_all and self.audit is None:
             return self.inner.handle(context, request)
@@ -294,7 +293,7 @@ class PolicyHandler:
         return self._write(context, request, known, decision)
 
     def _decide(self, context: RequestContext, request: AnyRequest, known: _Known) -> tuple[Decision, bool]:
-        """What the policy decides, and whether that is about a write; as the last time, of what is asked again."""
+        """The decision of the policy, and whether the request is a write. Cached for equal requests."""
         rights = known.rights
         key = decision_key(request, context.unit, self._listed(context), limits=rights.has_limits)
         decided = rights.decided.get(key)
@@ -311,16 +310,16 @@ class PolicyHandler:
         return Question.of(request, unit=context.unit, listed=self._listed(context), asker=known.asker)
 
     def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
-        """The exception code with which a request would be refused to one of several units; 0 where all may have it.
+        """The exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
-        For what reaches several units at once. Rules with a rate take it for one request, however many of the units
-        they are about; nothing else is counted, and nothing written down.
+        For requests that reach several units at once. A rule with a rate counts it as one request, however many of the
+        units it is about. Nothing else is counted, and nothing is recorded in the audit log.
 
         Args:
-            context: of the request as it was asked.
-            request: what is asked.
-            units: those that it reaches.
-            charged: marks of the rules that have taken it already; those that take it now are put in.
+            context: of the request as it was received.
+            request: the request.
+            units: the units that it reaches.
+            charged: ids of the rules that have counted it already; rules that count it now are added.
         """
         known = self._known(context)
         if known.rights.permits_all:
@@ -365,9 +364,9 @@ class PolicyHandler:
         return entry.line(self._time(), DENIED, code, repeated)
 
     def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
-        """The refusal of a request that comes faster than a rule allows.
+        """The refusal of a request above the rate of a rule; None within all rates.
 
-        ``charged`` holds marks of the rules that have taken it already: a broadcast is one request to all of them.
+        ``charged`` holds the ids of rules that have counted the request already, so that a broadcast counts once.
         """
         for rule in decision.rates:
             if charged is not None and id(rule) in charged:
@@ -383,7 +382,7 @@ class PolicyHandler:
         return None
 
     def _write(self, context: RequestContext, request: AnyRequest, known: _Known, decision: Decision) -> Outcome:
-        """Execute a write: judged by what it replaces where need be, and with a line where there is a log."""
+        """Execute a write and record it; function 22 is first checked against the value that it changes."""
         entry = Entry(known.who, context, request)
         entry.rule = decision.rule_name
         if self.audit is not None and not self.audit.takes_writes:
@@ -421,7 +420,7 @@ class PolicyHandler:
         return self._finish(entry, outcome, is_broadcast=context.executed is not None)
 
     def _finish(self, entry: Entry, outcome: Outcome, *, is_broadcast: bool = False) -> Outcome:
-        """Note how a write ended, now or when it has ended."""
+        """Record the outcome of a write, now or when it has ended."""
         if self.audit is None:
             return outcome
         if isinstance(outcome, Message):
@@ -439,12 +438,12 @@ class PolicyHandler:
         return outcome
 
     def _client_gone(self, entry: Entry) -> None:
-        """What is awaited goes on and is noted when it ends; of what was promised nobody hears any more."""
+        """Record a write without an answer when its client disconnects; an awaited write is recorded when it ends."""
         if not entry.is_awaited:
             self._note(entry, NO_ANSWER, None)
 
     async def _noted(self, entry: Entry, awaitable: Awaitable[Message]) -> Message:
-        """Await the reply of a write, and note it."""
+        """Await the reply of a write, and record its outcome."""
         try:
             reply = await awaitable
         except Refusal as refusal:
@@ -460,7 +459,7 @@ class PolicyHandler:
         return reply
 
     def _note(self, entry: Entry, outcome: str, code: int | None) -> None:
-        """Leave the line of a write, once."""
+        """Append the audit line of a write, once."""
         if self.audit is not None and not entry.is_noted:
             entry.is_noted = True
             self.audit.append(entry.line(self._time(), outcome, None if code is None else int(code)))
@@ -468,7 +467,7 @@ class PolicyHandler:
     # ---- who asks, and whom
 
     def _listed(self, context: RequestContext) -> int | None:
-        """The unit as which the device asked is listed, where the handler inside knows of such."""
+        """The unit number under which the device is configured; None where the wrapped handler has no such list."""
         return None if self._names is None else self._names.listed_unit(context.unit)
 
     def _known(self, context: RequestContext) -> _Known:
@@ -485,7 +484,7 @@ class PolicyHandler:
         return known
 
     def _renewed(self) -> _InForce:
-        """The policy in force, without plans that the handler inside no longer stands for."""
+        """The policy in force, with its caches cleared if the wrapped handler has changed."""
         with self._lock:
             old = self._in_force
             if old.inside != self.inner.generation:
@@ -514,5 +513,5 @@ def _new_rights_of(asker: Asker, in_force: _InForce) -> _Rights:
 
 
 def _busy(rule: Rule) -> Decision:
-    """The refusal of what is permitted and comes too fast."""
+    """The refusal of a request that is permitted but above the rate of its rule."""
     return Decision(False, int(ExceptionCode.SERVER_DEVICE_BUSY), rule, f"more than {rule.rate:g} requests a second")

@@ -1,12 +1,12 @@
-"""A policy compiled into the compiled path: the answers that whoever has certain rights is offered.
+"""Access checks of the compiled path: a policy compiled into the answers that a set of rights may use.
 
-Knows declarations of functions and where address and count stand on the wire; knows no handler.
+Knows declarations of functions and where address and count are in a request; knows no handler.
 
-1. What is permitted everywhere is offered as it is; what is permitted in some windows of addresses, with one check in
-   front; what a limit is about, with a block that looks at what is written (`busway.access.writes`); what a rate
-   is about, and what is not a plain range, not at all. It then takes the generic path.
-2. What the check does not let through takes the generic path too, and is decided, counted and logged there. So the
-   short road only ever permits what the generic path permits (a property test holds them together).
+1. An answer that is permitted everywhere is offered unchanged; one that is permitted in some address ranges gets one
+   check before it; one with value limits gets a block that checks what is written (`busway.access.writes`). Answers
+   under a rate, and requests that are not one plain range, are not offered and take the generic path.
+2. A request that fails the check takes the generic path, and is decided, counted and logged there. So the compiled
+   path permits only what the generic path permits (a property test compares them).
 """
 
 import struct
@@ -34,15 +34,15 @@ def permitted_answers(
     audited: bool,
     listed: int | None = None,
 ) -> dict[int, Answer]:
-    """The answers that a policy leaves of those that a handler offers, the same for all who have the same rights.
+    """The compiled answers of a handler that a policy permits; equal for clients with equal rights.
 
     Args:
-        policy: the rules that are about whoever asks (`Policy.for_asker`).
+        policy: the rules that apply to the client (`Policy.for_asker`).
         unit: the unit asked, 0…255.
-        functions: what the handler decodes.
-        answers: what it offers, by function code.
-        audited: whether every write has to be seen, so that none takes the compiled path.
-        listed: the unit as which the device is listed, where that is another one.
+        functions: the functions that the handler decodes.
+        answers: the compiled answers of the handler, by function code.
+        audited: whether every write is recorded, so that none may take this path.
+        listed: the unit under which the device is configured, if another one.
     """
     policy = _about_unit(policy, unit, listed)
     found = {}
@@ -63,7 +63,7 @@ def permitted_answers(
 def noted_writes(
     policy: Policy, unit: int, functions: FunctionTable, answers: Mapping[int, Answer], *, listed: int | None = None
 ) -> NotedWrites | None:
-    """The writes that may take the compiled path where each has to leave a line; None where none may.
+    """The writes that may take the compiled path although each is recorded in the audit log; None without any.
 
     The arguments are those of `permitted_answers`.
     """
@@ -150,7 +150,7 @@ def _several_windows(answer: Answer, windows: Sequence[Window]) -> Answer:
 
 
 def _single(answer: Answer, windows: Sequence[Window]) -> Answer:
-    """For functions that touch one item, and whose second field is no count."""
+    """An answer with a check of the address before it, for functions that touch one item and have no count."""
     firsts = [window.first for window in windows]
     ends = [window.end for window in windows]
 

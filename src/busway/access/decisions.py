@@ -1,10 +1,10 @@
-"""What decides about a request, as a key: two requests with the same key are decided alike.
+"""The key under which the decision about a request is cached: requests with equal keys are decided alike.
 
 Knows the fields of requests that say what they touch; knows no rule.
 
-1. A key holds all that a policy looks at: the function, the unit asked, the unit as which its device is listed, and the
-   items. Who asks is not in it: a decision is remembered for those with the same rights.
-2. Values are in no key. Where rules have limits, what writes registers has no key, and is decided each time.
+1. A key holds all that a policy looks at: the function, the unit asked, the unit under which its device is configured,
+   and the items. The client is not in it: decisions are cached for each set of rights.
+2. Values are in no key. Where rules have limits, register writes have no key and are decided each time.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ _ITEMS: Final[dict[type, tuple[Callable[[Any], tuple[int, ...]], bool]]] = {
 
 
 def decision_key(request: AnyRequest, unit: int, listed: int | None, *, limits: bool) -> object:
-    """The key of a request to a unit; None where it has none, and is to be decided each time.
+    """The cache key of a request to a unit; None if it must be decided each time.
 
     Args:
         request: the request.

@@ -1,10 +1,10 @@
-"""Repeated denials of one client by one rule: the first leaves a line at once, the others are counted.
+"""Repeated denials of one client by one rule: the first is recorded at once, the others are counted.
 
 Pure: knows names and how to make a line; looks at no clock and writes nothing.
 
 1. Every denial is in a line: the sum of the lines and their counts is the number of denials.
-2. At most `MOST_APART` combinations are told apart. Those beyond are counted together, because anybody can invent
-   senders of datagrams.
+2. At most `MOST_APART` combinations are counted separately, the others together, because senders of datagrams can be
+   forged without limit.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 DenialLine = Callable[[int], str]
-"""Makes the line of a denial that stands for so many; 0 for one that stands for itself."""
+"""Makes the line of a denial; takes the number of denials that it counts, 0 for itself alone."""
 About = tuple[str, str, str]
 """Host, role and rule."""
 
@@ -29,10 +29,10 @@ class _Repeated:
 
 
 class RepeatedDenials:
-    """Denials that were counted and not written yet.
+    """Denials that are counted and not recorded yet.
 
     Attributes:
-        others: those of combinations beyond `MOST_APART`.
+        others: number of those beyond `MOST_APART` combinations.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denial leaves its line now; if not, it is counted."""
+        """Whether a denial is recorded now; if not, it is counted."""
         repeated = self._repeated.get(about)
         if repeated is not None:
             repeated.count += 1
@@ -56,13 +56,13 @@ class RepeatedDenials:
         return True
 
     def take(self) -> list[tuple[DenialLine, int]]:
-        """The lines of what was counted, each with its number. What did not come again is forgotten."""
+        """The lines of counted denials, each with its number. Combinations without any are forgotten."""
         again = {about: each for about, each in self._repeated.items() if each.count}
         found = [(each.line, each.count) for each in again.values() if each.line is not None]
         self._repeated = {about: _Repeated() for about in again}
         return found
 
     def take_others(self) -> int:
-        """How many there were beyond those that are counted apart."""
+        """The number of denials beyond the combinations that are counted separately; sets it to 0."""
         others, self.others = self.others, 0
         return others

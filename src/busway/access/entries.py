@@ -1,8 +1,8 @@
-"""One line of the audit log: what is said of a request, as JSON.
+"""One line of the audit log: a request and its outcome as JSON.
 
-Knows requests and their outcome; writes nothing. Lines are put together by hand, from parts that are known before: a
-plant may write thousands of times a second. Of writes on the compiled path (`busway.access.writes`) all but time,
-address and items is ready before.
+Knows requests and their outcome; writes nothing. Lines are formatted by hand from prepared parts, because a plant may
+write thousands of times a second. For writes on the compiled path (`busway.access.writes`) all but time, address and
+items is prepared.
 
 ===============  =====================================================================================
 key              value
@@ -57,12 +57,12 @@ Replaced = tuple[bytes | None, ...]
 
 
 def who_text(peer: str, role: str | None, listener: str) -> str:
-    """The part of a line that is the same for all requests of a connection."""
+    """The part of an audit line that is equal for all requests of a connection: peer, role and listener."""
     return f'"peer":{quoted(peer)},"role":{_NULL if role is None else quoted(role)},"listener":{quoted(listener)}'
 
 
 class WallClock:
-    """The time as text, put together anew once a millisecond, and its seconds once a second. From any thread."""
+    """The time as text, ``2026-03-01T12:00:00.250Z``, formatted at most once a millisecond. From any thread."""
 
     __slots__ = ("_now", "_second", "_text")
 
@@ -90,18 +90,18 @@ class WallClock:
 
 
 class Entry:
-    """A request on its way to a line; what is found out on the way is filled in.
+    """A request that will be recorded in the audit log; rule and old values are filled in while it is handled.
 
     Args:
-        who: what `who_text` gives.
+        who: from `who_text`.
         context: of the request.
-        request: what was asked.
+        request: the request.
 
     Attributes:
-        replaced: what it replaced, as `WriteObserver.observe_write` shows it; None where it is not known.
+        replaced: the old values, as `WriteObserver.observe_write` shows them; None if unknown.
         rule: name of the rule that decided.
-        is_awaited: whether its answer is awaited by the handler around.
-        is_noted: whether its line was left already.
+        is_awaited: whether the authorizer awaits its answer.
+        is_noted: whether its line is written already.
     """
 
     __slots__ = ("_request", "_unit", "_who", "is_awaited", "is_noted", "replaced", "rule")
@@ -116,7 +116,7 @@ class Entry:
         self.is_noted = False
 
     def line(self, when: str, outcome: str, code: int | None, repeated: int = 0) -> str:
-        """The whole line; of the last of ``repeated`` that it stands for, 0 for itself alone."""
+        """The line as JSON. ``repeated`` is the number of denials that it counts; 0 for this request alone."""
         what, old, new = _facts(self._request, None if outcome == DENIED else self.replaced)
         so_often = f',"repeated":{repeated}' if repeated else ""
         return (
@@ -126,9 +126,9 @@ class Entry:
 
 
 def done_line(who: str, unit: int, function: int, rule: str) -> tuple[str, str]:
-    """What comes behind the time, and what comes last, in the line of a write that was done.
+    """The fixed parts of the line of an executed write: the part after the time, and the end.
 
-    Between the two stands what `DONE` gives for the function. The line is then the one of `Entry.line`, to the byte.
+    Between the two comes the text from `DONE` for the function. The line then equals that of `Entry.line`, to the byte.
     """
     return (
         f'",{who},"unit":{unit},"function":{function:d},"address":',
@@ -159,19 +159,18 @@ DONE: Final[dict[type[Request], Done]] = {
     WriteMultipleCoils: _done_bits,
     WriteMultipleRegisters: _done_registers,
 }
-"""Of the functions that write one range and do nothing else: address, count, what stood there and what stands there
-now, as a line has them."""
+"""Formatters for functions that write one range and do nothing else: address, count, old and new values as JSON."""
 
 
 def outcome_of(reply: Message | Deferral) -> tuple[str, int | None]:
-    """Outcome and code of an answer."""
+    """Outcome and exception code of an answer, as an audit line has them."""
     if isinstance(reply, ExceptionResponse):
         return "exception", reply.exception
     return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """What it is, what it replaces and what it writes, as JSON."""
+    """Three JSON texts of a request: function and items, old values, new values."""
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
     facts = _FACTS.get(type(request), _other_facts)
@@ -210,7 +209,7 @@ def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Records of files: those of all groups one after the other."""
+    """The facts of functions 20 and 21: the records of all groups, one after the other."""
     groups: Sequence[FileReference | FileData] = request.groups
     records = [[group.file, group.record, group.count] for group in groups]
     count = sum(group.count for group in groups)
@@ -228,7 +227,7 @@ def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | Non
 
 
 def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
-    """Reads, what touches no table, and the user's own functions: what their declarations say."""
+    """The facts of all other requests, from their declarations: reads, requests without a table, user functions."""
     spans = request.spans()
     span = next((span for span in spans if span.writes), spans[0] if spans else None)
     what = f'"function":{request.code:d}'

@@ -1,14 +1,13 @@
-"""What a policy is asked: who wants what, as facts that are read off the request's declaration.
+"""The facts of one request that a policy decides about: client, unit, function, items and values.
 
 Knows messages; knows no rule.
 
-1. A request touches *pieces*: ranges of items in one of the tables, files, or, if it touches neither, one piece that is
-   nowhere. Each is read or written.
-2. What nobody knows counts as a write: a function that is not in the table, one of the user's that declares neither
-   what it reads nor that it writes, a sub-function that is cut off. So do the sub-functions of 08 that change
-   communication (01, 03, 04, 0A, 14): their classes say so.
-3. A malformed request touches the whole of its tables. A gateway forwards it, and nobody knows what a device behind it
-   would make of it.
+1. A request touches *pieces*: ranges of items in a table, file numbers, or, if it touches neither, one piece without a
+   space. Each is read or written.
+2. An unknown effect counts as a write: a function that is not in the table, a user function that declares neither what
+   it reads nor that it writes, a truncated sub-function. So do the sub-functions of 08 that change communication
+   (01, 03, 04, 0A, 14), by their declarations.
+3. A malformed request touches the whole of its tables: a gateway forwards it, and its effect on a device is unknown.
 """
 
 from collections.abc import Callable
@@ -29,7 +28,7 @@ FILES: Final = "files"
 Space = Table | str | None
 """A table, `FILES`, or None: nowhere."""
 END: Final = 1 << 32
-"""Beyond whatever a request can name: the items behind 65 535 do not exist, yet a request may name them."""
+"""An address after all that a request can name. Items after 65 535 do not exist, but a request may name them."""
 
 _SUB_WIDTH: Final[dict[int, int]] = {FunctionCode.DIAGNOSTICS: 2, FunctionCode.ENCAPSULATED_INTERFACE: 1}
 _PUBLIC: Final = frozenset(int(code) for code in FunctionCode)
@@ -48,7 +47,7 @@ class TouchedRange:
 
 @dataclass(frozen=True, slots=True)
 class Asker:
-    """Who asks, and by which way.
+    """The client of a request: its host, its role and the listener it uses.
 
     Attributes:
         host: numeric address, ``10.0.0.7``; the name of a serial line.
@@ -66,16 +65,16 @@ class Question:
     """One request, as a policy sees it. Built by ``of``.
 
     Attributes:
-        asker: who asks.
+        asker: the client.
         unit: the unit asked, 0…255.
-        listed: the unit as which its device is listed, where that is another one: a sole device answers to 0 and 255
-            too, and is the same device by every name.
+        listed: the unit under which its device is configured, if another one: a sole device also answers to units 0
+            and 255.
         function: the function code.
-        sub_function: of 08 and 43; None for the others, and where it is cut off.
-        pieces: what it touches.
-        written: the registers that it would write, as numbers, in the order of the piece that is written; None where it
-            writes none, or where they are not known.
-        masks: the two masks of function 22, whose outcome depends on what stands there.
+        sub_function: of 08 and 43; None for the others, and where it is truncated.
+        pieces: the ranges that it touches.
+        written: the values of the registers that it would write, in the order of the written piece; None where it
+            writes none, or where they are unknown.
+        masks: the two masks of function 22, whose result depends on the current value.
     """
 
     asker: Asker
@@ -99,12 +98,12 @@ class Question:
         listener: str = "",
         asker: Asker | None = None,
     ) -> "Question":
-        """The question that a request asks.
+        """The facts of a decoded request.
 
         Args:
             request: what was decoded.
             unit: the unit asked, 0…255.
-            listed: the unit as which its device is listed; None for ``unit``.
+            listed: the unit under which its device is configured; None for ``unit``.
             peer: ``host:port`` or host of the client; with ``role`` and ``listener``, who asks.
             role: role of its certificate; None without one.
             listener: URL of the listener.
@@ -133,11 +132,11 @@ class Question:
 
     @property
     def writes(self) -> bool:
-        """Whether it counts as a write."""
+        """Whether the request counts as a write."""
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":
-        """The question of function 22 where the register is known to hold ``current``, so that its outcome is too."""
+        """The same facts for function 22 on a register that holds ``current``, so that the written value is known."""
         if self.masks is None:
             return self
         and_mask, or_mask = self.masks
@@ -145,12 +144,12 @@ class Question:
 
 
 def masked(current: int, and_mask: int, or_mask: int) -> int:
-    """What function 22 makes of a register (Application Protocol V1.1b3 §6.16)."""
+    """The value that function 22 writes to a register (Application Protocol V1.1b3 §6.16)."""
     return (current & and_mask | or_mask & ~and_mask) & 0xFFFF
 
 
 def counts_as_write(kind: type[Request]) -> bool:
-    """Whether a function counts as a write, by its declaration (rule 2)."""
+    """Whether a function counts as a write, by its declaration; unknown effects do (rule 2 of this file)."""
     if kind.is_write or kind.writes is not None:
         return True
     return kind.code not in _PUBLIC and kind.reads is None

@@ -2,9 +2,9 @@
 
 Pure: knows hosts, numbers and times handed in; pauses nothing itself.
 
-1. A bucket holds the requests of one second. What was answered already is paid afterwards: a host may go into debt by
-   what one receive call held, and then waits until it is paid, so that the rate holds over any longer time.
-2. There are as many buckets as were used lately; a full one says nothing and is forgotten.
+1. A bucket holds the requests of one second. Requests are charged after they were answered: a host may go into debt by
+   one receive call, and then waits until the debt is paid, so that the rate holds over any longer time.
+2. Only buckets used recently are kept; a full one is equal to none.
 """
 
 from collections import OrderedDict
@@ -15,7 +15,7 @@ _HOSTS: Final = 4096
 
 
 class Rates:
-    """The buckets of a listener.
+    """Request rates of hosts: one token bucket for each.
 
     Args:
         rate: requests a second, for each host.
@@ -30,7 +30,7 @@ class Rates:
         return len(self._buckets)
 
     def charge(self, host: str, requests: int, now: float) -> float:
-        """Take ``requests`` that were made; how many seconds the host has to wait now, 0 within its rate."""
+        """Charge a host with ``requests``; returns the seconds that it has to wait now, 0 within its rate."""
         left = self._left(host, now) - requests
         self._buckets[host] = (left, now)
         self._buckets.move_to_end(host)
@@ -39,7 +39,7 @@ class Rates:
         return 0.0 if left >= 0 else -left / self.rate
 
     def allows(self, host: str, now: float) -> bool:
-        """Take one request if there is one left: for those who can be refused, and not only slowed down."""
+        """Charge one request if the host is within its rate; False means that the request is to be refused."""
         if self._left(host, now) < 1.0:
             return False
         self.charge(host, 1, now)

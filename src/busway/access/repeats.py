@@ -1,7 +1,6 @@
-"""What is said again and again: a line at first, and then how often, once in a while.
+"""Limiter for repeated log messages: the first is logged at once, then one a minute with the number left out.
 
-Pure: knows names and times handed in; logs nothing itself. Whoever knocks a thousand times a second is counted a
-thousand times, and written down once.
+Pure: knows names and times handed in; logs nothing itself.
 """
 
 from collections import OrderedDict
@@ -11,7 +10,7 @@ from typing import Final
 PAUSE: Final = 60.0
 """Seconds between two lines about the same name."""
 _NAMES: Final = 1024
-"""Names that are remembered; whoever has many addresses makes us forget, not grow."""
+"""Most names that are remembered; beyond that, the oldest is forgotten, so that memory stays bounded."""
 
 
 @dataclass(slots=True)
@@ -21,17 +20,17 @@ class _Said:
 
 
 class Repeats:
-    """Tells whether something is to be said now."""
+    """Decides whether a repeated message is logged now. ``pause``: seconds between two lines about one name."""
 
     def __init__(self, pause: float = PAUSE) -> None:
         self._pause = pause
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """How often it happened since it was said last, if it is to be said now; None if not.
+        """How often it was left out since the last line, if it is to be logged now; None if it is not.
 
         Args:
-            name: whom or what it is about.
+            name: what the message is about, such as a host.
             now: seconds, monotonic.
         """
         said = self._said.get(name)
@@ -46,5 +45,5 @@ class Repeats:
 
 
 def so_often(repeated: int) -> str:
-    """What a line ends with."""
+    """The end of a log line: how many equal messages were left out; empty for none."""
     return f" ({repeated} more since the last line)" if repeated else ""

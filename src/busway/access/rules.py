@@ -9,9 +9,9 @@ Knows the facts of a request (`busway.access.question`); knows no clock, no conn
    not there.
 3. ``read-only`` permits what reads and denies what writes. A rule that names tables, items or files never fits a
    request that touches none.
-4. Limits are for holding registers that are written. What a function would write and nobody can tell is denied;
-   function 22 is judged by what it would make of the register if that is known, else by all that it might.
-5. No role and no right is built in: what is not written in the rules is decided by the default.
+4. Limits apply to writes of holding registers. A write of unknown values is denied where limits apply; function 22 is
+   judged by the value it would write if that is known, else by all values that its masks permit.
+5. No role and no right is built in: what no rule covers is decided by the default.
 """
 
 import struct
@@ -39,7 +39,7 @@ DEFAULT_RULE: Final = "default"
 
 
 class Action(Enum):
-    """What a rule, or the default, does with what it decides about."""
+    """What a rule or the default does: allow, deny, or allow reads only."""
 
     ALLOW = "allow"
     DENY = "deny"
@@ -51,7 +51,7 @@ class Action(Enum):
 
 
 class AccessKind(Enum):
-    """Which accesses a rule is about."""
+    """Which accesses a rule applies to: reads, writes or both."""
 
     READ = "read"
     WRITE = "write"
@@ -64,7 +64,7 @@ class AccessKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What may be written to each register.
+    """The range of values that may be written to each register.
 
     Attributes:
         low, high: the least and the greatest value, 0…65535, or -32768…32767 if ``signed``.
@@ -87,18 +87,18 @@ class Limits:
             raise ConfigError(f"nothing is between {self.low} and {self.high}", key="values")
 
     def permit(self, register: int) -> bool:
-        """Whether a register 0…65535 is within."""
+        """Whether a register value, 0…65535, is within the limits."""
         return self.low <= self._number(register) <= self.high
 
     def permit_all(self, registers: bytes) -> bool:
-        """Whether each of one or more registers, as they stand on the wire, is within."""
+        """Whether all registers are within the limits; ``registers`` are big-endian bytes, one register or more."""
         numbers = struct.unpack(f">{len(registers) // 2}{'h' if self.signed else 'H'}", registers)
         least: int = min(numbers)
         most: int = max(numbers)
         return self.low <= least and most <= self.high
 
     def permit_masks(self, and_mask: int, or_mask: int) -> bool:
-        """Whether function 22 can only give what is within, whatever stands there."""
+        """Whether function 22 with these masks stays within the limits for every current value of the register."""
         fixed = or_mask & ~and_mask & 0xFFFF
         least, most = fixed, fixed | and_mask
         if self.signed and and_mask & 0x8000:  # the sign is free: least with it, most without
@@ -111,7 +111,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule: whom and what it is about, and what it does. What is None, or empty, is not asked.
+    """One rule of a policy: which clients and requests it applies to, and what it does. None or empty fits all.
 
     `Rule.of` takes the texts that people write.
 
@@ -208,7 +208,7 @@ class Rule:
             code: exception code of a refusal, 1 or 2.
 
         Raises:
-            ConfigError: what cannot be; its key names the argument.
+            ConfigError: an argument is invalid; its key names it.
         """
         limits = Limits(*values, signed=signed) if isinstance(values, tuple) else values
         given_units = given_functions = given_files = None
@@ -238,7 +238,7 @@ class Rule:
         )
 
     def is_for(self, asker: Asker) -> bool:
-        """Whether it is about whoever asks."""
+        """Whether the rule applies to a client, by host, role and listener."""
         return (
             (self.peers is None or asker.host in self.peers)
             and (self.roles is None or asker.role in self.roles)
@@ -246,7 +246,7 @@ class Rule:
         )
 
     def is_about(self, unit: int, function: int, sub_function: int | None, *, listed: int | None = None) -> bool:
-        """Whether it is about this function of this unit, by the number asked or as which its device is listed."""
+        """Whether the rule applies to a function of a unit; ``listed`` is the configured number of its device."""
         if self.units is not None and unit not in self.units and listed not in self.units:
             return False
         if self.functions is None:
@@ -256,7 +256,7 @@ class Rule:
         )
 
     def ranges(self, space: Space) -> tuple[Range, ...]:
-        """The ranges of a space that it is about, ascending."""
+        """The address ranges of a table, or file numbers, that the rule applies to, ascending."""
         if not self.items and not self.files:
             return _EVERYWHERE
         if isinstance(space, Table):
@@ -266,7 +266,7 @@ class Rule:
 
 @dataclass(slots=True)
 class Decision:
-    """What a policy decides about a request.
+    """The decision of a policy about one request.
 
     Attributes:
         allowed: whether it may be executed.
@@ -293,7 +293,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Items that one kind of access may touch without another thought: no limit and no rate is asked there."""
+    """Address range, to before ``end``, where an access is always allowed: no value or rate limit applies."""
 
     first: int
     end: int
@@ -301,7 +301,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """Items that one kind of write may touch, and why.
+    """Address range where one kind of write is allowed, and the rule that allows it.
 
     Attributes:
         first, end: the items, to before ``end``.
@@ -317,11 +317,11 @@ class Zone:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Rules in their order, and what holds where none fits. Frozen and pure.
+    """An access policy: ordered rules, and a default for requests that no rule fits. Frozen and pure.
 
     Args:
         rules: the first that fits decides.
-        default: what holds where none fits. Without anything said, nothing is permitted.
+        default: decides where no rule fits; nothing is permitted by default.
 
     Raises:
         ConfigError: two rules of one name.
@@ -350,16 +350,16 @@ class Policy:
 
     @classmethod
     def read_only(cls) -> "Policy":
-        """Everybody may read, nobody may write."""
+        """A policy without rules: every client may read, none may write."""
         return cls(default=Action.READ_ONLY)
 
     @classmethod
     def allow_all(cls) -> "Policy":
-        """Everybody may do everything: what holds without a policy, said aloud."""
+        """A policy without rules that permits everything, like a server without a policy."""
         return cls(default=Action.ALLOW)
 
     def prepare(self) -> None:
-        """Make now what the first `for_asker` would make: with 100 000 rules it takes some tenths of a second."""
+        """Build the index of rules now instead of at the first `for_asker`: some 0.1 s for 100 000 rules."""
         if self._by_peer is None:
             everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
@@ -368,7 +368,7 @@ class Policy:
             object.__setattr__(self, "_by_peer", (everybodys, index))
 
     def for_asker(self, asker: Asker) -> "Policy":
-        """The policy with only the rules that are about ``asker``; whoever gets an equal one has the same rights."""
+        """The policy reduced to the rules that apply to one client. Clients with equal results have equal rights."""
         self.prepare()
         assert self._by_peer is not None  # that is what was prepared
         everybodys, index = self._by_peer
@@ -378,7 +378,7 @@ class Policy:
         return Policy(tuple(rule for rule in rules if rule.is_for(asker)), self.default)
 
     def decide(self, question: Question) -> Decision:
-        """What is decided about a request. Each item is judged by the first rule that fits it."""
+        """Decide about a request. Each item is judged by the first rule that fits it."""
         relevant = [
             rule
             for rule in self.rules
@@ -409,16 +409,16 @@ class Policy:
     def windows(
         self, unit: int, function: int, space: Space, *, writes: bool, listed: int | None = None
     ) -> tuple[tuple[Window, ...], bool]:
-        """Where one kind of access of a function is plainly permitted, and whether that is everywhere.
+        """Address ranges where a function is permitted without limits or rates, and whether they cover everything.
 
-        Of a policy `for_asker`: who asks is not looked at.
+        For a policy made by `for_asker`: host, role and listener of the rules are not checked.
 
         Args:
             unit: the unit asked, 0…255.
             function: the function code, of a function without sub-functions.
-            space: what is touched.
-            writes: whether it is written.
-            listed: the unit as which the device is listed, where that is another one.
+            space: a table, files, or None for requests that touch no items.
+            writes: whether the access is a write.
+            listed: the unit under which the device is configured, if another one.
         """
         relevant = [rule for rule in self.rules if rule.is_about(unit, function, None, listed=listed)]
         plain = []
@@ -431,7 +431,7 @@ class Policy:
         return tuple(Window(first, end) for first, end in found), found == _EVERYWHERE
 
     def _parts(self, rules: Iterable[Rule], piece: TouchedRange) -> Iterator[tuple[Rule | None, int, int]]:
-        """A piece cut into what each rule decides about; None for the default."""
+        """Split a range into parts, each with the rule that decides about it; None for the default."""
         left: list[Range] = [(piece.first, piece.end)]
         for rule in rules:
             if not rule.access.fits(piece.writes):
@@ -462,17 +462,16 @@ class Policy:
 
 
 def zones_of(policy: Policy, unit: int, function: int, table: Table, *, listed: int | None = None) -> tuple[Zone, ...]:
-    """Where one kind of write is permitted without a rate, zone by zone, ascending.
+    """Address ranges where a write function is permitted without a rate, ascending, each with its rule and limits.
 
-    What lies within one zone, and within its limits, is permitted by the rule of the zone; all else has to be decided
-    as a whole.
+    A write within one zone and its limits is permitted by the rule of the zone; all other writes need `Policy.decide`.
 
     Args:
-        policy: a policy `Policy.for_asker`: who asks is not looked at.
+        policy: made by `Policy.for_asker`: host, role and listener of the rules are not checked.
         unit: the unit asked, 0…255.
         function: the function code, of a function that writes one range and has no sub-functions.
         table: where it writes.
-        listed: the unit as which the device is listed, where that is another one.
+        listed: the unit under which the device is configured, if another one.
     """
     relevant = [rule for rule in policy.rules if rule.is_about(unit, function, None, listed=listed)]
     found = []
@@ -489,11 +488,11 @@ def zones_of(policy: Policy, unit: int, function: int, table: Table, *, listed: 
 
 @dataclass(frozen=True, slots=True)
 class AccessRules:
-    """All that a file says about access.
+    """The access rules of a configuration file.
 
     Attributes:
-        policy: who may ask what.
-        addresses: who may connect.
+        policy: which requests are permitted.
+        addresses: which hosts may connect.
     """
 
     policy: Policy
@@ -505,7 +504,7 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """What is wrong with the registers ``start``…``end`` of those that would be written; empty if nothing is."""
+    """Why the written registers ``start``…``end`` are outside the limits, in words; empty if they are within."""
     bounds = f"{limits.low}…{limits.high}"
     if question.masks is not None:
         return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"
@@ -548,7 +547,7 @@ def _texts(values: Iterable[str], key: str) -> tuple[str, ...]:
 
 
 def listener_name(text: str) -> str:
-    """A URL in the form in which a listener gives it, or a scheme alone."""
+    """Normalize the name of a listener: a URL, or a scheme alone such as ``tls://``. Raises `ConfigError`."""
     scheme, separator, rest = text.partition("://")
     if separator and not rest and scheme.lower() in SCHEMES:
         return f"{scheme.lower()}://"
@@ -562,7 +561,7 @@ def _is_listener(wanted: str, listener: str) -> bool:
 
 @contextmanager
 def _about(key: str) -> Iterator[None]:
-    """Whatever is wrong inside is wrong with the argument ``key``."""
+    """Set the key of every `ConfigError` raised in the block to ``key``."""
     try:
         yield
     except ConfigError as error:

@@ -156,7 +156,7 @@ class Capture:
                 return write()
             except (OSError, ValueError) as error:  # ValueError: the stream was closed by its owner
                 self.failure = getattr(error, "strerror", None) or str(error)
-        _log.warning("the capture file ends here, it can not be written any more: %s", self.failure)
+        _log.warning("the capture file ends here, it cannot be written any more: %s", self.failure)
         return 0
 
 

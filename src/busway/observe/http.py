@@ -292,7 +292,7 @@ def bind_tcp(host: str, port: int) -> socket.socket:
             bound.close()
             raise
     except OSError as error:
-        raise LinkDown(f"can not listen on {host}:{port}: {error.strerror or error}") from error
+        raise LinkDown(f"cannot listen on {host}:{port}: {error.strerror or error}") from error
     return bound
 
 

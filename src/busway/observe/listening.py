@@ -128,7 +128,7 @@ class DatagramEar:
         self._socket.close()
 
     def _not_here(self, error: OSError) -> LinkDown:
-        down = LinkDown(f"datagrams can not be taken there: {network_reason(error)}", endpoint=self._name)
+        down = LinkDown(f"datagrams cannot be taken there: {network_reason(error)}", endpoint=self._name)
         down.__cause__ = error
         return down
 

@@ -1,14 +1,14 @@
-"""One accepted connection: the only place where a server session meets a transport.
+"""The asyncio driver of one accepted connection: moves bytes between a transport and a server session.
 
-Knows when bytes come and go; knows nothing of what they say.
+Knows when bytes arrive and leave; knows nothing of their meaning.
 
-1. What arrived is worked through in one call and answered with one write, up to the share of a turn.
-2. While a client does not take its replies, nothing more is read from it (Messaging on TCP/IP V1.0b §4.1), nor while
-   its host is over its rate.
+1. Received bytes are processed in one call and answered with one write, up to the share of a turn.
+2. Reading pauses while a client does not read its replies (Messaging on TCP/IP V1.0b §4.1), and while its host is
+   above its rate.
 3. No task, future or timer per request; a task only for a handler's awaitable.
-4. What has a time is watched by connection management, which has one timer for all of them.
-5. In one turn of the loop a connection is given so much and works through so much at most. What it asked beyond that
-   waits for the next turns, behind those of others (`busway.server.turns`), and nothing more is read meanwhile.
+4. Timeouts are watched by connection management, which has one timer for all connections.
+5. In one turn of the loop a connection receives and processes a limited amount. Requests beyond that wait for the next
+   turns, after those of others (`busway.server.turns`), and nothing more is read meanwhile.
 """
 
 import asyncio
@@ -29,33 +29,33 @@ if TYPE_CHECKING:
     from .connections import ConnectionManagement
 
 _USUAL_REQUEST: Final = 12
-"""Bytes of a read."""
+"""Bytes of a read request."""
 _LONGEST_REQUEST: Final = 260
 REQUESTS_OF_A_TURN: Final = 16
-"""What is worked through of one connection in a turn, planned reads aside: who has 16 on their way is answered
-at once, and 16 of the dearest kind take a millisecond or two."""
+"""Requests of one connection processed in a turn, cached reads not counted: 16 pipelined requests are answered at
+once, and 16 of the most expensive kind take a millisecond or two."""
 _BYTES_OF_A_TURN: Final = 17 * _LONGEST_REQUEST // _USUAL_REQUEST * _USUAL_REQUEST
-"""What is received at most, whole reads: 16 of the longest requests never fill it. Full of planned reads, which have no
-other limit, it takes a sixth of a millisecond."""
+"""Most bytes received in a turn, a whole number of read requests: 16 of the longest requests never fill it. Full of
+cached reads, which have no other limit, it takes a sixth of a millisecond."""
 _MANY_BYTES: Final = 512
-"""From here on it is seen whether there is time for the others."""
+"""Bytes in one turn above which the server checks whether other connections have to wait."""
 
 
 class ServerConnection(asyncio.BufferedProtocol):
     """The driver of one connection.
 
     Args:
-        management: where its place and its session come from.
-        role, subject: of the client's certificate, where a secure transport has found one.
-        accepted: whether a gate before it has asked `ConnectionManagement.accept` already.
+        management: gives it a slot and a session.
+        role, subject: of the client's certificate, if TLS has found one.
+        accepted: whether `ConnectionManagement.accept` was called already, by the TLS handshake acceptor.
 
     Attributes:
-        session: its conversation; None until it has a place, and after its end.
+        session: its session; None until it has a slot, and after its end.
         peer, host: ``host:port`` of the client, and the host alone.
         role, subject: of its certificate; None and empty without one.
-        is_priority: whether it is a device that the priority pool is for: no limit of ours closes or slows it.
-        pool: where it has its place.
-        is_greedy: whether it asks for more than the share of a turn.
+        is_priority: whether it is of a priority host: no limit of the server closes or slows it.
+        pool: the pool of its slot.
+        is_greedy: whether it sends more than the share of a turn.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
         charged: requests that its host's rate was charged with.
@@ -141,7 +141,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Bytes have come: answer them, up to the share of a turn."""
+        """Process received bytes and send the replies, up to the share of a turn."""
         session = self.session
         if session is None:
             return
@@ -156,7 +156,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._look_at_share(session, nbytes)
 
     def _finish(self, session: Session, replies: list[bytes], size: int) -> None:
-        """Send what ``size`` bytes were answered with, and see to what else they have led to."""
+        """Send the replies to ``size`` received bytes, then start deferred answers, timeouts and error handling."""
         if replies:
             self._write(replies)
         if session.deferred:
@@ -173,7 +173,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.charge(self, session)
 
     def eof_received(self) -> bool:
-        """The client sends no more; replies that are still to come go out first."""
+        """The client has closed its sending side: close after the replies that are still owed."""
         session = self.session
         if session is not None and session.rest:
             self._end_waits = True
@@ -184,19 +184,19 @@ class ServerConnection(asyncio.BufferedProtocol):
         return self._half_closed
 
     def pause_writing(self) -> None:
-        """The client does not take its replies: stop reading."""
+        """The write buffer is full because the client does not read: stop reading from it."""
         self._is_stuck = True
         self._transport.pause_reading()
         self._management.stuck(self)
 
     def resume_writing(self) -> None:
-        """It takes them again."""
+        """The client reads its replies again: read on."""
         self._is_stuck = False
         self._management.taken(self)
         self.go_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has ended, whoever ended it."""
+        """The connection has ended: cancel its tasks, close its session and free its slot."""
         session, self.session = self.session, None
         for task in self._tasks or ():
             task.cancel()
@@ -207,7 +207,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Turns.
 
     def _must_wait(self, session: Session, nbytes: int) -> bool:
-        """Where others wait: whether what came now has to wait as well. It does then."""
+        """While other connections wait: whether the received bytes must wait too; then they are queued."""
         if self.is_priority or not (self.is_greedy or not self._turns.has_time):
             return False
         session.put_off(self._buffer, nbytes)

@@ -1,10 +1,10 @@
-"""The ways by which bytes leave a server, for whoever sends something else by them than the handler's replies.
+"""The connection tap: lets a simulated device send bytes of its own on the connections of a server.
 
-Knows where a way is and what it takes; knows no request. A simulated device that answers twice, in pieces or not in
-time does it here: its handler says `SILENCE`, and what is sent instead goes out by the wire.
+Knows connections and how to send on them; knows no request. A simulated device that answers twice, in pieces or late
+uses it: its handler returns `SILENCE`, and sends its own bytes on the tapped connection.
 
-1. Nothing asks for a wire while a request is answered: whoever is told of them keeps them, and finds them by listener
-   and peer, the names that a request's context has. Without anybody to tell, none are made.
+1. Answering a request looks up no tapped connection: the tap keeps those it is given, and finds them by listener and
+   peer, as a request's context names them. Without a tap none are made.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class TappedConnection:
-    """One way: a connection, a peer over UDP, or an open serial port.
+    """An open connection on which a tap can send: over TCP or TLS, to a peer over UDP, or of a serial port.
 
     Attributes:
         listener, peer: as in `RequestContext`.
@@ -22,7 +22,7 @@ class TappedConnection:
         carrier: ``tcp``, ``tls``, ``udp`` or ``serial``.
         gap: seconds of silence that a frame needs before it; 0 over a network.
         send: sends bytes as they are, at the end of this turn of the event loop at the latest.
-        close: closes the connection behind what was sent; where there is none, nothing happens.
+        close: closes the connection after what was sent; does nothing over UDP and on a serial port.
     """
 
     listener: str
@@ -35,14 +35,14 @@ class TappedConnection:
 
 
 class ConnectionTap(Protocol):
-    """Is told of every way; in the thread of the server's event loop."""
+    """An observer of opened and closed connections, called in the thread of the server's event loop."""
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """A connection has a place, a peer was heard for the first time, or a port was opened."""
+        """A connection was admitted, a UDP peer sent its first datagram, or a serial port was opened."""
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """It is there no more."""
+        """A connection or port was closed, or a UDP peer was forgotten."""
 
 
 def stay() -> None:
-    """What `TappedConnection.close` does where no connection is."""
+    """Do nothing: `TappedConnection.close` of UDP peers and serial ports."""

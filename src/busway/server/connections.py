@@ -1,11 +1,11 @@
-"""Connection management of a server: who is connected, who may be, and who makes room (Messaging on TCP/IP §4.2).
+"""Connection management of a listener: admits, limits and closes connections (Messaging on TCP/IP §4.2).
 
 Knows connections and their limits; knows no request.
 
-1. Whether a host may connect is asked before anybody makes room for it.
-2. Who makes room is decided by `busway.server.pools`; what is overdue by `busway.server.deadlines`.
+1. Whether a host may connect is checked before another connection is closed for it.
+2. `busway.server.pools` decides which connection is closed for a new one, `busway.server.deadlines` what is overdue.
 3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
-   socket. It ends with an error, with the server, or when the system finds its other end gone.
+   socket. It ends with an error, with the server, or when the system finds its peer gone.
 4. There is one timer for all connections of a listener.
 5. What happens is counted, and can be seen.
 """
@@ -48,13 +48,13 @@ class ConnectionManagement:
     """The connections of one listener.
 
     Args:
-        listener_context: what the listener knows beside its connections.
-        pools: places, its own or shared with other listeners.
+        listener_context: access list, limits and counters of the listener.
+        pools: connection slots, its own or shared with other listeners.
         sockets: parameters of the sockets of new connections.
-        turns: where connections wait that have more to do than one turn allows; None for its own, unshared.
+        turns: queue of connections that have more to do than one turn allows; None for an unshared one.
 
     Attributes:
-        handshake_acceptor: where new connections agree on TLS before they get here; None without TLS.
+        handshake_acceptor: runs the TLS handshake of new connections before they are admitted; None without TLS.
     """
 
     def __init__(
@@ -107,18 +107,18 @@ class ConnectionManagement:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """For the status indicators."""
+        """The source of the listener's status indicators."""
         return self.listener_context.diagnosis
 
     @property
     def rates(self) -> Rates | None:
-        """Of requests; None without a limit."""
+        """Request rates by host; None without a limit."""
         return self.listener_context.rates
 
     # Coming and going.
 
     def accept(self, transport: asyncio.BaseTransport) -> bool:
-        """Whether a new connection may stay, asked before a byte of it is read; the parameters of its socket are set.
+        """Whether a new connection may stay, checked before a byte of it is read; sets the parameters of its socket.
 
         A refusal is counted and logged; closing is the caller's.
         """
@@ -133,18 +133,18 @@ class ConnectionManagement:
         return True
 
     def admit(self, connection: ServerConnection) -> Session | None:
-        """Give a new connection a place, and its session; None where nobody can make room for it."""
+        """Give a new connection a slot, and return its session; None if no slot can be freed for it."""
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)
         if not admission.accepted:
             self.counters.refused_full += 1
             if connection.has_ended:
-                return None  # it had gone before it came, and hears nothing
+                return None  # it was closed by its client before it was admitted
             listener_context.say(
                 logging.WARNING,
                 connection.host,
-                "%s: refused: all %d places are taken by marked devices",
+                "%s: refused: all %d connection slots are taken by priority hosts",
                 connection.peer,
                 len(self.pools),
             )
@@ -158,12 +158,12 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ServerConnection) -> None:
-        """A connection has lost its place to a new connection."""
+        """Close a connection that has lost its slot to a new one."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,
             "",
-            "%s: closed to make room; %d connections are there with the newcomer",
+            "%s: closed to make room for a new connection; there are %d now",
             connection.peer,
             len(self.pools),
         )
@@ -171,7 +171,7 @@ class ConnectionManagement:
         connection.abort()
 
     def leave(self, connection: ServerConnection, session: Session, error: Exception | None) -> None:
-        """A connection has ended."""
+        """Remove an ended connection."""
         self.pools.leave(connection)
         self._connections.pop(connection, None)
         self._deadlines.forget(connection)
@@ -184,13 +184,13 @@ class ConnectionManagement:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
     def broken(self, connection: ServerConnection, reason: str) -> None:
-        """The stream of a connection cannot be followed any more."""
+        """Count and log a connection whose byte stream is no valid sequence of frames."""
         self.counters.broken_streams += 1
         self.listener_context.broken()
         self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
 
     def end_unauthorised(self) -> int:
-        """End connections of hosts that may no longer connect, and their handshakes; how many there were."""
+        """Abort connections and handshakes of hosts that may no longer connect; returns their number."""
         ended = [one for one in self._connections if not self.listener_context.may_stay(one)]
         for connection in ended:
             connection.abort()
@@ -199,25 +199,25 @@ class ConnectionManagement:
     # Limits while they last.
 
     def watch_frame(self, connection: ServerConnection, *, begun_now: bool) -> None:
-        """A connection holds a part of a frame; ``begun_now`` if it came whole out of the last segment."""
+        """Start the frame timeout of a connection with an incomplete frame; ``begun_now`` if the frame is new."""
         if connection.is_priority:
             return
         now = time.monotonic()
         self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
 
     def stuck(self, connection: ServerConnection) -> None:
-        """A client does not take its replies."""
+        """Start the write timeout of a connection whose client does not read its replies."""
         self.counters.reading_paused += 1
         if not connection.is_priority:
             now = time.monotonic()
             self._set_timer_by(self._deadlines.stuck(connection, now), now)
 
     def taken(self, connection: ServerConnection) -> None:
-        """It takes them again."""
+        """Stop the write timeout: the client reads its replies again."""
         self._deadlines.taken(connection)
 
     def charge(self, connection: ServerConnection, session: Session) -> None:
-        """Charge a host with what a connection of it has asked; hold the connection if that was more than its rate."""
+        """Charge a host with the requests of its connection; pause the connection if the host is above its rate."""
         assert self.rates is not None  # or nobody would ask
         now = time.monotonic()
         requests, connection.charged = session.requests - connection.charged, session.requests
@@ -235,14 +235,14 @@ class ConnectionManagement:
             self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
 
     def is_held(self, connection: ServerConnection) -> bool:
-        """Whether nothing is read from it: its host is over its rate, or the listener takes no more."""
+        """Whether reading from a connection is paused: its host is above its rate, or the listener is draining."""
         return self._is_draining or self._deadlines.is_held(connection)
 
     def _set_timer(self, now: float) -> None:
         self._set_timer_by(self._deadlines.next_due(now, anybody=bool(self._connections)), now)
 
     def _set_timer_by(self, due: float | None, now: float) -> None:
-        """See to it that the timer goes off at ``due``, or before."""
+        """Set the timer to ``due``, unless it is set to an earlier time."""
         if due is None or (self._timer is not None and self._timer_at <= due):
             return
         self._stop_timer()
@@ -255,7 +255,7 @@ class ConnectionManagement:
             self._timer = None
 
     def _look(self) -> None:
-        """Close what is overdue, let go on what has waited; be back when the next may be due."""
+        """Close overdue connections, resume paused ones, and set the timer for the next deadline."""
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
@@ -280,12 +280,12 @@ class ConnectionManagement:
     # What is shown.
 
     def status(self) -> list[ConnectionStatus]:
-        """The connections, the oldest first."""
+        """The status of each connection, the oldest first."""
         now = time.monotonic()
         return [self.listener_context.connected_peer_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
-        """The listener itself."""
+        """The status of the listener."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         pools = [one.pool for one in self._connections]
@@ -293,7 +293,7 @@ class ConnectionManagement:
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add what the living connections have not handed over yet."""
+        """Add the counters of open connections; closed ones are already in the totals."""
         for one in self._connections:
             if one.session is not None:
                 add_living(counters, one, one.session)
@@ -301,7 +301,7 @@ class ConnectionManagement:
     # The end.
 
     def pause_all(self) -> None:
-        """Read nothing more from any connection; what is in work is still answered."""
+        """Stop reading from all connections; requests in progress are still answered."""
         self._is_draining = True
         for connection in self._connections:
             connection.hold()
@@ -313,7 +313,7 @@ class ConnectionManagement:
             await self._emptied.wait()
 
     def close_all(self, *, at_once: bool = False) -> None:
-        """Close every connection, after what is written has gone out or at once."""
+        """Close every connection, at once or after its written replies are sent."""
         for connection in list(self._connections):
             if at_once:
                 connection.abort()

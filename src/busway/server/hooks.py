@@ -1,10 +1,10 @@
-"""What an application hangs on the accesses that come by Modbus, and what it learns of them.
+"""Hooks: functions of the application that a device calls when Modbus reads or writes its tables.
 
 Knows accesses and functions to call; knows no store.
 
-1. Hooks are for Modbus: what the application itself reads and writes calls none.
-2. A hook is called in the thread that executes the request, under ``Device.lock``. It is short, and waits for no other
-   thread that may want the device.
+1. Hooks are for Modbus: reads and writes of the application itself call none.
+2. A hook is called in the thread that executes the request, under ``Device.lock``. It must be short, and must not wait
+   for a thread that may need the device.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from ..pdu.model import Context
 
 
 class When(Enum):
-    """Whether a hook comes before the access, and may refuse it, or after."""
+    """When a hook is called: before the access, which it may refuse, or after it."""
 
     BEFORE = "before"
     AFTER = "after"
@@ -24,7 +24,7 @@ class When(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """A read by Modbus.
+    """A read by Modbus, as a read hook gets it.
 
     Attributes:
         peer: address of the client, ``host:port`` or the name of a serial line.
@@ -49,7 +49,7 @@ class Access:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A write by Modbus.
+    """A write by Modbus, as a write hook gets it.
 
     Attributes:
         peer: address of the client, ``host:port`` or the name of a serial line.
@@ -80,7 +80,7 @@ WriteFunction = Callable[[Change], object]
 
 @dataclass(frozen=True, slots=True)
 class Hook:
-    """A function, and the accesses that it is called for: those that touch ``first``…``end - 1``."""
+    """A function and the addresses it is called for: accesses that touch ``first``…``end - 1``."""
 
     function: Callable[..., object]
     when: When
@@ -89,7 +89,7 @@ class Hook:
 
 
 class Hooks:
-    """The hooks of one table and one direction. Replaced whole when one comes or goes, so that none is half there."""
+    """The read hooks or the write hooks of one table. Changes replace the whole tuple, so readers need no lock."""
 
     __slots__ = ("_all",)
 
@@ -100,37 +100,37 @@ class Hooks:
         return bool(self._all)
 
     def add(self, hook: Hook) -> None:
-        """One more, called after those that were there."""
+        """Add a hook; it is called after the existing ones."""
         self._all = (*self._all, hook)
 
     def remove(self, function: Callable[..., object]) -> bool:
-        """All that call ``function``; whether there were any."""
+        """Remove all hooks that call ``function``; returns whether there were any."""
         kept = tuple(hook for hook in self._all if hook.function != function)
         found = len(kept) < len(self._all)
         self._all = kept
         return found
 
     def wanted(self, address: int, count: int) -> tuple[Hook, ...]:
-        """Those that an access to a range calls, in the order in which they were added."""
+        """The hooks that an access to this range calls, in the order they were added."""
         if not self._all:
             return ()
         return tuple(hook for hook in self._all if hook.first < address + count and address < hook.end)
 
 
 def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:
-    """Call those of ``hooks`` that are for this moment; what one raises ends it."""
+    """Call the hooks for this moment in order; an exception of one is passed on and skips the rest."""
     for hook in hooks:
         if hook.when is when:
             hook.function(access)
 
 
 def function_of(context: Context) -> int | None:
-    """The function code of the request, if whoever asks tells it."""
+    """The function code of the request; None if the context has none."""
     function = getattr(context, "function", None)
     return function if isinstance(function, int) else None
 
 
 def role_of(context: Context) -> str | None:
-    """The role of the client, if whoever asks tells it."""
+    """The role of the client; None if the context has none."""
     role = getattr(context, "role", None)
     return role if isinstance(role, str) else None

@@ -1,17 +1,15 @@
-"""The gate of a secure listener: new connections come in when TLS is agreed on and their certificate has been looked
-at.
+"""The TLS handshake acceptor of a secure listener: admits connections whose handshake and certificate are right.
 
-Knows connections that are not admitted yet; knows no request. What a role may do is policy's business.
+Knows connections that are not admitted yet; knows no request. The rights of a role are decided by the policy.
 
-1. Order: address (before a byte is read) → a place among the handshakes → TLS, with a client's certificate → its role
-   → a place among the connections. Every refusal is counted by its reason, and has a line in the log: one a minute for
-   the same host and reason, with how many there were.
-2. The context is taken when a connection is accepted: certificates and authorities that have changed hold from the
-   next connection on, and those that stand are not disturbed.
-3. At most ``max_handshakes`` are under way; a new connection takes the place of the oldest of them, so that clients
-   who begin and fall silent keep nobody out. That of a priority host is taken by another priority host alone: who it
-   is, is known before, and strangers shall not keep it from its place.
-4. A resumed session brings the certificate it was made with; it is looked at again, because its time may be over.
+1. Order: address (before a byte is read) → a handshake slot → TLS, with a client's certificate → its role → a
+   connection slot. Every refusal is counted by its reason and logged: one line a minute for the same host and reason,
+   with the number of refusals.
+2. The TLS context is read when a connection is accepted: changed certificates and authorities apply from the next
+   connection on, and open connections are not disturbed.
+3. At most ``max_handshakes`` are pending; a new connection replaces the oldest of them, so that clients that stall
+   cannot keep others out. The handshake of a priority host is replaced only by that of another priority host.
+4. A resumed session presents the certificate of its first handshake; its validity is checked again.
 """
 
 import asyncio
@@ -39,7 +37,7 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """The gate of a listener; calling it gives the protocol of a new connection.
+    """Make the handshake acceptor of a listener; calling it makes the protocol of a new connection.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.
@@ -49,7 +47,7 @@ def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParame
 
 
 class TlsHandshakeAcceptor:
-    """Lets clients of one listener in. Made by `handshake_acceptor`."""
+    """Runs the TLS handshakes of one listener and admits clients. Made by `handshake_acceptor`."""
 
     def __init__(self, management: "ConnectionManagement", parameters: TlsParameters) -> None:
         require_cryptography("a tls:// listener")
@@ -59,8 +57,8 @@ class TlsHandshakeAcceptor:
         self._own: CertificateFacts | None = None
         self._own_of = -1
         self._warned = 0.0
-        self._waiting: dict[TlsLayer, str] = {}  # handshakes under way, in the order they came, and whose they are
-        self._strangers: dict[TlsLayer, None] = {}  # of these, those of devices that are not marked
+        self._waiting: dict[TlsLayer, str] = {}  # pending handshakes, oldest first, each with its peer
+        self._strangers: dict[TlsLayer, None] = {}  # of these, those that are not of priority hosts
         self._leaving: dict[TlsLayer, None] = {}  # refused, and given a moment to read why
         self._refused: Counter[str] = Counter()
         self._established = 0
@@ -69,17 +67,17 @@ class TlsHandshakeAcceptor:
         self._look_at_own()
 
     def __call__(self) -> asyncio.BaseProtocol:
-        """The protocol of a connection that the system has accepted."""
+        """Make the protocol of an accepted connection."""
         return _PendingHandshake(self)
 
     def reload(self) -> None:
-        """Read certificate, key and authorities now. Raises `ConfigError`; then they stay as they were."""
+        """Read certificate, key and authorities again. Raises `ConfigError`; then the old ones stay in use."""
         self._context.name = self._management.listener
         self._context.reload()
         self._look_at_own()
 
     def end_unauthorised(self) -> int:
-        """End handshakes of hosts that may no longer connect; how many there were."""
+        """Abort the handshakes of hosts that may no longer connect; returns their number."""
         listener_context = self._management.listener_context
         ended = [
             layer
@@ -94,7 +92,7 @@ class TlsHandshakeAcceptor:
         return len(ended)
 
     def close(self) -> None:
-        """End the handshakes under way."""
+        """Abort all pending handshakes."""
         for layer in list(self._waiting):
             layer.failure = TlsFailure(FailureKind.GONE, "the listener was closed")
             layer.abort()
@@ -103,11 +101,11 @@ class TlsHandshakeAcceptor:
 
     @property
     def pending(self) -> int:
-        """Handshakes under way."""
+        """Number of pending handshakes."""
         return len(self._waiting)
 
     def status(self) -> SecurityStatus:
-        """How it stands now."""
+        """The TLS status of the listener now."""
         own = self._look_at_own()
         return SecurityStatus(
             subject=own.subject,
@@ -122,7 +120,7 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """The own certificate; once a day and at each change, what is to be said about its time is said."""
+        """The listener's own certificate; logs once a day and after each change if it is about to expire."""
         context = self._context
         if self._own is None or self._own_of != context.generation:
             assert self._parameters.certificate is not None  # or there would be no context
@@ -152,7 +150,7 @@ class TlsHandshakeAcceptor:
         while len(self._waiting) >= limit:
             oldest = next(iter(self._strangers), next(iter(self._waiting)) if is_priority else None)
             if oldest is None:
-                self._refuse(peer, TlsFailure(FailureKind.CROWDED_OUT, f"all {limit} handshakes are marked devices'"))
+                self._refuse(peer, TlsFailure(FailureKind.CROWDED_OUT, f"all {limit} handshakes are of priority hosts"))
                 transport.abort()
                 return
             oldest.refuse(
@@ -177,7 +175,7 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """TLS stands: look at the certificate, and let the client in."""
+        """The handshake is complete: check the certificate, and admit the client."""
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)
         try:
@@ -193,7 +191,7 @@ class TlsHandshakeAcceptor:
         return ServerConnection(self._management, role=role, subject=subject, accepted=True)
 
     def _identity(self, peer: str, certificate: bytes | None) -> tuple[str | None, str]:
-        """Role and subject of a client. Raises `TlsFailure` where it is not let in."""
+        """Role and subject of a client's certificate. Raises `TlsFailure` if the client is refused."""
         if not certificate:
             raise TlsFailure(FailureKind.NO_CERTIFICATE, "the client sent no certificate")
         reading = role_of_certificate(certificate)
@@ -214,7 +212,7 @@ class TlsHandshakeAcceptor:
         return reading.role, facts.subject
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
-        """A new connection is not let in, or has gone."""
+        """A handshake has failed, or the client has disconnected during it."""
         self._strangers.pop(layer, None)
         self._refuse(self._waiting.pop(layer, "?"), failure)
         if layer.state is TlsState.REFUSED:
@@ -225,7 +223,7 @@ class TlsHandshakeAcceptor:
             self._leaving[layer] = None
 
     def _refuse(self, peer: str, failure: TlsFailure) -> None:
-        """Count a refusal, and say it."""
+        """Count a refusal, and log it."""
         self._refused[failure.kind.value] += 1
         about = f"{_host_of(peer)} {failure.kind.value}"
         self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
@@ -234,7 +232,7 @@ class TlsHandshakeAcceptor:
         self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
-        """The connection of somebody who was refused has ended."""
+        """The connection of a refused client has ended."""
         self._leaving.pop(layer, None)
 
 
@@ -243,7 +241,7 @@ def _host_of(peer: str) -> str:
 
 
 class _PendingHandshake(asyncio.Protocol):
-    """What a connection has until its TLS takes over, within the call that tells of it."""
+    """The first protocol of an accepted connection: it starts the handshake in `connection_made`."""
 
     def __init__(self, handshake_acceptor: TlsHandshakeAcceptor) -> None:
         self._acceptor = handshake_acceptor

@@ -1,9 +1,9 @@
-"""A server: listeners in front of a handler. Start, stop, reset, status (Messaging on TCP/IP V1.0b §5.1.2).
+"""The server: listeners that pass requests to one handler; start, stop, reset, status (Messaging on TCP/IP §5.1.2).
 
-Knows listeners and their life; knows no request.
+Knows listeners and their life cycle; knows no request.
 
 1. It answers only between start and stop. Stopping ends within a second, whatever the clients do.
-2. Start, stop and reset say what they did, or raise. A listener that cannot be opened closes those opened before.
+2. Start, stop and reset succeed or raise. If one listener cannot be opened, those opened before are closed.
 """
 
 import asyncio
@@ -44,29 +44,29 @@ _STOP_SECONDS: Final = 0.5
 
 
 class Server:
-    """Listeners in front of one handler; an asynchronous context manager that starts and stops.
+    """A Modbus server: listeners that share one handler. An asynchronous context manager that starts and stops.
 
     Args:
         endpoints: URLs to listen on (``tcp://127.0.0.1:5020``), or `Listener` where one has settings of its own; port 0
             takes a free one, an empty host every interface, IPv4 and IPv6.
-        handler: what answers.
-        parameters: of the conversation, `ServerParameters`.
-        listener: of connections, `ListenerParameters`.
-        sockets: of sockets, `SocketParameters`.
-        authorise: asked with a client's host before anything of it is read; False closes the connection.
+        handler: answers the requests.
+        parameters: options of sessions, `ServerParameters`.
+        listener: limits of connections, `ListenerParameters`.
+        sockets: options of sockets, `SocketParameters`.
+        authorise: called with a client's host before anything of it is read; False closes the connection.
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
-        policy: who may ask what; None lets everybody who may connect read and write.
-        audit: where denied requests and writes are recorded.
-        standard_port: whether port 502 is listened on beside each other port of ``tcp://`` (Messaging on TCP/IP V1.0b
-            §3.1.3): True, and then it must be had; False; or None: where the host can be reached from the network and
-            the port was chosen, and where it cannot be had, that is only said.
-        local_connections: asked for a status: how many connections this program has itself towards other devices. None
-            counts those of the links of this process.
-        tap: is told of every way by which bytes leave, and may send by them; for simulated devices that misbehave.
+        policy: which requests are permitted; None permits all requests of hosts that may connect.
+        audit: the audit log of writes and denied requests.
+        standard_port: whether to listen on port 502 too, beside each other port of ``tcp://`` (Messaging on TCP/IP
+            V1.0b §3.1.3). True requires it. None does so if the network can reach the host and the port was given
+            explicitly; if port 502 is not available, that is logged.
+        local_connections: returns, for a status, how many connections this program has open towards other devices.
+            None counts those of the links of this process.
+        tap: observes opened and closed connections and may send on them; for simulated devices that misbehave.
 
     Attributes:
-        authorise: as given; a change holds from the next start.
-        counters: what has happened, without what living connections have not handed over yet; see `status`.
+        authorise: as given; a change takes effect at the next start.
+        counters: totals, without the share of open connections; see `status`.
 
     Raises:
         ConfigError: an endpoint that cannot be listened on.
@@ -112,19 +112,19 @@ class Server:
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the listeners as they are bound, with the real ports; empty while stopped."""
+        """URLs of the listeners with the ports that are really bound; empty while stopped."""
         return list(self._bound)
 
     @property
     def is_running(self) -> bool:
-        """Whether it answers."""
+        """Whether the server is started."""
         return bool(self._streams or self._datagrams or self._lines)
 
     def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Put a handler around the one that answers: to count, to record, to decide. Only while stopped.
+        """Wrap the handler in another one, which may count, record or deny requests. Only while stopped.
 
         Raises:
-            ConfigError: it is running, and conversations hold the handler already.
+            ConfigError: the server is running, and its sessions use the handler already.
         """
         if self.is_running:
             raise ConfigError("a running server keeps its handler", key="handler")
@@ -133,17 +133,17 @@ class Server:
             self._guard = self._handler
 
     def use_tap(self, tap: ConnectionTap) -> None:
-        """Tell somebody of every way by which bytes leave, as ``tap`` does. Only while stopped.
+        """Register an observer of opened and closed connections. Only while stopped.
 
         Raises:
-            ConfigError: it is running, and has ways already.
+            ConfigError: the server is running.
         """
         if self.is_running:
             raise ConfigError("a running server keeps its connection tap", key="tap")
         self._tap = tap
 
     def replace_policy(self, policy: "Policy") -> None:
-        """Let another policy hold, from the next request on.
+        """Replace the policy, from the next request on.
 
         Raises:
             ConfigError: the server was made without one.
@@ -153,12 +153,12 @@ class Server:
         self._guard.replace_policy(policy)
 
     def reload_security(self) -> None:
-        """Read the certificates, keys and authorities of the ``tls://`` listeners anew, for connections from now on.
+        """Read the certificates, keys and authorities of the ``tls://`` listeners again, for new connections.
 
-        Listeners also find out themselves that a file has changed, at the next connection.
+        Listeners also notice changed files themselves, at the next connection.
 
         Raises:
-            ConfigError: a file cannot be used, with its name; its listener stays as it was, the others have theirs.
+            ConfigError: a file cannot be used, with its name; its listener keeps the old one, the others are updated.
         """
         handshake_acceptors = [each.management.handshake_acceptor for each in self._streams]
         failures: list[ConfigError] = []
@@ -172,10 +172,10 @@ class Server:
             raise failures[0]
 
     def end_unauthorised(self) -> int:
-        """Ask ``authorise`` about every host that is connected, and end connections of those that it no longer lets in.
+        """Call ``authorise`` for every connected host, and abort the connections of those it refuses.
 
-        For address lists that have changed. Replies that were not sent yet are lost; what was executed stays executed.
-        Peers over UDP lose their place, and their next datagram is refused.
+        For address lists that have changed. Replies that were not sent yet are lost; executed writes stay executed.
+        Peers over UDP lose their slot, and their next datagram is refused.
 
         Returns:
             How many connections, handshakes and peers were ended.
@@ -186,7 +186,7 @@ class Server:
         """Open all listeners. A serial port that is not there is waited for.
 
         Raises:
-            LinkDown, ConfigError: a listener cannot be had; then none is open.
+            LinkDown, ConfigError: a listener cannot be opened; then none is open.
         """
         if self.is_running:
             return
@@ -209,7 +209,7 @@ class Server:
             raise error.at(endpoint=settings.endpoint.url) from error.__cause__
         except OSError as error:
             await self.stop()
-            down = LinkDown(f"can not listen: {network_reason(error)}", endpoint=settings.endpoint.url)
+            down = LinkDown(f"cannot listen: {network_reason(error)}", endpoint=settings.endpoint.url)
             raise down from error
         except BaseException:
             await self.stop()
@@ -234,7 +234,7 @@ class Server:
                 self._bound += streams.names
 
     async def take_no_more(self) -> None:
-        """Take no new connection and read no further request; answers still go out. Before a `stop` that may wait."""
+        """Accept no connection and read no request from now on; answers are still sent. Call `stop` afterwards."""
         for datagrams in self._datagrams:
             datagrams.take_no_more()
         for line in self._lines:
@@ -246,7 +246,7 @@ class Server:
             streams.management.pause_all()
 
     async def stop(self) -> None:
-        """Close all listeners and connections. Replies that are written go out; after half a second nothing waits."""
+        """Close all listeners and connections. Written replies are still sent, for at most half a second."""
         streams, self._streams = self._streams, []
         datagrams, self._datagrams = self._datagrams, []
         lines, self._lines = self._lines, []
@@ -278,12 +278,12 @@ class Server:
         await self.start()
 
     def reset_counters(self) -> None:
-        """Set the counters to zero, of the living connections too; connections and listeners stay as they are."""
-        # What a connection still holds is handed over when it ends, and must not count again then.
+        """Set the counters to zero, those of open connections too; connections and listeners stay open."""
+        # An open connection adds its counters when it ends; what it has counted until now is subtracted here.
         self.counters.take_off(self._counters_now())
 
     async def serve_until_cancelled(self) -> None:
-        """Start if need be, and serve until the task is cancelled; then stop."""
+        """Start unless running, serve until the task is cancelled, then stop."""
         await self.start()
         try:
             await asyncio.get_running_loop().create_future()
@@ -291,7 +291,7 @@ class Server:
             await self.stop()
 
     def status(self) -> ServerStatus:
-        """How it stands now."""
+        """The status now: listeners, connections and counters."""
         connections = tuple(one for listener in self._with_peers() for one in listener.status())
         pools = {id(each.management.pools): each.management.pools.limits for each in self._streams}
         return ServerStatus(
@@ -311,7 +311,7 @@ class Server:
         )
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host has priority connections at the listener of a URL, as it is bound."""
+        """Whether a host is a priority host of the listener with this URL (as in `endpoints`)."""
         listener_contexts = [each.listener_context for each in self._with_peers()]
         return any(one.is_priority(host) for one in listener_contexts if one.listener == listener)
 
@@ -319,7 +319,7 @@ class Server:
         return [*(each.management for each in self._streams), *self._datagrams]
 
     def _counters_now(self) -> ServerCounters:
-        """The counters, with what the living connections have not handed over yet."""
+        """The counters, with those of open connections."""
         counters = self.counters.copy()
         counters.requests += sum(line.requests for line in self._lines)
         for listener in self._with_peers():
@@ -327,7 +327,7 @@ class Server:
         return counters
 
     def _guard_by(self, policy: "Policy | None", audit: "AuditLog | None") -> None:
-        """Put a policy around the handler."""
+        """Wrap the handler in an authorizer."""
         from ..access.authorizer import PolicyHandler
         from ..access.rules import Action, Policy
 

@@ -62,18 +62,18 @@ class ConnectionStatus:
 
 @dataclass(frozen=True, slots=True)
 class SecurityStatus:
-    """TLS of a listener, as a status shows it.
+    """The TLS status of a listener: its certificate, and counts of handshakes and refusals.
 
     Attributes:
         subject: of the listener's own certificate.
         not_after: when it expires, seconds since 1970.
-        days_left: until then; negative behind that.
-        reloads: how often the files were read anew since the start.
-        handshakes: under way.
-        established: agreed on so far.
-        resumed: of these, sessions that were resumed.
-        refused: refusals by reason, as "expired" or "no certificate".
-        without_role: established with a certificate that has no role.
+        days_left: days until then; negative after it.
+        reloads: how often the files were read again since the start.
+        handshakes: number of pending handshakes.
+        established: number of completed handshakes.
+        resumed: how many of these resumed a session.
+        refused: number of refusals by reason, such as "expired" or "no certificate".
+        without_role: number of completed handshakes with a certificate without a role.
     """
 
     subject: str

@@ -36,7 +36,7 @@ def bound_sockets(
         ConfigError: this system cannot bind to an interface.
     """
     if interface is not None and not hasattr(socket, "SO_BINDTODEVICE"):
-        raise ConfigError("this system can not bind a socket to an interface", key="interface")
+        raise ConfigError("this system cannot bind a socket to an interface", key="interface")
     wanted = list(dict.fromkeys(addresses))
     for attempt in range(_TRIES):
         try:

@@ -157,8 +157,8 @@ def _set_if_known(connection: socket.socket, name: str, value: int) -> None:
 _REASONS = {
     errno.ECONNREFUSED: "nothing listens there (connection refused)",
     errno.ETIMEDOUT: "no answer from the network (timed out)",
-    errno.EHOSTUNREACH: "the host can not be reached",
-    errno.ENETUNREACH: "the network can not be reached",
+    errno.EHOSTUNREACH: "the host cannot be reached",
+    errno.ENETUNREACH: "the network cannot be reached",
     errno.ECONNRESET: "the peer reset the connection",
     errno.EPIPE: "the peer closed the connection",
     errno.EADDRNOTAVAIL: "the local address does not exist on this host",
@@ -171,7 +171,7 @@ _REASONS = {
 def network_reason(error: BaseException) -> str:
     """What a network error says, for an operator."""
     if isinstance(error, socket.gaierror):
-        return f"the host name can not be resolved ({error.strerror})"
+        return f"the host name cannot be resolved ({error.strerror})"
     if isinstance(error, TimeoutError) and not getattr(error, "errno", None):
         return "no connection within the connect timeout"
     number = getattr(error, "errno", None)

@@ -89,11 +89,11 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
             assert status.lamps.error.value == "flashing"
             assert status.lamps.device_status.value == "off"
             (link,) = status.links
-            assert link.reason == f"{port} can not be opened: it is not there"
+            assert link.reason == f"{port} cannot be opened: it is not there"
             os.symlink(line.paths[0], port)
             await until(lambda: len(told(caplog)) > 1)
             assert told(caplog) == [
-                f"rtu://{port}: {port} can not be opened: it is not there; waiting for it",
+                f"rtu://{port}: {port} cannot be opened: it is not there; waiting for it",
                 f"rtu://{port}: open again",
             ]
             (status,) = gateway.status().upstreams

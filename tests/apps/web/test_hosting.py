@@ -110,7 +110,7 @@ async def test_stopping_leaves_nothing_behind():
 
 async def test_an_address_that_is_taken_is_said():
     async with watching() as plant:
-        with pytest.raises(LinkDown, match="can not listen"):
+        with pytest.raises(LinkDown, match="cannot listen"):
             await ControlPage(plant.simulation, plant.host).start()
         link = busway.open(plant.endpoints[0])
         async with link:

@@ -18,7 +18,7 @@ from busway.transport.serial.errors import opening_failed, port_lost
         (errno.EBUSY, LinkDown, "held by another program"),
         (errno.EMFILE, LinkDown, "no file handles"),
         (errno.ENOTTY, ConfigError, "is not a serial port"),
-        (errno.EINVAL, ConfigError, "can not be set to 19200 8E1"),
+        (errno.EINVAL, ConfigError, "cannot be set to 19200 8E1"),
     ],
 )
 def test_an_error_of_the_system_while_opening_is_ours(number: int, kind: type[Exception], words: str) -> None:

@@ -102,7 +102,7 @@ def _written(files: CertificateFiles, name: str, data: bytes) -> str:
 DAMAGES: dict[str, tuple[Damage, str]] = {
     "no revocation list file": (
         lambda files, store: _with(files, revocation_list="/missing.crl"),
-        "/missing.crl: revocation_list: can not be read: no such file or directory",
+        "/missing.crl: revocation_list: cannot be read: no such file or directory",
     ),
     "a revocation list that is none": (
         lambda files, store: _with(files, revocation_list=str(files.key)),
@@ -121,19 +121,19 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         lambda files, store: _with(
             files, revocation_list=_written(files, "odd.crl", b"-----BEGIN X509 CRL-----\nAAAA\n-----END X509 CRL-----")
         ),
-        "odd.crl: revocation_list: the revocation lists can not be read",
+        "odd.crl: revocation_list: the revocation lists cannot be read",
     ),
     "no certificate file": (
         lambda files, store: _with(files, certificate="/missing.pem"),
-        "/missing.pem: certificate: can not be read: no such file or directory",
+        "/missing.pem: certificate: cannot be read: no such file or directory",
     ),
     "no key file": (
         lambda files, store: _with(files, key="/missing.key"),
-        "/missing.key: key: can not be read: no such file or directory",
+        "/missing.key: key: cannot be read: no such file or directory",
     ),
     "no authority": (
         lambda files, store: _with(files, authority="/missing"),
-        "/missing: authority: can not be read: no such file or directory",
+        "/missing: authority: cannot be read: no such file or directory",
     ),
     "key for certificate": (
         lambda files, store: _with(files, certificate=str(files.key)),
@@ -155,13 +155,13 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         lambda files, store: _with(
             files, certificate=_written(files, "bad.pem", files.certificate.read_bytes().replace(b"M", b"N", 3))
         ),
-        "bad.pem: certificate: certificate and key can not be used: ",
+        "bad.pem: certificate: certificate and key cannot be used: ",
     ),
     "damaged authority": (
         lambda files, store: _with(
             files, authority=_written(files, "bad-ca.pem", files.authority.read_bytes().replace(b"M", b"N", 3))
         ),
-        "bad-ca.pem: authority: the certificates can not be read: ",
+        "bad-ca.pem: authority: the certificates cannot be read: ",
     ),
     "encrypted key": (
         lambda files, store: _with(files, key=_written(files, "locked.key", files.issued.key_pem(b"secret"))),
@@ -263,7 +263,7 @@ def test_a_file_that_vanished_leaves_the_old_context(files: CertificateFiles) ->
     files.authority.unlink()
     clock.advance(1.0)
     assert watched.current() is first
-    with pytest.raises(ConfigError, match="can not be read"):
+    with pytest.raises(ConfigError, match="cannot be read"):
         watched.reload()
     assert watched.current() is first
 

@@ -84,6 +84,6 @@ def test_two_roles_are_refused_even_if_they_are_the_same(tmp_path: Path) -> None
 
 
 def test_what_is_no_certificate_is_refused() -> None:
-    with pytest.raises(TlsFailure, match="can not be read") as caught:
+    with pytest.raises(TlsFailure, match="cannot be read") as caught:
         role_of_certificate(b"nothing")
     assert caught.value.kind is FailureKind.BAD_CERTIFICATE

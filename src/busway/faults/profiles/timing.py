@@ -81,7 +81,7 @@ QUEUE_LAG = FaultProfile(
     "queue-lag",
     "replies run some requests behind",
     ("Growatt_ModbusTCP#317",),
-    "never delivers them, and makes the connection anew; on a line, the same question twice can not be told apart",
+    "never delivers them, and makes the connection anew; on a line, the same question twice cannot be told apart",
     _queue_lag,
 )
 MUTE_AFTER_CONNECT = FaultProfile(

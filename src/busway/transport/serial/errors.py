@@ -37,13 +37,13 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
     ours: LinkDown | ConfigError
     if number in _TAKEN:
         holder = holder_of(port)
-        ours = LinkDown(f"{port} can not be opened: it is held by {holder or 'another program, which does not show'}")
+        ours = LinkDown(f"{port} cannot be opened: it is held by {holder or 'another program, which does not show'}")
     elif number == errno.ENOTTY:
         ours = ConfigError(f"{port} is not a serial port", key="port")
     elif number in _IMPOSSIBLE or not isinstance(error, OSError):
-        ours = ConfigError(f"{port} can not be set to {settings or 'these settings'} ({_words(error)})", key="port")
+        ours = ConfigError(f"{port} cannot be set to {settings or 'these settings'} ({_words(error)})", key="port")
     else:
-        ours = LinkDown(f"{port} can not be opened: {_words(error)}")
+        ours = LinkDown(f"{port} cannot be opened: {_words(error)}")
     ours.__cause__ = error
     return ours
 

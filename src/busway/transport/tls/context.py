@@ -108,7 +108,7 @@ def _load_own(context: ssl.SSLContext, parameters: TlsParameters, certificate: s
             raise ConfigError(sentence, file=certificate, key="certificate") from error
         reason = (error.reason or str(error)).lower().replace("_", " ")
         raise ConfigError(
-            f"certificate and key can not be used: {reason}", file=certificate, key="certificate"
+            f"certificate and key cannot be used: {reason}", file=certificate, key="certificate"
         ) from error
     except _NoPasswordError:
         raise ConfigError(
@@ -143,7 +143,7 @@ def _load_authority(context: ssl.SSLContext, name: str) -> None:
             context.load_verify_locations(cadata=text)
         except ssl.SSLError as error:
             reason = (error.reason or str(error)).lower().replace("_", " ")
-            raise ConfigError(f"the certificates can not be read: {reason}", file=file, key="authority") from error
+            raise ConfigError(f"the certificates cannot be read: {reason}", file=file, key="authority") from error
 
 
 def _load_revocations(context: ssl.SSLContext, name: str) -> None:
@@ -158,9 +158,7 @@ def _load_revocations(context: ssl.SSLContext, name: str) -> None:
         context.load_verify_locations(cafile=name)
     except (ssl.SSLError, OSError) as error:
         reason = (getattr(error, "reason", None) or str(error)).lower().replace("_", " ")
-        raise ConfigError(
-            f"the revocation lists can not be read: {reason}", file=name, key="revocation_list"
-        ) from error
+        raise ConfigError(f"the revocation lists cannot be read: {reason}", file=name, key="revocation_list") from error
     context.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN
 
 
@@ -171,7 +169,7 @@ def _authority_files(name: str) -> list[str]:
     try:
         files = sorted(str(one) for one in path.iterdir() if one.suffix.lower() in _SUFFIXES and one.is_file())
     except OSError as error:
-        raise ConfigError(f"can not be read: {_system_words(error)}", file=name, key="authority") from error
+        raise ConfigError(f"cannot be read: {_system_words(error)}", file=name, key="authority") from error
     if not files:
         raise ConfigError(
             f"there is no file {', '.join(f'*{one}' for one in _SUFFIXES)} in it", file=name, key="authority"
@@ -183,7 +181,7 @@ def _text(name: str, key: str) -> str:
     try:
         return Path(name).read_text(encoding="ascii", errors="replace")
     except (OSError, ValueError) as error:
-        raise ConfigError(f"can not be read: {_system_words(error)}", file=name, key=key) from error
+        raise ConfigError(f"cannot be read: {_system_words(error)}", file=name, key=key) from error
 
 
 def _system_words(error: OSError | ValueError) -> str:

@@ -56,7 +56,7 @@ def role_of_certificate(certificate: bytes) -> RoleReading:
         sentence = f"the client's certificate has the extension {number} twice"
         raise TlsFailure(FailureKind.BAD_CERTIFICATE, sentence) from error
     except ValueError as error:
-        sentence = f"the client's certificate can not be read: {error}"
+        sentence = f"the client's certificate cannot be read: {error}"
         raise TlsFailure(FailureKind.BAD_CERTIFICATE, sentence) from error
     for one in extensions:
         if one.oid.dotted_string == ROLE_EXTENSION and isinstance(one.value, x509.UnrecognizedExtension):

@@ -255,4 +255,4 @@ def write_private(path: Path, data: bytes) -> None:
 
 def _unwritable(path: Path, error: OSError) -> ConfigError:
     reason = error.strerror or str(error)
-    return ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=str(path))
+    return ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=str(path))

@@ -79,13 +79,13 @@ def facts_of_file(name: str) -> list[CertificateFacts]:
         data = Path(name).read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"can not be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
+        raise ConfigError(f"cannot be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
     if b"-----BEGIN CERTIFICATE-----" not in data:
         raise ConfigError("there is no certificate in it (a PEM file is needed)", file=name)
     try:
         return [_facts(one) for one in x509.load_pem_x509_certificates(data)]
     except ValueError as error:
-        raise ConfigError(f"a certificate in it can not be read: {error}", file=name) from error
+        raise ConfigError(f"a certificate in it cannot be read: {error}", file=name) from error
 
 
 def facts_of_der(data: bytes) -> CertificateFacts:
