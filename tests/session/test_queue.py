@@ -10,12 +10,16 @@ from busway.errors import Overloaded
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.queue import RequestQueue
+from busway.session.queue import RESERVED_PLACES, RequestQueue
 
 
-def call(caller: object = "a", unit: int = 1, *, write: bool = False, requests: int = 1) -> Call:
+def call(
+    caller: object = "a", unit: int = 1, *, write: bool = False, requests: int = 1, is_priority: bool = False
+) -> Call:
     request = WriteSingleRegister(0, 1) if write else ReadHoldingRegisters(0, 1)
-    return Call(unit, [request] * requests, is_write=write, timeout=1.0, retries=0, caller=caller)
+    made = Call(unit, [request] * requests, is_write=write, timeout=1.0, retries=0, caller=caller)
+    made.is_priority = is_priority
+    return made
 
 
 def serve(queue: RequestQueue, eligible: Callable[[Call], bool] | None = None) -> list[Call]:
@@ -287,3 +291,75 @@ def test_units_in_turn_keep_the_order_within_a_unit_and_pass_those_that_may_not_
         queue.add(one)
     assert serve(queue, lambda one: one.unit == 2) == calls[2:]
     assert serve(queue) == calls[:2]
+
+
+def test_priority_hosts_go_first_each_once_and_then_one_of_the_others() -> None:
+    flood = [call(f"flood {number % 2}") for number in range(4)]
+    hosts = [call(f"host {number % 2}", is_priority=True) for number in range(6)]
+    order = [one.caller for one in serve(filled(*flood, *hosts))]
+    assert order == [
+        *("host 0", "host 1", "flood 0"),
+        *("host 0", "host 1", "flood 1"),
+        *("host 0", "host 1", "flood 0"),
+        "flood 1",
+    ]
+
+
+def test_priority_host_that_asks_one_by_one_waits_for_one_turn_of_the_others_at_most() -> None:
+    queue = filled(*(call(f"flood {number}") for number in range(50)))
+    waited = []
+    for _ in range(10):
+        host = call("host", is_priority=True)
+        queue.add(host)
+        before = 0
+        while (picked := queue.pick()) is not host:
+            assert picked is not None
+            queue.remove(picked)
+            before += 1
+        queue.remove(host)
+        waited.append(before)
+    assert max(waited) <= 1
+
+
+def test_priority_host_without_others_owes_them_no_turn_when_they_come() -> None:
+    queue = filled(*(call("host", is_priority=True) for _ in range(4)))
+    for _ in range(3):
+        picked = queue.pick()
+        assert picked is not None
+        queue.remove(picked)
+    queue.add(call("flood"))
+    assert [one.caller for one in serve(queue)] == ["host", "flood"]
+
+
+def test_unit_that_must_not_be_asked_holds_up_neither_priority_hosts_nor_others() -> None:
+    host, other = call("host", unit=1, is_priority=True), call("flood", unit=2)
+    queue = filled(host, other, call("host", unit=1, is_priority=True))
+    assert serve(queue, lambda one: one.unit == 2) == [other]
+    assert serve(queue)[0] is host
+
+
+@pytest.mark.parametrize("limit", [1, 10])
+def test_full_queue_has_places_that_priority_hosts_alone_take(limit: int) -> None:
+    queue = RequestQueue(limit)
+    for _ in range(limit):
+        queue.add(call("flood"))
+    for _ in range(RESERVED_PLACES):
+        with pytest.raises(Overloaded):
+            queue.add(call("flood"))
+        queue.add(call("host", is_priority=True))
+    with pytest.raises(Overloaded, match=f"{limit + RESERVED_PLACES} calls wait"):
+        queue.add(call("host", is_priority=True))
+    assert queue.waiting == limit + RESERVED_PLACES
+
+
+@given(st.lists(st.builds(call, st.sampled_from("abc"), st.integers(1, 2), write=st.booleans()), max_size=20))
+@settings(max_examples=100)
+def test_look_ahead_gives_what_is_picked_whoever_is_a_priority_host(calls: list[Call]) -> None:
+    for one in calls:
+        one.is_priority = one.caller in "ab"
+    queue = filled(*calls)
+    while (ahead := queue.peek()) is not None:
+        assert queue.pick() is ahead
+        queue.remove(ahead)
+    assert queue.pick() is None
+    assert queue.size == 0

@@ -153,6 +153,7 @@ class _Turn:
             peer=context.peer,
             listener=context.listener,
             role=context.role,
+            is_priority=context.is_priority,
             transaction=context.transaction,
             finish=lambda _, reply: self._later(context, reply),
         )

@@ -56,6 +56,7 @@ class FramedSession:
         deliver: Callable[[bytes], None],
         attend: Callable[[], None],
         peer: str,
+        is_priority: bool = False,
         listener: str,
     ) -> None:
         """As `SerialServerSession`; ``attend`` is called when `deferred` or `failures` may hold something new."""
@@ -71,6 +72,7 @@ class FramedSession:
             line=peer,
             listener=listener,
             sends_at_once=True,
+            is_priority=is_priority,
         )
         self._timer: asyncio.TimerHandle | None = None
         self._came = 0.0

@@ -171,6 +171,7 @@ class ListenerContext:
                 deliver=connected_peer.deliver,
                 attend=connected_peer.attend,
                 peer=connected_peer.peer,
+                is_priority=connected_peer.is_priority,
                 listener=self.listener,
             )
         slots = self._server_slots
@@ -186,6 +187,7 @@ class ListenerContext:
             listener=self.listener,
             role=connected_peer.role,
             share=share,
+            is_priority=connected_peer.is_priority,
         )
 
     # What is counted.

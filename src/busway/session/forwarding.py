@@ -145,6 +145,7 @@ class ForwardedReads:
 
     Attributes:
         peer: ``host:port`` of the client.
+        is_priority: whether the client is a priority host.
         waiting: number of reads whose answer is still to come.
         works: upstream requests that work on its reads; the upstream adds and removes them.
     """
@@ -155,6 +156,7 @@ class ForwardedReads:
         "_is_open",
         "_ready",
         "_slots",
+        "is_priority",
         "peer",
         "plans",
         "waiting",
@@ -166,12 +168,14 @@ class ForwardedReads:
         plans: ForwardPlans,
         *,
         peer: str,
+        is_priority: bool = False,
         slots: "TransactionSlots",
         diagnostics: "LineDiagnostics",
         deliver: DeliverTogether,
     ) -> None:
         self.plans = plans
         self.peer = peer
+        self.is_priority = is_priority
         self._slots = slots
         self._diagnostics = diagnostics
         self._deliver = deliver

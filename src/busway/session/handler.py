@@ -45,6 +45,7 @@ class RequestContext:
         unit: the unit identifier asked, 0…255.
         transaction: the identifier of the request; 0 where the framing has none.
         diagnostics: counters, event log and mode of the unit asked.
+        is_priority: whether the client is a priority host.
         executed: for a broadcast, which goes to every unit of a line: ``id`` of each device that has executed it, so
             that a device with several units executes it once. None otherwise.
         gone: called if the client disconnects before its late reply; a handler that returned `LATER` may set it.
@@ -57,6 +58,7 @@ class RequestContext:
         "executed",
         "function",
         "gone",
+        "is_priority",
         "listener",
         "peer",
         "role",
@@ -75,6 +77,7 @@ class RequestContext:
         role: str | None = None,
         transaction: int = 0,
         finish: Callable[["RequestContext", Message | Deferral], None] | None = None,
+        is_priority: bool = False,
     ) -> None:
         self.unit = unit
         self.function = function
@@ -83,6 +86,7 @@ class RequestContext:
         self.listener = listener
         self.role = role
         self.transaction = transaction
+        self.is_priority = is_priority
         self.executed: set[int] | None = None
         self.gone: Callable[[], None] | None = None
         self._gone_seen: tuple[Callable[[], None], ...] = ()

@@ -11,6 +11,9 @@ Knows callers, units and the order among them; knows no clock and no bytes.
 6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``), because
    requests that leave together are answered together. A turn never waits for more room: if only one request may be
    sent, it is one.
+7. The priority hosts of a gateway go first (`Call.is_priority`). When each of those that wait has had a turn, one of
+   the others has one, so none waits for ever. A flood of others costs a priority host what is in flight and one turn,
+   and it finds `RESERVED_PLACES` in a queue that they have filled.
 """
 
 from collections import deque
@@ -24,6 +27,9 @@ BURST = 8
 together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single ones 45.
 Half of the requests that may be in flight, so that two clients have their turns at once."""
 
+RESERVED_PLACES = 64
+"""Places beyond the limit of a queue that only priority hosts take: what four connections may have in work."""
+
 Eligible = Callable[[Call], bool]
 """Whether the unit of a call may be asked now."""
 
@@ -31,10 +37,11 @@ Eligible = Callable[[Call], bool]
 class _Caller:
     """The queued calls of one caller, in order of arrival."""
 
-    __slots__ = ("calls", "key", "served", "units", "writes")
+    __slots__ = ("calls", "key", "round", "served", "units", "writes")
 
-    def __init__(self, key: object) -> None:
+    def __init__(self, key: object, round_: "_Round") -> None:
         self.key = key
+        self.round = round_  # where it is served
         self.calls: deque[Call] = deque()
         self.writes = 0
         self.units: dict[int, int] = {}  # calls by unit, where units are served in turn
@@ -69,11 +76,48 @@ class _Caller:
         return next((oldest[unit] for unit in order if eligible is None or eligible(oldest[unit])), None)
 
 
+class _Round:
+    """Callers that are served one after the other, the next one first."""
+
+    __slots__ = ("callers", "last")
+
+    def __init__(self) -> None:
+        self.callers: deque[_Caller] = deque()
+        self.last: _Caller | None = None  # who was served last
+
+    def add(self, caller: _Caller) -> None:
+        callers = self.callers
+        if callers and callers[-1] is self.last:
+            callers.insert(-1, caller)
+        else:
+            callers.append(caller)
+
+    def remove(self, caller: _Caller) -> None:
+        if self.callers[-1] is caller:  # who was just served
+            self.callers.pop()
+        else:
+            self.callers.remove(caller)
+
+    def pick(self, eligible: Eligible | None) -> tuple[_Caller, Call] | None:
+        callers = self.callers
+        for _ in range(len(callers)):
+            caller = callers[0]
+            callers.rotate(-1)
+            call = caller.pick(eligible)
+            if call is not None:
+                self.last = caller
+                return caller, call
+        return None
+
+    def peek(self, eligible: Eligible | None) -> Call | None:
+        return next((call for caller in self.callers if (call := caller.pick(eligible)) is not None), None)
+
+
 class RequestQueue:
     """The queue of the calls that have something left to send.
 
     Attributes:
-        limit: how many places there are.
+        limit: how many places there are; for priority hosts `RESERVED_PLACES` more.
         size: how many calls are queued.
         waiting: how many places they take (`Call.places`); ``limit`` applies to this number.
         burst: requests of one caller that may be sent before the next caller's turn, if there is room for all of them.
@@ -81,7 +125,20 @@ class RequestQueue:
         units_in_turn: whether the units of a caller are served in turn, instead of its requests in their order.
     """
 
-    __slots__ = ("_callers", "_last", "_ring", "begun", "burst", "limit", "size", "units_in_turn", "waiting")
+    __slots__ = (
+        "_allowed",
+        "_callers",
+        "_last",
+        "_others",
+        "_passed",
+        "_priority",
+        "begun",
+        "burst",
+        "limit",
+        "size",
+        "units_in_turn",
+        "waiting",
+    )
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -91,20 +148,24 @@ class RequestQueue:
         self.begun: dict[Call, None] = {}
         self.units_in_turn = False
         self._callers: dict[object, _Caller] = {}
-        self._ring: deque[_Caller] = deque()
+        self._priority = _Round()
+        self._others = _Round()
+        self._passed = 0  # turns of priority hosts since one of the others that wait was served
+        self._allowed = 0  # how many there may be: the priority hosts that have waited since
         self._last: _Caller | None = None  # the caller served last
 
     def add(self, call: Call) -> None:
         """Queue a call after the others of its caller. Raises `Overloaded` if the queue is full."""
-        if self.waiting + call.places > self.limit:
-            raise Overloaded(f"{self.limit} calls wait on this link already; nothing was sent")
-        caller = self._callers.get(call.caller) or self._new_caller(call.caller)
+        limit = self.limit + RESERVED_PLACES if call.is_priority else self.limit
+        if self.waiting + call.places > limit:
+            raise Overloaded(f"{limit} calls wait on this link already; nothing was sent")
+        caller = self._callers.get(call.caller) or self._new_caller(call)
         caller.calls.append(call)
         self._count(caller, call)
 
     def add_again(self, call: Call) -> None:
         """Queue a call that has a request to repeat before the others of its caller, whatever the limit."""
-        caller = self._callers.get(call.caller) or self._new_caller(call.caller)
+        caller = self._callers.get(call.caller) or self._new_caller(call)
         if call not in caller.calls:  # else its other requests still wait
             call.places = 1  # its other requests gave up their places when they were sent
             caller.calls.appendleft(call)
@@ -115,14 +176,13 @@ class RequestQueue:
         if self.burst > 1:
             self.begun[call] = None
 
-    def _new_caller(self, key: object) -> _Caller:
-        caller = self._callers[key] = _Caller(key)
+    def _new_caller(self, call: Call) -> _Caller:
+        round_ = self._priority if call.is_priority else self._others
+        caller = self._callers[call.caller] = _Caller(call.caller, round_)
         if self.units_in_turn:
             caller.served = {}
-        if self._ring and self._ring[-1] is self._last:
-            self._ring.insert(-1, caller)
-        else:
-            self._ring.append(caller)
+        round_.add(caller)
+        self._allowed = max(self._allowed, len(self._priority.callers))
         return caller
 
     def _count(self, caller: _Caller, call: Call) -> None:
@@ -135,7 +195,7 @@ class RequestQueue:
 
     def share(self, room: int) -> int:
         """Requests in one turn if ``room`` may be sent at once: the burst, or more if few callers wait."""
-        callers = len(self._ring)
+        callers = len(self._callers)
         if callers == 1:
             return room
         return 1 if self.burst == 1 else max(self.burst, room // callers)
@@ -170,20 +230,30 @@ class RequestQueue:
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
         """The call whose next request is to be sent, or None. Its caller goes to the end of the round."""
-        ring = self._ring
-        for _ in range(len(ring)):
-            caller = ring[0]
-            ring.rotate(-1)
-            call = caller.pick(eligible)
-            if call is not None:
+        for round_ in self._rounds():
+            found = round_.pick(eligible)
+            if found is not None:
+                caller, call = found
                 self._last = caller
+                if round_ is self._priority and self._others.callers:
+                    self._passed += 1
+                else:
+                    self._passed, self._allowed = 0, len(self._priority.callers)
                 self._note_unit(caller, call)
                 return call
         return None
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
         """The call that `pick` would return now, without ending its caller's turn."""
-        return next((call for caller in self._ring if (call := caller.pick(eligible)) is not None), None)
+        return next((call for one in self._rounds() if (call := one.peek(eligible)) is not None), None)
+
+    def _rounds(self) -> tuple[_Round, ...]:
+        """The rounds in the order in which they are asked for the next turn."""
+        if not self._priority.callers:
+            return (self._others,)
+        if self._passed >= self._allowed:
+            return self._others, self._priority
+        return self._priority, self._others
 
     def remove(self, call: Call) -> bool:
         """Remove a call that is completely sent or given up. Returns whether it was queued."""
@@ -209,12 +279,9 @@ class RequestQueue:
             self.begun.pop(call, None)
         if not calls:
             del self._callers[call.caller]
-            if self._ring[-1] is caller:  # the caller just served
-                self._ring.pop()
-            else:
-                self._ring.remove(caller)
+            caller.round.remove(caller)
         return True
 
     def __iter__(self) -> Iterator[Call]:
-        for caller in list(self._ring):
+        for caller in (*self._priority.callers, *self._others.callers):
             yield from list(caller.calls)

@@ -87,6 +87,7 @@ class SerialServerSession:
         "_diagnostics",
         "_framing",
         "_handler",
+        "_is_priority",
         "_last_byte",
         "_leaving",
         "_line",
@@ -115,6 +116,7 @@ class SerialServerSession:
         line: str = "",
         listener: str = "",
         sends_at_once: bool = False,
+        is_priority: bool = False,
     ) -> None:
         """A session that has heard nothing yet.
 
@@ -128,6 +130,7 @@ class SerialServerSession:
             listener: URL of the listener, for contexts.
             sends_at_once: whether every answer leaves when it is given, as over a network: then it counts at once, and
                 `answer_left` is not called.
+            is_priority: whether the master is a priority host.
         """
         self._handler = handler
         self._units = units
@@ -140,6 +143,7 @@ class SerialServerSession:
         self._waiting: RequestContext | None = None
         self._leaving: _Answer | None = None
         self._sends_at_once = sends_at_once
+        self._is_priority = is_priority
         self._last_byte = 0.0
         self._takes_more = True
         self.deferred: list[Deferred] = []
@@ -323,6 +327,7 @@ class SerialServerSession:
             diagnostics=self._diagnostics.of(unit),
             peer=self._line,
             listener=self._listener,
+            is_priority=self._is_priority,
             finish=self._finish,
         )
 

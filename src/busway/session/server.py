@@ -95,6 +95,7 @@ class TcpServerSession:
         "_diagnostics",
         "_generation",
         "_handler",
+        "_is_priority",
         "_listener",
         "_memo",
         "_peer",
@@ -128,6 +129,7 @@ class TcpServerSession:
         listener: str = "",
         role: str | None = None,
         share: int | None = None,
+        is_priority: bool = False,
     ) -> None:
         """Create the session of a new connection.
 
@@ -138,6 +140,7 @@ class TcpServerSession:
             deliver, deliver_together: send late replies, one or several.
             peer, listener, role: passed on in the contexts of requests.
             share: requests that one call processes, reads on the cached path not counted; None for no limit.
+            is_priority: whether the client is a priority host.
         """
         self._handler = handler
         self._diagnostics = diagnostics
@@ -146,6 +149,7 @@ class TcpServerSession:
         self._peer = peer
         self._listener = listener
         self._role = role
+        self._is_priority = is_priority
         self._share = _NO_SHARE if share is None else share
         self._buffer = StreamBuffer()
         self._memo: dict[int, Mapping[int, Answer]] = {}
@@ -157,6 +161,7 @@ class TcpServerSession:
             self._reads = ForwardedReads(
                 self._forwarded(handler),
                 peer=peer,
+                is_priority=is_priority,
                 slots=slots,
                 diagnostics=diagnostics,
                 deliver=deliver_together or self._deliver_each,
@@ -380,6 +385,7 @@ class TcpServerSession:
             peer=self._peer,
             listener=self._listener,
             role=self._role,
+            is_priority=self._is_priority,
             transaction=transaction,
             finish=self._finish,
         )

@@ -1,5 +1,6 @@
 """Reads that clients ask together go behind as bunches: the answers of the long road, each as soon as it is there."""
 
+import gc
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -170,7 +171,7 @@ class LongRoad:
 class Client:
     """A client in front, by its conversation."""
 
-    def __init__(self, handler: Any, name: str, *, slots: int = 16) -> None:
+    def __init__(self, handler: Any, name: str, *, slots: int = 16, is_priority: bool = False) -> None:
         self.slots = TransactionSlots(slots)
         self.diagnostics = LineDiagnostics()
         self.writes: list[list[bytes]] = []
@@ -181,6 +182,7 @@ class Client:
             deliver=lambda adu: self.writes.append([adu]),
             deliver_together=self.writes.append,
             peer=name,
+            is_priority=is_priority,
         )
         self.transaction = 0
 
@@ -679,3 +681,64 @@ def test_where_replies_come_one_by_one_clients_take_turns_one_by_one() -> None:
         order += [struct.unpack(">H", pdu[1:3])[0] for _, _, pdu in plant.link.asked]
         plant.link.answer()
     assert order == [0, 1, 100, 2, 101, 3, 102, 4, 103, 5]  # the first one found the line free
+
+
+@pytest.mark.parametrize("bunches", [True, False])
+def test_priority_host_waits_for_what_is_on_the_wire_and_no_place_is_taken_from_it(bunches: bool) -> None:
+    plant = Plant(bunches=bunches, share_reads=False, max_transactions=1, queue=10)
+    host = plant.client("host", is_priority=True)
+    floods = [plant.client(f"flood {number}") for number in range(5)]
+    for _ in range(4):
+        for number, client in enumerate(floods):
+            client.ask(*(read(10 * number + at) for at in range(client.slots.limit - client.slots.used)))
+        refused = [pdu for client in floods for pdu in client.got().values() if pdu == bytes((0x83, 0x0A))]
+        assert refused  # the queue is full
+        host.ask(read(400))
+        plant.link.answer()
+        assert [pdu for _, _, pdu in plant.link.asked] == [read(400)]
+        plant.link.answer()
+        assert list(host.got().values()) == [answer_of(read(400))]
+
+
+@pytest.mark.parametrize("bunches", [True, False])
+def test_priority_host_shares_what_was_sent_and_not_what_waits_for_others(bunches: bool) -> None:
+    plant = Plant(bunches=bunches, max_transactions=1)
+    one, host, other = plant.client("one"), plant.client("host", is_priority=True), plant.client("other")
+    one.ask(read(0))
+    one.ask(read(1))
+    one.ask(read(2))
+    host.ask(read(0), read(2))
+    other.ask(read(2))
+    assert plant.line.counters.shared == 2  # what is on the wire, and with the priority host's
+    plant.link.answer()
+    assert list(host.got().values()) == [answer_of(read(0))]
+    assert [pdu for _, _, pdu in plant.link.asked] == [read(2)]
+    plant.link.answer()
+    assert list(host.got().values()) == list(other.got().values()) == [answer_of(read(2))]
+    while plant.link.asked:
+        plant.link.answer()
+    assert sorted(one.got()) == [1, 2, 3]
+    assert plant.line.open_requests == 0
+
+
+@pytest.mark.parametrize("bunches", [True, False])
+def test_what_was_answered_or_refused_leaves_no_work_to_the_collector_of_garbage(bunches: bool) -> None:
+    plant = Plant(bunches=bunches, share_reads=False, max_transactions=1, queue=2)
+    client = plant.client("client")
+
+    def some() -> None:
+        for _ in range(20):
+            client.ask(*(read(address) for address in range(6)))
+            while plant.link.asked:
+                plant.link.answer()
+            assert len(client.got()) == 6
+
+    some()
+    gc.collect()
+    gc.disable()
+    try:
+        some()
+        assert gc.collect() < 20  # there were 2400 objects
+    finally:
+        gc.enable()
+    assert plant.line.counters.no_path == 120

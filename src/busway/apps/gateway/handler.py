@@ -310,6 +310,7 @@ class _Rest:
             peer=context.peer,
             listener=context.listener,
             role=context.role,
+            is_priority=context.is_priority,
             finish=self.one_done,
         )
         self._parts.append(part)

@@ -168,6 +168,11 @@ class _Exchange:
         """All outcomes are there."""
         self.line.ended(self)
 
+    @property
+    def is_sent(self) -> bool:
+        """Whether something of it was sent."""
+        return bool(self.call.next or self.call.attempts)
+
 
 class Line:
     """One line: where routes lead.
@@ -341,8 +346,9 @@ class Line:
             if self.share_reads or route.cache is not None:
                 key = (request.code, request.address + route.shift, request.count, limit or 0)
             exchange = self.memory.reading(unit, key) if self.share_reads and key is not None else None
-            if exchange is not None:
-                assert isinstance(exchange, _Exchange)  # by its key
+            assert exchange is None or isinstance(exchange, _Exchange)  # by its key
+            # What waits in the queue for others is no way for a priority host: its own read goes before.
+            if exchange is not None and (not context.is_priority or exchange.call.is_priority or exchange.is_sent):
                 self._share(exchange, (context, request, route), deadline)
                 return LATER
         try:
@@ -398,7 +404,7 @@ class Line:
         if not any(one[0] is context for one in exchange.waiters):
             return  # he has gone
         self._withdraw(exchange, context)
-        if exchange.call.next or exchange.call.attempts:
+        if exchange.is_sent:
             error = NoReply("no answer before the deadline of the call", attempt=1)
         else:
             error = NoReply("the deadline passed in the queue; nothing was sent")
@@ -426,6 +432,8 @@ class Line:
             deadline=None if deadline is None else now + deadline,
             caller=context.peer,
         )
+        if context.is_priority:
+            call.is_priority = True
         call.owner = exchange
         # All before it begins: it may end at once, while a connection is made anew.
         self.add_open(1)
@@ -439,7 +447,7 @@ class Line:
             link.begin(call, now)
         except ModbusError as error:
             self._leave(exchange)
-            return error
+            return error.with_traceback(None)  # its frames hold the one that holds it
         self.counters.forwarded += 1
         return None
 
@@ -525,6 +533,10 @@ class Line:
             self.memory.write_ended(exchange.unit)
         elif exchange.key is not None:
             self.memory.read_ended(exchange.unit, exchange.key, exchange)
+        # Else each request would be left to the collector of garbage, whose pauses are 20 ms under a flood.
+        exchange.call.owner = None
+        for context, _, _ in exchange.waiters:
+            context.gone = None
 
 
 def _lamps(links: Sequence[LinkStatus]) -> StatusIndicators:

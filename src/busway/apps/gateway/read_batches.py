@@ -104,6 +104,8 @@ class ReadBatch(Call):
         )
         self.owner = self
         self.places = len(reads)
+        if asker.is_priority:
+            self.is_priority = True
         self.bunches = bunches
         self.link = link
         self.asker: ForwardedReads | None = asker
@@ -128,6 +130,11 @@ class ReadBatch(Call):
     def asker_gone(self, asker: ForwardedReads) -> None:
         """A client has gone."""
         self.bunches.gone(self, asker)
+
+    def is_sent(self, key: Key) -> bool:
+        """Whether the read that is found by ``key`` was sent."""
+        position = self.keys.index(key)
+        return position < self.next or position in self.attempts
 
     @property
     def left(self) -> int:
@@ -201,7 +208,7 @@ class ReadBatches:
             link.begin(batch, now)
         except ModbusError as error:
             self._leave(batch)
-            return error
+            return error.with_traceback(None)  # its frames hold the one that holds it
         line.counters.forwarded += len(reads)
         return None
 
@@ -226,8 +233,9 @@ class ReadBatches:
         for read in reads:
             key = read[1].request.wire
             batch = shared.get(key)
-            if batch is not None:
-                assert isinstance(batch, ReadBatch)  # by its key
+            assert batch is None or isinstance(batch, ReadBatch)  # by its key
+            # What waits in the queue for others is no way for a priority host: its own read goes before.
+            if batch is not None and (not asker.is_priority or batch.is_priority or batch.is_sent(key)):
                 self._join(batch, way, asker, read, key)
             elif key in asked:
                 again.append(read)
