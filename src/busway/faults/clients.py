@@ -1,4 +1,4 @@
-"""Clients that misbehave: what they send, and then nothing.
+"""Fault profiles of clients: the bytes that a misbehaving client sends before it falls silent.
 
 Knows bytes, and for `misbehaving_client` a socket; knows no server.
 """
@@ -14,13 +14,13 @@ from ..options.endpoints import parse_endpoint
 
 @dataclass(frozen=True, slots=True)
 class ClientFaultProfile:
-    """One way for a client to misbehave; documented as `FaultProfile` is.
+    """A named way in which clients misbehave; the counterpart of `FaultProfile`.
 
     Attributes:
-        name: as the documentation has it.
-        happens: what happens, in words.
+        name: as in the documentation.
+        happens: what the client does, in words.
         seen_in: where it was reported.
-        answer: what a server that is up to it does.
+        answer: how a server that copes with it reacts.
         make: the bytes that are sent before the silence; its keyword arguments are the options.
     """
 
@@ -52,11 +52,11 @@ CLIENT_FAULT_PROFILES: Final = {one.name: one for one in (SLOW_LORIS,)}
 def misbehaving_client(
     endpoint: str, personality: ClientFaultProfile, **options: Any
 ) -> Iterator[socket.socket]:  # Any: what the fault profile takes
-    """A connection on which the fault profile has sent its bytes.
+    """Connect to a server and send the bytes of a client fault profile; yields the open socket.
 
     Args:
         endpoint: URL of the server.
-        personality: how it misbehaves.
+        personality: the client fault profile.
         options: of the fault profile.
     """
     where = parse_endpoint(endpoint)

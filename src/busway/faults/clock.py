@@ -1,6 +1,6 @@
-"""Time that a test moves by hand.
+"""Clocks for delays: that of an event loop, and a fake clock that a test moves by hand.
 
-Knows times and what is to be done at them; knows no event loop and no Modbus.
+Knows times and callbacks; knows no Modbus.
 
 1. Nothing happens by itself: `FakeClock.advance` moves time and does what is due, in order, in the thread that calls.
 2. It is safe from any thread.
@@ -15,14 +15,14 @@ from typing import Protocol
 
 
 class Timer(Protocol):
-    """Something that is to be done."""
+    """A scheduled callback."""
 
     def cancel(self) -> None:
-        """Do it no more."""
+        """Cancel the callback."""
 
 
 class Clock(Protocol):
-    """What tells the time and does things at it."""
+    """A source of time that also calls functions at a time."""
 
     def now(self) -> float:
         """Seconds, monotonic."""
@@ -51,11 +51,11 @@ class LoopClock:
 
 
 class FakeTimer:
-    """One entry of a `FakeClock`.
+    """A scheduled callback of a `FakeClock`.
 
     Attributes:
-        when: seconds of the clock.
-        cancelled: whether it is to be left out.
+        when: time of the callback, in seconds of the clock.
+        cancelled: whether it was cancelled.
     """
 
     __slots__ = ("callback", "cancelled", "when")
@@ -71,7 +71,7 @@ class FakeTimer:
 
 
 class FakeClock:
-    """A clock that stands still until it is moved.
+    """A clock that moves only when `advance` is called.
 
     Args:
         now: seconds that it shows at first.
@@ -88,14 +88,14 @@ class FakeClock:
         return self._now
 
     def call_at(self, when: float, callback: Callable[[], object]) -> FakeTimer:
-        """As `Clock.call_at`; what is due already is done at the next `advance`."""
+        """As `Clock.call_at`; a callback that is due already is called at the next `advance`."""
         timer = FakeTimer(when, callback)
         with self._lock:
             heapq.heappush(self._timers, (when, next(self._order), timer))
         return timer
 
     def advance(self, seconds: float) -> None:
-        """Move time on by ``seconds`` (0 or more), doing what becomes due at the moment it does."""
+        """Move time forward by ``seconds`` (0 or more), calling each callback at its time."""
         if seconds < 0:
             raise ValueError(f"time does not go back by {-seconds:g} s")
         end = self._now + seconds
@@ -114,6 +114,6 @@ class FakeClock:
 
     @property
     def next_due(self) -> float | None:
-        """When something is to be done next, in seconds of this clock; None if nothing is."""
+        """Time of the next callback, in seconds of this clock; None without any."""
         with self._lock:
             return min((when for when, _, timer in self._timers if not timer.cancelled), default=None)

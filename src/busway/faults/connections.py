@@ -1,11 +1,11 @@
-"""The connections and lines of a server, as faults see them: bytes that leave at their time, connections that end.
+"""The connection tap of faults: sends delayed and changed replies on a server's connections, and closes them.
 
-Knows wires, an event loop and a clock; what leaves, and when, is known by `FaultyConversation`.
+Knows tapped connections, an event loop and a clock; what is sent, and when, is decided by `FaultyConversation`.
 
-1. A wire has one timer, for what it has to do next, and none while it has nothing to do.
-2. Everything happens in the thread of the server's event loop, whatever thread moves the clock or a switch.
-3. Faults that were off when requests came know nothing of them: a connection that stands when the first is switched
-   on counts as used at that moment.
+1. A connection has one timer, for its next action, and none while it has nothing to do.
+2. All actions run in the thread of the server's event loop, whichever thread moves the clock or a switch.
+3. Faults know nothing of requests that came while they were off: a connection that is open when the first fault is
+   switched on counts as used at that moment.
 """
 
 import asyncio
@@ -20,16 +20,16 @@ _CONNECTED = frozenset({"tcp", "tls"})
 
 
 class FaultyTap:
-    """All wires of one server, or of several that share their faults; to be given to it as ``tap``.
+    """The open connections of a server with faults, or of several that share them. Give it to a server as ``tap``.
 
     Args:
-        faults: what goes wrong.
-        clock: what delays are measured by; the event loop's by default.
-        changed: called when a wire came or has left.
+        faults: the faults to apply.
+        clock: clock of delays; the event loop's by default.
+        changed: called when a connection was opened or closed.
 
     Attributes:
-        accepted: wires so far.
-        drained: how often a wire was behind and is no more.
+        accepted: number of connections so far.
+        drained: how often a connection has sent all its delayed replies.
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class FaultyTap:
         return iter(list(self._faulty.values()))
 
     def find(self, listener: str, peer: str) -> "FaultyConnection | None":
-        """The way by which a request came, by the names of its context."""
+        """The connection of a request, by listener and peer of its context; None if it is not known."""
         return self._faulty.get((listener, peer))
 
     @property
     def has_any_unsent(self) -> bool:
-        """Whether something waits to leave by one of them."""
+        """Whether any connection has delayed replies to send."""
         return bool(self._with_unsent)
 
     # What the server tells.
@@ -72,7 +72,7 @@ class FaultyTap:
         self._changed()
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """As `ConnectionTap.connection_closed`. It counts until its socket is closed, which comes after this call."""
+        """As `ConnectionTap.connection_closed`. It is counted until its socket is closed, just after this call."""
         faulty = self._faulty.get((connection.listener, connection.peer))
         if faulty is not None and faulty.connection is connection:
             faulty.end()
@@ -85,7 +85,7 @@ class FaultyTap:
         self._changed()
 
     def _moved(self, faulty: "FaultyConnection") -> None:
-        """Something has come to wait at a wire, or waits no more."""
+        """Note whether a connection has delayed replies to send."""
         if faulty.has_unsent:
             self._with_unsent.add(faulty)
         elif faulty in self._with_unsent:
@@ -102,10 +102,10 @@ class FaultyTap:
 
 
 class FaultyConnection:
-    """One wire and its conversation.
+    """A tapped connection with faults: sends what its `FaultyConversation` plans, at the planned time.
 
     Attributes:
-        connection, conversation, clock: what it is made of.
+        connection, conversation, clock: as given.
     """
 
     def __init__(
@@ -131,18 +131,18 @@ class FaultyConnection:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether something waits to leave, so that nothing may overtake it."""
+        """Whether delayed replies wait to be sent; later replies must not overtake them."""
         return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:
-        """Send what is due at the end of this turn of the event loop, behind what others answer in it."""
+        """Schedule `pump` for the end of this turn of the event loop."""
         self._moved(self)
         if not self._is_due:
             self._is_due = True
             self._loop.call_soon(self.pump)
 
     def pump(self) -> None:
-        """Send what is due, and be back when there is more."""
+        """Send what is due, and set the timer for the next reply or close."""
         self._is_due = False
         if self._has_ended:
             return
@@ -150,19 +150,19 @@ class FaultyConnection:
         for data in self.conversation.tick(now):
             self.connection.send(data)
             self._sending += 1
-            self._loop.call_soon(self._sent)  # behind what the wire does with it
+            self._loop.call_soon(self._sent)  # after the connection has sent it
         self._moved(self)
         self._stop_timer()
         if self.conversation.closed:
             self.end()
-            self._loop.call_soon(self.connection.close)  # behind what was sent just now
+            self._loop.call_soon(self.connection.close)  # after what was sent just now
             return
         deadline = self.conversation.deadline(now)
         if deadline is not None:
             self._timer = self.clock.call_at(deadline, self.ask_to_pump)
 
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
-        """The clock or a switch says so, in whatever thread."""
+        """Run `pump` in the event loop; may be called from any thread."""
 
         def pump() -> None:
             contact = self.conversation.contact
@@ -178,7 +178,7 @@ class FaultyConnection:
         self._moved(self)
 
     def end(self) -> None:
-        """Nothing leaves any more."""
+        """Send nothing more."""
         self._has_ended = True
         self._stop_timer()
         self._moved(self)

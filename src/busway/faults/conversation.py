@@ -1,12 +1,12 @@
-"""What is said on one connection of a device that misbehaves: requests in, bytes out, faults between.
+"""One connection of a faulty device, without IO: requests go in, bytes and their times come out.
 
-Knows frames, the faults and ``now``; knows no socket, no clock and no device: whoever drives it asks the device.
+Knows frames, the faults and ``now``; knows no socket, no clock and no device: its driver asks the device.
 
-1. For each request: `strike` decides which faults it meets; `asked` gives what answers it instead of the device, if
-   anything does; `answered` takes the reply, and plans what leaves.
-2. Replies leave in the order of their requests, however late one is. While anything waits to leave
-   (`has_unsent`), replies that no fault touches go the same way.
-3. What is due is given by `FaultyConversation.tick`, one item per write; `deadline` says when there will be more.
+1. For each request: `strike` decides which faults apply; `asked` gives the reply that replaces the device's, if any;
+   `answered` takes the reply and plans what is sent.
+2. Replies are sent in the order of their requests, however late one is. While any is unsent (`has_unsent`), replies
+   without a fault wait for it.
+3. `FaultyConversation.tick` gives what is due, one item per write; `deadline` says when there will be more.
 """
 
 from collections import deque
@@ -44,10 +44,10 @@ class _Due:
 
 
 class FaultyConversation:
-    """What is said on one connection.
+    """The planned replies of one connection with faults.
 
     Args:
-        faults: what goes wrong.
+        faults: the faults to apply.
         contact: the connection, as faults see it.
         framing: ``mbap``, ``rtu`` or ``ascii``.
         gap: seconds of silence before an answer.
@@ -68,7 +68,7 @@ class FaultyConversation:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether something waits to leave, so that nothing may overtake it."""
+        """Whether delayed replies wait to be sent; later replies must not overtake them."""
         return bool(self._outbox)
 
     # Requests.
@@ -78,14 +78,14 @@ class FaultyConversation:
         return self._encode(transaction, unit, pdu, None)
 
     def strike(self, exchange: Exchange) -> Struck:
-        """Which faults a request meets; it counts as received from now on."""
+        """The faults that apply to a request; counts the request as received."""
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now
         return struck
 
     @staticmethod
     def asked(struck: Struck) -> bytes | None:
-        """The PDU that answers instead of the device, `SILENCE` for none; None if the device is to be asked."""
+        """The PDU that a fault answers in place of the device, `SILENCE` for none; None if the device answers."""
         for applied, seen in struck:
             asked = applied.fault.asked
             answer = asked(seen) if asked is not None else None
@@ -95,13 +95,13 @@ class FaultyConversation:
         return None
 
     def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> None:
-        """Plan what leaves.
+        """Plan the bytes to send for a reply, changed by the faults that strike it.
 
         Args:
             exchange: the request.
-            struck: what `strike` gave for it.
+            struck: the result of `strike` for it.
             answer: the PDU of the reply; empty for none.
-            now: when it is there.
+            now: the time of the reply.
         """
         is_said = answer and not exchange.is_broadcast
         emissions = [Emission(exchange.transaction, exchange.unit, answer)] if is_said else []
@@ -117,7 +117,7 @@ class FaultyConversation:
     # Time.
 
     def tick(self, now: float) -> list[bytes]:
-        """What is to be written now, each item by itself."""
+        """The bytes that are due now, one item per write."""
         writes: list[bytes] = []
         glued = False
         while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:
@@ -136,7 +136,7 @@ class FaultyConversation:
         return writes
 
     def deadline(self, now: float) -> float | None:
-        """When `tick` has something to do; None while only the client can change that."""
+        """The time of the next `tick`; None until the next request."""
         closes_at = self._faults.closes_at(self.contact, now)
         due = self._outbox[0].when if self._outbox else None
         return min((when for when in (closes_at, due) if when is not None), default=None)

@@ -1,16 +1,16 @@
-"""What a fault can do to a conversation, when it does it, and how it is switched.
+"""Faults: what they change in the requests and replies of a connection, when they are active, how they are switched.
 
 Knows requests, replies and ``now``; knows no socket, no clock and no device. The same objects serve tests and the
 simulator.
 
-1. A `Fault` is up to four functions: whether a connection is admitted, what is done with a request before the device
-   sees it, what becomes of its reply, and when a connection is closed for silence. It strikes only where it can be
-   met: one of connections on connections, one of lines on lines.
-2. An `AppliedFault` is a fault that somebody has put on: chosen by unit, function, address range, probability and
-   schedule, and switched while everything runs, from any thread.
-3. Whether a fault is to strike a request is decided once, before any of them acts. It counts as struck when it has made
-   a difference: who refuses blocks of more than 50 has not struck a request for 2.
-4. Chance comes from the seed alone: the same requests meet the same faults.
+1. A `Fault` is up to four functions: whether a connection is admitted, what answers a request in place of the device,
+   how its reply is changed, and when an idle connection is closed. It acts only on carriers where it exists: faults of
+   connections on connections, faults of lines on lines.
+2. An `AppliedFault` is a fault added to a server: it applies to requests selected by unit, function, address range,
+   probability and schedule, and can be switched at any time from any thread.
+3. Which faults apply to a request is decided once, before any of them acts. A fault counts a request as struck if it
+   has changed something: a limit of 50 registers does not strike a request for 2.
+4. Random choices depend on the seed alone: equal requests meet equal faults.
 """
 
 import threading
@@ -28,13 +28,13 @@ from ..pdu.message import Request, Span
 from ..values.refusal import shown
 
 SILENCE = b""
-"""The answer of a fault that keeps the device from answering."""
+"""The answer of a fault that suppresses the reply."""
 SAME_MOMENT = 1e-6
-"""Seconds. Sums of times that mean the same moment differ in their last bits."""
+"""Seconds. Times closer than this are equal, because sums of equal times differ in their last bits."""
 
 
 class Carrier(Enum):
-    """Where a fault is met."""
+    """The kinds of transport on which a fault can occur."""
 
     TCP = "tcp"
     """Frames of Modbus on TCP/IP, whose header has a transaction identifier; over TCP, TLS or UDP."""
@@ -53,9 +53,9 @@ class Contact:
 
     Attributes:
         opened: when it was made.
-        others: connections that stood when it came.
-        last_received, last_sent: when the last request was whole, and when bytes left last; None before the first.
-        carriers: what it is.
+        others: number of connections that were open when it was made.
+        last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
+        carriers: the kinds of transport it belongs to.
     """
 
     opened: float
@@ -67,16 +67,16 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A request, and where and when it came.
+    """A request, with its connection and the time it was received.
 
     Attributes:
         contact: the connection.
         transaction: identifier, 0…65535.
         unit: unit identifier, 0…255.
-        pdu: the request as it came.
+        pdu: the request as received.
         request: the same, decoded.
-        now: when it was whole.
-        random: where the fault takes chance from.
+        now: the time at which it was complete.
+        random: source of random choices.
         adu: the frame of the request.
         is_broadcast: whether it went to all units of a line, so that none may answer.
     """
@@ -93,7 +93,7 @@ class Exchange:
 
     @property
     def function(self) -> int:
-        """Function code as it came, 0…255."""
+        """Function code as received, 0…255."""
         return self.pdu[0]
 
     @property
@@ -109,10 +109,10 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Emission:
-    """A frame on its way to the client.
+    """A frame that is to be sent to the client.
 
     Attributes:
-        transaction, unit, pdu: what it says. Without a PDU no frame is sent.
+        transaction, unit, pdu: its content. Without a PDU no frame is sent.
         before, after: bytes around the frame, which are in no frame.
         length: length field of the header; None for the true one. Frames of serial lines have none.
         delay: seconds from the request.
@@ -143,7 +143,7 @@ ClosesAt = Callable[[Contact], float | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fault:
-    """What somebody does wrong. What it does not say goes its usual way.
+    """One kind of misbehaviour, as functions that replace parts of the normal behaviour; None leaves a part as it is.
 
     Args:
         name: of the fault profile.
@@ -151,8 +151,8 @@ class Fault:
         asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
         answered: the frames that leave, made from those that would.
         closes_at: when the connection is closed, in the clock of ``now``; None for never.
-        carriers: where it is met.
-        options: of the fault profile, that it was made with.
+        carriers: where it can occur.
+        options: the options of the fault profile that it was made with.
     """
 
     name: str = ""
@@ -164,20 +164,20 @@ class Fault:
     options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares
 
     def is_met(self, contact: Contact) -> bool:
-        """Whether a connection is one where it can be met."""
+        """Whether the fault can occur on a connection."""
         return not self.carriers.isdisjoint(contact.carriers)
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """When a fault is on, counted from its being switched on.
+    """When a fault is active, in seconds and requests since it was switched on.
 
     Args:
         after: seconds until it begins.
         lasts: seconds until it ends again; None for never.
         every: seconds after which it begins again; None for once.
-        skip: requests, of those it is chosen for, that pass first.
-        times: requests that it strikes; None for any number.
+        skip: number of selected requests that pass unchanged first.
+        times: number of requests that it strikes after them; None for any number.
     """
 
     after: float = 0.0
@@ -195,7 +195,7 @@ class Schedule:
             raise ConfigError("must be at least as long as lasts, which it needs", key="every")
 
     def is_time(self, elapsed: float) -> bool:
-        """Whether it is on, ``elapsed`` seconds after it was switched on."""
+        """Whether the fault is active ``elapsed`` seconds after it was switched on."""
         elapsed -= self.after
         if elapsed < 0:
             return False
@@ -204,21 +204,21 @@ class Schedule:
         return self.lasts is None or elapsed < self.lasts
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether it strikes after ``chosen`` requests that it was chosen for."""
+        """Whether the fault strikes the next request after ``chosen`` selected ones."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which requests a fault is for; None stands for all.
+    """Which requests a fault applies to; None selects all.
 
     Args:
         units: unit identifiers, 0…255.
         functions: function codes, 1…127.
         addresses: items, 0-based, of every table; a request that touches one of them is meant.
-        items: the same by table: ranges of the first item and the one behind the last.
+        items: the same by table: ranges of the first item and the one after the last.
         probability: 0…1, the part of those requests that it strikes.
-        schedule: when.
+        schedule: when it is active.
     """
 
     units: Collection[int] | None = None
@@ -237,7 +237,7 @@ class Selection:
         _refuse_numbers_outside("functions", self.functions, 1, 127)
 
     def means(self, exchange: Exchange) -> bool:
-        """Whether a request is one of those, leaving chance and time aside."""
+        """Whether a request is selected by unit, function and items; probability and schedule are not checked."""
         if self.units is not None and exchange.unit not in self.units:
             return False
         if self.functions is not None and exchange.function not in self.functions:
@@ -262,14 +262,14 @@ def _touches(span: Span, first: int, end: int) -> bool:
 
 
 class AppliedFault:
-    """A fault that was put on: its choice, its switch and its count.
+    """A fault added to a server, with its selection, its switch and its count.
 
     Attributes:
-        label: what it is called among the others.
+        label: its name, unique in the server.
         fault: what it does.
-        selection: which requests it is for.
-        enabled: the switch, as it stands.
-        struck: requests that went otherwise because of it, connections that it has refused or closed.
+        selection: which requests it applies to.
+        enabled: whether it is switched on.
+        struck: number of requests it has changed and of connections it has refused or closed.
     """
 
     __slots__ = ("_changed", "_chosen", "_random", "_since", "enabled", "fault", "label", "selection", "struck")
@@ -296,23 +296,23 @@ class AppliedFault:
 
     @property
     def name(self) -> str:
-        """The fault profile."""
+        """The name of its fault profile."""
         return self.fault.name
 
     def on(self) -> None:
-        """Switch it on; its schedule begins anew."""
+        """Switch the fault on and start its schedule again."""
         self._since = None
         self._chosen = 0
         self.enabled = True
         self._changed()
 
     def off(self) -> None:
-        """Switch it off. What it holds back or has delayed already stays so."""
+        """Switch the fault off. Replies that it has suppressed or delayed already stay so."""
         self.enabled = False
         self._changed()
 
     def is_on(self, now: float) -> bool:
-        """Whether the switch and the schedule let it act now."""
+        """Whether the fault is switched on and its schedule is active now."""
         if not self.enabled:
             return False
         if self._since is None:
@@ -320,7 +320,7 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """The exchange as this fault is to see it, if it is to strike."""
+        """The exchange as this fault sees it, if it strikes; None if not. Counts the request for its schedule."""
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):
@@ -337,11 +337,11 @@ class Faults:
     """All faults of one server, in the order in which they act. Changed from any thread.
 
     Args:
-        seed: what chance is made from.
+        seed: seed of random choices.
 
     Attributes:
-        generation: changes whenever a fault is put on, taken off or switched.
-        is_any_on: whether one is switched on; if not, nobody needs to ask anything else.
+        generation: a number that changes whenever a fault is added, removed or switched.
+        is_any_on: whether any fault is switched on.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -359,16 +359,16 @@ class Faults:
     def add(
         self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True, label: str = ""
     ) -> AppliedFault:
-        """Put a fault on, behind the others.
+        """Add a fault; it acts after the existing ones.
 
         Args:
-            fault: what happens.
-            selection: to which requests; None for all.
+            fault: the fault.
+            selection: the requests it applies to; None for all.
             enabled: whether it is switched on.
-            label: what it is called; by default its fault profile's name, with a number where that is taken.
+            label: its name; by default that of its fault profile, with a number if it is taken.
 
         Raises:
-            ConfigError: there is one of this label.
+            ConfigError: the label is taken.
         """
         with self._lock:
             taken = {one.label for one in self._applied}
@@ -389,18 +389,18 @@ class Faults:
         return applied
 
     def remove(self, applied: AppliedFault) -> None:
-        """Take a fault off. One that is not there is nothing to complain of."""
+        """Remove a fault; a fault that is not there is ignored."""
         with self._lock:
             self._applied = tuple(one for one in self._applied if one is not applied)
         self._changed()
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Have ``changed`` called, in whatever thread, after a fault was put on, taken off or switched."""
+        """Call ``changed`` after a fault was added, removed or switched, in the thread that did so."""
         with self._lock:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """Call it no more."""
+        """Stop calling ``changed``."""
         with self._lock:
             self._watchers = tuple(one for one in self._watchers if one != changed)
 
@@ -413,7 +413,7 @@ class Faults:
 
     @contextmanager
     def during(self, fault: Fault, selection: Selection | None = None) -> Iterator[AppliedFault]:
-        """A fault that is on while the block runs: ``with server.faults.during(BUSY()): …``."""
+        """Add a fault for the duration of a block: ``with server.faults.during(BUSY()): …``."""
         applied = self.add(fault, selection)
         try:
             yield applied
@@ -421,7 +421,7 @@ class Faults:
             self.remove(applied)
 
     def find(self, label: str) -> AppliedFault:
-        """The fault of a label. Raises `ConfigError` that lists those there are."""
+        """Find a fault by its label. Raises `ConfigError` that lists the known labels."""
         for one in self._applied:
             if one.label == label:
                 return one
@@ -441,7 +441,7 @@ class Faults:
         return True
 
     def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
-        """The faults that are to strike a request, each with what it is to see."""
+        """The faults that apply to a request, each with the exchange as it sees it."""
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)
@@ -450,11 +450,11 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """When a connection is to be closed for silence."""
+        """When a connection is to be closed because it is idle; None for never."""
         return min((when for when, _ in self._closing(contact, now)), default=None)
 
     def closes(self, contact: Contact, now: float) -> bool:
-        """Whether a connection is to be closed for silence by now; that counts as struck."""
+        """Whether a connection is to be closed now because it is idle; counts it as struck."""
         due = [one for when, one in self._closing(contact, now) if when <= now + SAME_MOMENT]
         for one in due[:1]:
             one.struck += 1

@@ -1,12 +1,12 @@
-"""Personalities: the ways in which real devices and clients misbehave, each under one name.
+"""Fault profiles: named ways in which real devices misbehave, each with its options.
 
-Knows what is said of one and how its fault is made; knows no conversation.
+Knows the description of a profile and how to make its fault; knows no connection.
 
-1. One name means the same thing in tests, in the simulator, in the options of the client and in the documentation; the
-   documentation's table is made from these objects.
-2. A table is immutable; a new one with more comes from `FaultyTable.with_personalities`.
-3. An option is declared where it is used, in the signature of what makes the fault: type, default, and by `Says` its
-   meaning and range. From there come the checks, the documentation and what other programs are told.
+1. A name means the same in tests, in the simulator, in the options of the client and in the documentation; the
+   documentation's table is generated from these objects.
+2. A table is immutable; `FaultyTable.with_personalities` makes a larger one.
+3. An option is declared once, in the signature of the function that makes the fault: type, default, and by `Says` its
+   meaning and range. Checks, documentation and the HTTP API are derived from it.
 """
 
 import inspect
@@ -20,12 +20,12 @@ from ..values.refusal import shown
 from .fault import EVERYWHERE, Carrier, Fault
 
 LONGEST = 86_400.0
-"""Seconds, the most that a fault profile takes for anything: a day."""
+"""Seconds, the largest time in an option of a fault profile: a day."""
 
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """What an option of a fault profile means, and its range; stands in its annotation.
+    """Meaning and range of an option of a fault profile; used in its annotation.
 
     Attributes:
         meaning: in words, with the unit of measure.
@@ -38,7 +38,7 @@ class Says:
 
 
 def in_seconds(meaning: str) -> Says:
-    """An option that is a time, 0 s to a day."""
+    """The annotation of an option that is a time, 0 s to a day; ``meaning`` follows the word seconds."""
     return Says(f"seconds {meaning}", 0.0, LONGEST)
 
 
@@ -50,9 +50,9 @@ class Parameter:
     """One option of a fault profile.
 
     Attributes:
-        name, default: as its signature has them.
-        kind: ``float``, ``int`` or ``bool``; None where nothing is declared, and anything is taken.
-        is_optional: whether None is a value.
+        name, default: from the signature.
+        kind: ``float``, ``int`` or ``bool``; None without a declared type, and then any value is accepted.
+        is_optional: whether None is a valid value.
         says: meaning and range.
     """
 
@@ -70,8 +70,8 @@ class Parameter:
             return ""
         return f"at least {least:g}" if most is None else f"{least:g}…{most:.6g}"
 
-    def check(self, value: Any) -> None:  # Any: what somebody has written
-        """Raises `ConfigError`, with the name as key, for a value that cannot be."""
+    def check(self, value: Any) -> None:  # Any: user input
+        """Raise `ConfigError`, with the name as key, for a value of a wrong type or outside the range."""
         if self.kind is None or (value is None and self.is_optional):
             return
         fits = isinstance(value, self.kind) or (self.kind is float and isinstance(value, int))
@@ -95,15 +95,15 @@ def _parameter(declared: inspect.Parameter) -> Parameter:
 
 @dataclass(frozen=True, slots=True)
 class FaultProfile:
-    """One way to misbehave; calling it with its options makes its fault.
+    """A named way in which devices misbehave; call it with its options to make the fault.
 
     Attributes:
-        name: as the documentation has it.
-        happens: what happens, in words.
+        name: as in the documentation.
+        happens: what the device does, in words.
         seen_in: where it was reported, repository and issue.
-        answer: what a client (or server) that is up to it does.
+        answer: how a client that copes with it reacts.
         make: makes the fault; its keyword arguments are the options, each with a default.
-        carriers: where it is met.
+        carriers: where it can occur.
     """
 
     name: str
@@ -120,11 +120,11 @@ class FaultProfile:
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
-        """The options with all that is declared of them, by name."""
+        """The declarations of the options, by name."""
         return {name: _parameter(one) for name, one in inspect.signature(self.make).parameters.items()}
 
     def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
-        """The fault. Raises `ConfigError`, its key the option, for one that there is not or a value that cannot be."""
+        """Make the fault. Raises `ConfigError` for an unknown option or an invalid value; its key names the option."""
         parameters = self.parameters
         for name, value in options.items():
             if name not in parameters:
@@ -136,7 +136,7 @@ class FaultProfile:
 
 
 class FaultyTable(Mapping[str, FaultProfile]):
-    """Personalities by name, in the order of the documentation. Raises `ConfigError` for two of one name."""
+    """Fault profiles by name, in the order of the documentation. Raises `ConfigError` for two of one name."""
 
     __slots__ = ("_by_name",)
 
@@ -148,11 +148,11 @@ class FaultyTable(Mapping[str, FaultProfile]):
             self._by_name[one.name] = one
 
     def with_personalities(self, *personalities: FaultProfile) -> "FaultyTable":
-        """A new table that also holds ``personalities``."""
+        """A new table with more fault profiles."""
         return FaultyTable(*self.values(), *personalities)
 
     def named(self, name: str) -> FaultProfile:
-        """The fault profile of a name. Raises `ConfigError` that lists those there are."""
+        """Find a fault profile by name. Raises `ConfigError` that lists the known ones."""
         found = self._by_name.get(name)
         if found is None:
             raise ConfigError(f"there is no personality {name!r}; there are {', '.join(self._by_name)}", key=name)

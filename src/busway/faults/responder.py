@@ -1,13 +1,13 @@
-"""A handler around a handler: the device inside is right, and what comes out is not.
+"""A handler wrapper that applies faults: the wrapped device answers correctly, and its answers are changed.
 
-Knows requests, faults and the ways of replies; knows no socket.
+Knows requests, faults and faulty connections; knows no socket.
 
-1. While no fault is on, the compiled path and the plans of reads are those of the handler inside: it costs nothing.
-   Switching changes ``generation``, and conversations ask anew before their next request.
-2. A request that no fault strikes is answered by the handler inside as if nothing were around it, unless something
-   that was asked before on the same way has not left yet: then its reply waits its turn.
-3. What a fault strikes leaves by its way (`busway.faults.connections`). The conversation is told `SILENCE`: its
-   counters say that there was no answer, as the device that misbehaves would have to admit.
+1. While no fault is on, the compiled path and the read plans are those of the wrapped handler, at no cost. Switching
+   changes ``generation``, and sessions ask again before their next request.
+2. A request that no fault strikes is answered by the wrapped handler directly, unless earlier replies on the same
+   connection are delayed: then its reply waits for them.
+3. The reply to a request that a fault strikes is sent by its `FaultyConnection`. The session is told `SILENCE`, so its
+   counters count no answer.
 """
 
 from collections.abc import Awaitable, Callable, Container, Mapping
@@ -35,16 +35,16 @@ from .fault import Exchange, Faults
 
 
 class FaultyHandler:
-    """Plays faults on what a handler answers.
+    """A handler that applies faults to the answers of another handler.
 
     Args:
-        inner: what answers rightly.
-        faults: what goes wrong.
-        tap: where replies leave; the server has to be given the same.
+        inner: the wrapped handler, which answers correctly.
+        faults: the faults to apply.
+        tap: sends the changed replies; the server needs the same tap.
         heard: called with every request; with it, none takes the compiled path.
 
     Attributes:
-        serial_units: as the handler inside has it, if it has.
+        serial_units: that of the wrapped handler, if it has one.
     """
 
     serial_units: Container[int]
@@ -59,7 +59,7 @@ class FaultyHandler:
         self._heard = heard
         self._planner = inner if isinstance(inner, ReadPlanner) else None
         self._observer = inner if isinstance(inner, WriteObserver) else None
-        # Set only where the handler inside has it, so that whoever asks whether it is a `UnitHolder` learns the truth.
+        # Set only where the wrapped handler has it, so that an isinstance test against `UnitHolder` stays right.
         if isinstance(inner, UnitHolder):
             self.serial_units = inner.serial_units
         if isinstance(inner, ListedUnits):  # or a rule for a unit could be walked around by asking 0 or 255
@@ -67,12 +67,12 @@ class FaultyHandler:
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions of the handler inside."""
+        """The functions of the wrapped handler."""
         return self.inner.functions
 
     @property
     def generation(self) -> int:
-        """Changes with the faults, with the handler inside, and when the last late reply has left."""
+        """A number that changes with the faults, with the wrapped handler, and when all delayed replies are sent."""
         return self.inner.generation + self._faults.generation + self._tap.drained
 
     @property
@@ -82,27 +82,27 @@ class FaultyHandler:
     # The compiled path.
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """The answers of the handler inside, while no fault is on."""
+        """The compiled answers of the wrapped handler; none while a fault is on."""
         return self.inner.direct(context) if self._is_aside else {}
 
     def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
-        """The plans of the handler inside, while no fault is on."""
+        """The read plans of the wrapped handler; none while a fault is on."""
         return self._planner.plans(context) if self._planner is not None and self._is_aside else {}
 
     def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
-        """The plan of a read, while no fault is on."""
+        """The plan of a read; None while a fault is on."""
         return self._planner.plan(context, pdu) if self._planner is not None and self._is_aside else None
 
     # The generic path.
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Answer a request, rightly or not."""
+        """Answer a request, changed by the faults that strike it."""
         return self._answer(context, request, lambda inside: self.inner.handle(inside, request))
 
     def observe_write(
         self, context: RequestContext, request: Request, see: Callable[[tuple[bytes | None, ...]], None]
     ) -> Outcome:
-        """As `WriteObserver.observe_write`; ``see`` is called where the handler inside does."""
+        """As `WriteObserver.observe_write`; ``see`` is called when the wrapped handler calls it."""
         observer = self._observer
         if observer is None:
             return self.handle(context, request)
@@ -131,7 +131,7 @@ class FaultyHandler:
 
 
 class _Turn:
-    """One request whose reply leaves by its way."""
+    """One request whose reply is sent by its `FaultyConnection`."""
 
     def __init__(self, faulty: FaultyConnection, exchange: Exchange, struck: Struck) -> None:
         self._faulty = faulty
@@ -139,13 +139,13 @@ class _Turn:
         self._struck = struck
 
     def say(self, answer: bytes) -> None:
-        """Plan what leaves in place of a PDU; none if it is empty."""
+        """Plan the bytes to send for a reply PDU; an empty PDU is no reply."""
         faulty = self._faulty
         faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
         faulty.pump_soon()
 
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
-        """Let the handler inside answer, now or later, and send that by the way."""
+        """Let the wrapped handler answer, now or later, and send its answer through the faulty connection."""
         inside = RequestContext(
             unit=context.unit,
             function=context.function,

@@ -1,4 +1,4 @@
-"""Faults by name: what somebody switches who does not hold the objects, from a file, a command line, a page.
+"""The faults of a server by name: added, switched and removed from a file, a command line or the web page.
 
 Knows fault profiles, names and the server's side of faults; knows no file and no HTTP.
 
@@ -9,8 +9,8 @@ Knows fault profiles, names and the server's side of faults; knows no file and n
     board.attach(server)
     board.switch("late", on=False)
 
-1. A board serves one server: faults and ways belong together.
-2. Everything may be called from any thread. What is changed holds from the next request on.
+1. A switchboard serves one server: its faults act on the connections of that server.
+2. All methods may be called from any thread. Changes apply from the next request on.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -30,16 +30,16 @@ from .responder import FaultyHandler
 
 @dataclass(frozen=True, slots=True)
 class FaultStatus:
-    """A fault as it stands.
+    """The status of one fault.
 
     Attributes:
-        name: what it is called.
-        personality: what it is.
-        happens: what happens, in words.
-        is_on: the switch.
-        struck: requests that it has struck, connections that it has refused or closed.
-        parameters: all of the fault profile, as they hold.
-        selection: which requests it is for.
+        name: the name of the fault.
+        personality: the name of its fault profile.
+        happens: what it does, in words.
+        is_on: whether it is switched on.
+        struck: number of requests it has changed and of connections it has refused or closed.
+        parameters: all parameters of the fault profile, with their values.
+        selection: which requests it applies to.
     """
 
     name: str
@@ -52,16 +52,16 @@ class FaultStatus:
 
 
 class FaultSwitchboard:
-    """The faults of one server.
+    """The faults of one server, by name.
 
     Args:
-        seed: what chance is made from: the same seed and the same requests meet the same faults.
-        clock: what delays and schedules are measured by; the event loop's by default.
-        personalities: what there is to choose from.
+        seed: seed of random choices: with equal seeds, equal requests meet equal faults.
+        clock: clock of delays and schedules; the event loop's by default.
+        personalities: the fault profiles to choose from.
 
     Attributes:
-        faults: the faults themselves.
-        tap: to be given to the server.
+        faults: the faults as objects.
+        tap: the connection tap that the server needs.
         personalities: as given.
     """
 
@@ -73,12 +73,12 @@ class FaultSwitchboard:
         self.personalities = personalities
 
     def attach(self, server: Server) -> None:
-        """Let a server play the faults, on all its listeners. Raises `ConfigError` while it is running."""
+        """Apply the faults to all listeners of a server. Raises `ConfigError` if the server is running."""
         server.wrap_handler(self.around)
         server.use_tap(self.tap)
 
     def around(self, handler: Handler) -> FaultyHandler:
-        """A handler that plays the faults on what ``handler`` answers; its server needs ``tap`` too."""
+        """Wrap a handler so that the faults apply to its answers; its server needs ``tap`` too."""
         return FaultyHandler(handler, self.faults, self.tap)
 
     def add(
@@ -95,56 +95,56 @@ class FaultSwitchboard:
         on: bool = True,
         parameters: Mapping[str, Any] | None = None,  # as `FaultStatus.parameters`
     ) -> str:
-        """Put a fault on, behind the others.
+        """Add a fault; it acts after the existing ones.
 
         Args:
-            personality: its name.
-            name: what to call it; by default as its fault profile, with a number where that is taken.
-            units: unit identifiers that it strikes, 0…255; None for all, here and below.
+            personality: the name of a fault profile.
+            name: name of the fault; by default that of its profile, with a number if it is taken.
+            units: unit identifiers that it applies to, 0…255; None for all, here and below.
             functions: function codes, 1…127.
             addresses: items of any table, 0-based; requests that touch one of them.
-            items: the same by table, as ranges of the first item and the one behind the last.
-            probability: 0…1, the part of those requests that it strikes.
-            schedule: when.
+            items: the same by table, as ranges of the first item and the one after the last.
+            probability: 0…1, the part of those requests that it changes.
+            schedule: when it is active.
             on: whether it is switched on.
             parameters: of the fault profile.
 
         Returns:
-            Its name.
+            The name of the fault.
 
         Raises:
-            ConfigError: a name is unknown or taken, a parameter or a choice cannot be; its key says which.
+            ConfigError: a name is unknown or taken, or an argument is invalid; its key says which.
         """
         fault = self.personalities.named(personality)(**(parameters or {}))
         selection = Selection(units, functions, addresses, probability, schedule or Schedule(), items)
         return self.faults.add(fault, selection, enabled=on, label=name).label
 
     def switch(self, name: str, *, on: bool) -> None:
-        """Switch a fault; where it was on already, its schedule goes on. Raises `ConfigError` for an unknown name."""
+        """Switch a fault on or off; a fault that is on keeps its schedule. Raises `ConfigError` for an unknown name."""
         applied = self.faults.find(name)
         if on != applied.enabled:
             applied.on() if on else applied.off()
 
     def remove(self, name: str) -> None:
-        """Take a fault off. Raises `ConfigError` for an unknown name."""
+        """Remove a fault. Raises `ConfigError` for an unknown name."""
         self.faults.remove(self.faults.find(name))
 
     def list(self) -> list[FaultStatus]:
-        """All faults, in the order in which they act."""
+        """The status of all faults, in the order in which they act."""
         return [self._status(one) for one in self.faults]
 
     def __iter__(self) -> Iterator[FaultStatus]:
         return iter(self.list())
 
     def status(self, name: str) -> FaultStatus:
-        """One fault. Raises `ConfigError` for an unknown name."""
+        """The status of one fault. Raises `ConfigError` for an unknown name."""
         return self._status(self.faults.find(name))
 
     def watch(self, changed: Callable[[], None]) -> Callable[[], None]:
-        """Have ``changed`` called, in whatever thread, after faults were put on, taken off or switched.
+        """Call ``changed`` after faults were added, removed or switched, in the thread that did so.
 
         Returns:
-            What ends that when it is called.
+            A function that ends this.
         """
         self.faults.watch(changed)
         return lambda: self.faults.unwatch(changed)

@@ -148,7 +148,7 @@ class ListenerContext:
         return False
 
     def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a peer may keep its place: address lists may have changed. A refusal is counted and logged."""
+        """Whether a peer is still authorised, after address lists have changed. A refusal is counted and logged."""
         if self._authorise(connected_peer.host):
             return True
         self.counters.no_longer_authorised += 1
@@ -156,11 +156,11 @@ class ListenerContext:
         return False
 
     def is_priority(self, host: str) -> bool:
-        """Whether connections of a host belong to the priority pool."""
+        """Whether a host is a priority host."""
         return host in self.parameters.priority
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
-        """A conversation for a new connection; ``share``: requests on TCP that one call of it works through."""
+        """Make the session of a new connection; ``share``: most requests that one call of it processes, on TCP."""
         if self.framing != "mbap":
             return FramedSession(
                 self.loop,
@@ -193,7 +193,7 @@ class ListenerContext:
     # What is counted.
 
     def connection_opened(self, connected_peer: ConnectedPeer) -> None:
-        """A new connection has a place."""
+        """Count a new connection, and tell the connection tap."""
         self.counters.accepted += 1
         self.counters.of_class(is_priority=connected_peer.is_priority).accepted += 1
         if self._tap is not None:
@@ -206,7 +206,7 @@ class ListenerContext:
             self._tap.connection_opened(connection)
 
     def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
-        """It has ended, and its conversation with it."""
+        """Count an ended connection, add its counters to the totals, and tell the connection tap."""
         counters = self.counters
         counters.closed += 1
         counters.of_class(is_priority=connected_peer.is_priority).closed += 1
@@ -216,18 +216,18 @@ class ListenerContext:
             self._tap.connection_closed(connection)
 
     def broken(self) -> None:
-        """Something came that cannot be followed, or did not end."""
+        """Count a byte stream or datagram that is no valid frame, or a frame that did not end in time."""
         self.damaged += 1
         self.diagnosis.communication_fault = time.monotonic()
 
     def failed(self, peer: str, failures: Sequence[HandlerFailure]) -> None:
-        """Handlers have failed."""
+        """Count and log exceptions raised by the handler."""
         self.counters.handler_failures += len(failures)
         self.diagnosis.internal_fault = time.monotonic()
         report_failures(peer, failures)
 
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
-        """Log something that may come again and again: once in a while for whom it is about."""
+        """Log a message that may repeat: at most once a minute for the same ``about``, with the number left out."""
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:
             _log.log(level, f"{message}%s", *arguments, so_often(repeated))
@@ -235,7 +235,7 @@ class ListenerContext:
     # What is shown.
 
     def connected_peer_status(self, connected_peer: ConnectedPeer, now: float) -> ConnectionStatus:
-        """One connection or peer."""
+        """The status of one connection or UDP peer."""
         session = connected_peer.session
         return ConnectionStatus(
             peer=connected_peer.peer,
@@ -253,7 +253,7 @@ class ListenerContext:
         )
 
     def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
-        """The listener itself; ``count`` tells how many places of a pool are taken."""
+        """The status of the listener; ``count`` gives the number of used slots of a pool."""
         diagnostics = self.diagnostics
         return ListenerStatus(
             endpoint=self.listener,
@@ -273,7 +273,7 @@ class ListenerContext:
 
 
 def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: Session) -> None:
-    """Add what one conversation has counted so far."""
+    """Add the counters of one open connection to ``counters``."""
     counters.requests += session.requests
     counters.discarded_frames += session.discarded
     counters.refused_busy += session.refused_busy

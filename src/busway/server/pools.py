@@ -1,4 +1,4 @@
-"""The places of connections: who gets one, and who makes room (Messaging on TCP/IP V1.0b §4.2.1, §4.3.1).
+"""Connection slots in two pools: which new connection gets one, and which is closed for it (Messaging §4.2.1, §4.3.1).
 
 Pure: knows who is connected and since when unused; closes nothing, logs nothing, looks at no clock.
 
@@ -29,20 +29,20 @@ _LOOKS: Final = 64
 
 
 class Pool(Enum):
-    """Where a connection has its place."""
+    """The two pools of connection slots."""
 
     PRIORITY = "priority"
     OTHER = "other"
 
 
 class PoolMember(Protocol):
-    """What is to be known of a connection.
+    """What the pools need to know of a connection.
 
     Attributes:
-        host: of the device at the other end.
-        is_priority: whether it is a device that the priority pool is for.
-        pool: set when it gets a place.
-        last_used: seconds; never goes back. When it came, as long as it has said nothing.
+        host: host of the client.
+        is_priority: whether it is a priority host.
+        pool: the pool of its slot, set when it gets one.
+        last_used: seconds; never decreases. The time of its connect until it has sent something.
         received: bytes so far.
     """
 
@@ -54,11 +54,11 @@ class PoolMember(Protocol):
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request is in work or a reply on its way."""
+        """Whether a request is in progress or a reply unsent."""
 
     @property
     def has_ended(self) -> bool:
-        """Whether its other end is known to have closed, with nothing left to be read."""
+        """Whether its client is known to have closed it, with nothing left to read."""
 
 
 One = TypeVar("One", bound=PoolMember)
@@ -66,12 +66,12 @@ One = TypeVar("One", bound=PoolMember)
 
 @dataclass(frozen=True, slots=True)
 class PoolLimits:
-    """How many there may be.
+    """Numbers of connection slots.
 
     Attributes:
-        priority: places of the priority pool.
-        other: places of the other one.
-        priority_per_device: of the priority places, for one device.
+        priority: slots of the priority pool.
+        other: slots of the other pool.
+        priority_per_device: priority slots that one host may use.
         per_device: of the other places, for one device that is not marked; None for all of them.
     """
 
@@ -83,11 +83,11 @@ class PoolLimits:
 
 @dataclass(frozen=True, slots=True)
 class Admission(Generic[One]):
-    """What becomes of a new connection.
+    """The decision about a new connection.
 
     Attributes:
-        accepted: whether it has a place.
-        evicted: who has lost one for it; the caller closes it.
+        accepted: whether it got a slot.
+        evicted: the connection that has lost its slot for it; the caller closes it.
     """
 
     accepted: bool
@@ -95,7 +95,7 @@ class Admission(Generic[One]):
 
 
 class Pools(Generic[One]):
-    """Both pools."""
+    """The priority pool and the other pool of connection slots."""
 
     def __init__(self, limits: PoolLimits) -> None:
         self.limits = limits
@@ -112,11 +112,11 @@ class Pools(Generic[One]):
         return len(self._priority) + len(self._other)
 
     def count(self, pool: Pool) -> int:
-        """Places of a pool that are taken."""
+        """Number of used slots of a pool."""
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a new connection a place, if need be somebody else's."""
+        """Give a new connection a slot, if necessary that of another connection."""
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
@@ -133,7 +133,7 @@ class Pools(Generic[One]):
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
-        """A connection has ended; one that has lost its place already may say so again."""
+        """Free the slot of an ended connection; no effect if it was evicted already."""
         if member in self._other:
             self._remove(member)
         elif member in self._priority:
@@ -146,7 +146,7 @@ class Pools(Generic[One]):
     # Who goes.
 
     def _of_same_device(self, candidate: One) -> One | None:
-        """The oldest connection of a device that has all it may have."""
+        """The oldest connection of the same host, if the host is at its limit."""
         limit = self.limits.per_device
         if limit is None or candidate.is_priority:
             return None
@@ -154,7 +154,7 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """One that has never said anything, and is not going to or had time to."""
+        """A connection that has sent nothing and is closed by its client or older than `SECONDS_TO_SPEAK`."""
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:
                 del self._silent[member]
@@ -226,7 +226,7 @@ class Pools(Generic[One]):
                 del self._of_device[member.host]
 
     def _move_up(self) -> None:
-        """A priority place is free: the oldest of those that wait for one gets it."""
+        """Move the oldest priority connection of the other pool into a free priority slot."""
         for member in self._other:
             if member.is_priority and self._has_priority_place(member.host):
                 self._remove(member)

@@ -12,14 +12,14 @@ from .pools import Pool
 
 
 class ServedConnectionState(Enum):
-    """What a connection does.
+    """The state of a server's connection.
 
     Attributes:
-        IDLE: nothing is in work.
-        RECEIVING: a request has begun and not ended.
-        BUSY: a request is in work, or a reply on its way.
-        HELD: nothing is read: its host is over its rate, or it does not take its replies.
-        CLOSING: it is closed as soon as what was written has gone out.
+        IDLE: no request is in progress.
+        RECEIVING: a request is received in part.
+        BUSY: a request is in progress, or a reply is unsent.
+        HELD: reading is paused: its host is above its rate, or it does not read its replies.
+        CLOSING: it is closed as soon as the written replies are sent.
     """
 
     IDLE = "idle"
@@ -31,7 +31,7 @@ class ServedConnectionState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ConnectionStatus:
-    """One connection, or one peer over UDP.
+    """The status of one connection, or of one peer over UDP.
 
     Attributes:
         peer: ``host:port``.
@@ -89,7 +89,7 @@ class SecurityStatus:
 
 @dataclass(frozen=True, slots=True)
 class ListenerStatus:
-    """One listener.
+    """The status of one listener.
 
     Attributes:
         endpoint: its URL, as it is bound.
@@ -129,7 +129,7 @@ class ListenerStatus:
 
 @dataclass(frozen=True, slots=True)
 class ServerStatus:
-    """A server.
+    """The status of a server.
 
     Attributes:
         running: whether it answers.

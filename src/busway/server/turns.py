@@ -33,14 +33,14 @@ class Waiting(Protocol):
     is_greedy: bool
 
     def take_turn(self) -> bool:
-        """Do the work of one share; whether more of it waits. Raises nothing."""
+        """Do one share of work; returns whether more of it waits. Raises nothing."""
 
 
 class Turns:
-    """Who waits for a turn, on one event loop.
+    """The queue of connections that wait for a turn of one event loop.
 
     Attributes:
-        is_crowded: whether work of others waits, or the time of this turn is over.
+        is_crowded: whether other connections wait, or the time of this turn is used up.
     """
 
     __slots__ = ("_greedy", "_is_due", "_loop", "_modest", "_preferred", "_until", "is_crowded")
@@ -56,18 +56,18 @@ class Turns:
 
     @property
     def has_time(self) -> bool:
-        """Whether something new may be done in this turn of the loop."""
+        """Whether time is left in this turn of the loop."""
         return seconds() < self._until
 
     def worked(self) -> None:
-        """More than the least was done for somebody: see whether there is time for more in this turn."""
+        """Note that a connection has done considerable work; updates `is_crowded`."""
         if not self._is_due:
             self._begin()
         elif not self.has_time:
             self.is_crowded = True
 
     def wait(self, one: Waiting) -> None:
-        """Let one who does not wait already take a turn, behind those before it."""
+        """Queue a connection that is not queued yet."""
         self._row(one).append(one)
         self.is_crowded = True
         if not self._is_due:
@@ -84,7 +84,7 @@ class Turns:
         self._loop.call_soon(self._next_turn)
 
     def _next_turn(self) -> None:
-        """A turn of the loop begins: let those who wait work, as far as its time goes."""
+        """Start a turn: let queued connections work until the time of the turn is used up."""
         self._is_due = False
         if not self.is_crowded:
             return  # nobody waits
@@ -98,7 +98,7 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each of a row work once, in order, at least the first of them, until the time is over."""
+        """Let the connections of one queue work once each, in order, until ``until``; the first one always works."""
         for _ in range(len(row)):
             one = row.popleft()
             if one.take_turn():

@@ -1,7 +1,6 @@
-"""A server on TCP that misbehaves as it is told: the real server, a real device, and faults between the two.
+"""A Modbus TCP server with faults, for tests of clients: the real server and a real device with faults between them.
 
-Knows an event loop and a clock; what goes wrong, and how it gets onto connections, is the simulator's
-(`busway.faults`).
+Knows an event loop and a clock; the faults and how they reach connections are in `busway.faults`.
 
 ::
 
@@ -40,7 +39,7 @@ ADAPTIVE_TIMEOUT = 10.0
 
 
 class FaultyServer:
-    """A server that misbehaves; an asynchronous context manager. Faults are put on and switched from any thread.
+    """A server with faults; an asynchronous context manager. Faults can be added and switched from any thread.
 
     Args:
         device: answers whatever unit is asked; or devices by unit identifier, 0…255.
@@ -100,7 +99,7 @@ class FaultyServer:
         schedule: Schedule | None = None,
         **options: Any,  # Any: what the fault profile takes
     ) -> AppliedFault:
-        """Put a fault on.
+        """Add a fault.
 
         Args:
             personality: its name, or a fault.
@@ -123,18 +122,18 @@ class FaultyServer:
 
     @property
     def clock(self) -> Clock:
-        """What delays are measured by, from the start on."""
+        """The clock of delays. Available once the server is started."""
         assert self._clock is not None, "the server has not been started"
         return self._clock
 
     @property
     def connections(self) -> int:
-        """Connections that stand now."""
+        """Number of open connections."""
         return len(self._tap)
 
     @property
     def accepted(self) -> int:
-        """Connections so far."""
+        """Number of connections accepted so far."""
         return self._tap.accepted
 
     async def start(self) -> None:
@@ -187,7 +186,7 @@ class FaultyServer:
         self._change()
 
     def _change(self) -> None:
-        """Wake those who wait for something to happen."""
+        """Wake the threads and tasks in `wait_until` and `until`."""
         self._changed_here.set()
         with self._changed:
             self._changed.notify_all()
@@ -214,7 +213,7 @@ def faulty_server(
 
 
 class _ServerThread:
-    """The thread that a server lives in."""
+    """A thread with an event loop that runs one server."""
 
     def __init__(self, server: FaultyServer) -> None:
         self._server = server
@@ -224,7 +223,7 @@ class _ServerThread:
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="busway faults", daemon=True)
 
     def start(self) -> None:
-        """Begin; raises what the start of the server raised."""
+        """Start the thread and the server; raises the error of the server's start."""
         self._thread.start()
         self._started.wait()
         if self._failure is not None:
@@ -232,7 +231,7 @@ class _ServerThread:
             raise self._failure
 
     def stop(self) -> None:
-        """End, and wait for it."""
+        """Stop the server and wait for the thread to end."""
         if self._end is not None and self._server.loop is not None:
             self._server.loop.call_soon_threadsafe(self._end.set)
         self._thread.join()

@@ -1,4 +1,4 @@
-"""A device for somebody's test: a few values or a file, served in a thread of its own, with faults as context managers.
+"""A simulated device for tests: values or a file, served in a thread of its own, with faults as context managers.
 
 Knows simulations and threads; knows no test framework (`busway.testing.plugin` does).
 
@@ -51,7 +51,7 @@ def simulated_device(
     speed: float = 1.0,
     clock: "Clock | None" = None,
 ) -> "Iterator[SimulatedDevice]":
-    """A device that is served while the block runs.
+    """Serve a simulated device while the block runs.
 
     Args:
         content: what it holds. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to values: ``bool`` for
@@ -81,7 +81,7 @@ def simulated_device(
 
 
 class SimulatedDevice:
-    """A device that is being served, as `simulated_device` gives it. Everything may be called from any thread.
+    """A served device, as `simulated_device` yields it. All methods may be called from any thread.
 
     Attributes:
         endpoints: URLs of its listeners as they are bound.
@@ -158,7 +158,7 @@ class SimulatedDevice:
         times: int | None = None,
         **parameters: Any,  # Any: what the fault profile takes
     ) -> "Iterator[AppliedFault]":
-        """A fault that is on while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
+        """Apply a fault while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
 
         Args:
             personality: its name (`busway.testing.FAULT_PROFILES`).
@@ -202,7 +202,7 @@ class SimulatedDevice:
             timeout: seconds.
 
         Raises:
-            TimeoutError: nobody did in time.
+            TimeoutError: no client wrote it in time.
         """
         name = self._key(address)
         place = self.simulation.points[name].section.place if name is not None else parse_address(address)
@@ -225,7 +225,7 @@ class SimulatedDevice:
             self._changed.notify_all()
 
     def _key(self, key: str) -> str | None:
-        """The point ``UNIT/NAME`` that a key means; None if it is an item without a name."""
+        """Resolve a key to the point ``UNIT/NAME``; None if it is an item without a name."""
         points = self.simulation.points
         if key in points:
             return key
@@ -236,7 +236,7 @@ class SimulatedDevice:
         return found[0] if found else None
 
     def _standing_at(self, key: str) -> list[str]:
-        """The points that stand at an address, however it is written."""
+        """The points at an address, in any notation."""
         try:
             place = parse_address(key)
         except InvalidRequest:

@@ -1,7 +1,4 @@
-"""All fault profiles that there are, in one table.
-
-Knows the list; each fault profile stands in the file of its kind.
-"""
+"""The table of all fault profiles of devices; the profiles are defined in the files beside this one."""
 
 from typing import Final
 
@@ -56,4 +53,4 @@ FAULT_PROFILES: Final = FaultyTable(
     ECHO,
     BROADCAST_REPLY,
 )
-"""The fault profiles of servers."""
+"""All fault profiles of devices, by name."""

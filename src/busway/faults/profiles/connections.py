@@ -1,4 +1,4 @@
-"""Personalities of devices that are particular about connections."""
+"""Fault profiles of devices that close or refuse connections."""
 
 from typing import Annotated
 from weakref import WeakSet

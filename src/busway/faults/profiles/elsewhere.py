@@ -1,6 +1,6 @@
-"""Personalities that no fault of a server can play, and who plays them instead.
+"""Fault profiles that no server can play, such as those of ports and clients, and what plays them instead.
 
-Knows names and words; they stand here so that the documentation's table has every fault profile that there is.
+Knows names and texts only; they complete the documentation's table of fault profiles.
 """
 
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from ..clients import CLIENT_FAULT_PROFILES
 
 @dataclass(frozen=True, slots=True)
 class PlayedElsewhere:
-    """A fault profile that is not switched on at a server.
+    """A fault profile that no server plays.
 
     Attributes:
-        name, happens, seen_in, answer: as of `FaultProfile`.
+        name, happens, seen_in, answer: as in `FaultProfile`.
         played_by: what plays it, and why a server's fault cannot.
     """
 
@@ -53,4 +53,4 @@ ELSEWHERE: Final = {
         ),
     )
 }
-"""All of them by name."""
+"""All fault profiles that no server plays, by name."""

@@ -1,4 +1,4 @@
-"""Personalities of devices that answer under a foreign name: another transaction, another unit."""
+"""Fault profiles of devices that answer with a wrong transaction identifier or unit."""
 
 from collections.abc import Callable
 from dataclasses import replace
