@@ -1,4 +1,4 @@
-"""What goes into a capture file: the bytes of connections, the frames of serial lines.
+"""Capture files for Wireshark: writes the bytes of connections and the frames of serial lines as packets.
 
 Knows what Wireshark makes of each kind of packet; knows no driver. A driver hands in what it received and sent.
 

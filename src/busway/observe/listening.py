@@ -33,7 +33,7 @@ from .pairing import Heard, Pairing
 
 _READ_SIZE: Final = 65_536
 _LONGEST_WAIT: Final = 0.2
-"""Seconds of one wait, so that whoever listens can look at other things between."""
+"""Seconds of one wait, so that the caller can check for other events between two waits."""
 
 _LAST_READS: Final = 64
 """Reads at the end, far more than a line needs: a peer that sends without end must not keep us."""
@@ -47,7 +47,7 @@ _ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_on
 
 
 class Ear(Protocol):
-    """What hears bytes: `BlockingSerialPort` has it, and `SocketEar`."""
+    """A source of received bytes; `BlockingSerialPort` and `SocketEar` are such sources."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Bytes within ``timeout`` seconds, and how many are damaged. Raises `LinkDown`."""
@@ -165,7 +165,7 @@ class LineToHear:
 
 
 class _ClaimedPort:
-    """A port that nobody else in this process uses meanwhile."""
+    """Open a serial port that no other user in this process can open meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
         self._claim = Claim(path, "somebody who listens")

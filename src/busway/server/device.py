@@ -1,14 +1,14 @@
-"""A device: its tables, files and queues, what it says of itself, and the hooks of its application.
+"""A Modbus device: its tables, files, queues and identification, and the hooks of its application.
 
-Knows what requests do to it (`DataModel`, `DirectModel`) and what its application does; knows no connection, no unit
-it is reached by, and no function beyond their codes.
+Knows the accesses of requests (`DataModel`, `DirectModel`) and of its application; knows no connection, no unit number
+and no function beyond its code.
 
 1. An access by Modbus goes: exists and may be written (02), hooks before, the items, hooks after. What fails before the
    items are touched has changed nothing.
 2. What changes items holds ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
    Whoever executes a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
 3. Hooks are for Modbus. The application's own accesses call none.
-4. ``generation`` changes with whatever ends a compiled path that was offered earlier.
+4. ``generation`` changes when an answer compiled earlier is no longer right.
 """
 
 import threading
@@ -297,7 +297,7 @@ class Device:
         return hook if function is None else hook(function)
 
     def remove_hook(self, function: Callable[..., object]) -> None:
-        """Call ``function`` no more, in whatever tables it was hooked. Raises `ConfigError` if it was in none."""
+        """Remove a hook from all tables. Raises `ConfigError` if ``function`` is no hook of this device."""
         with self.lock:
             every = [*self._read_hooks.values(), *self._write_hooks.values()]
             found = [hooks.remove(function) for hooks in every]
@@ -366,7 +366,7 @@ class Device:
                 changed()
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """The run of a table whose accesses nobody needs to know of; None where there are several, a hook, a limit."""
+        """The memory of a table for direct access; None if it has several runs, a hook, or read-only items to write."""
         store = self._stores[table]
         if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
             return None

@@ -1,5 +1,4 @@
-"""Visual diagnosis of a listener: three status indicators, as states that a status, a page or a real status indicator
-shows (S19).
+"""Visual diagnosis of a listener: the states of its three status indicators (S19).
 
 Knows when something happened; knows no bytes and no clock.
 
@@ -38,13 +37,13 @@ class StatusIndicators:
 
 
 class Diagnosis:
-    """When what happened on a listener last.
+    """Times of the last traffic and faults of a listener, from which its status indicators follow.
 
     Attributes:
         is_open: whether it can be reached.
-        traffic: when a frame came or went, in seconds of whatever clock ``now`` is of.
-        communication_fault: when one was damaged.
-        internal_fault: when a handler failed, or the system had nothing left for a new connection.
+        traffic: time of the last received or sent frame, in seconds of the clock of ``now``.
+        communication_fault: time of the last damaged frame.
+        internal_fault: when a handler last failed, or the system had no resources for a new connection.
     """
 
     __slots__ = ("communication_fault", "internal_fault", "is_open", "traffic")
@@ -54,7 +53,7 @@ class Diagnosis:
         self.traffic = self.communication_fault = self.internal_fault = _NEVER
 
     def lamps(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
-        """What the status indicators show at ``now``."""
+        """The states of the status indicators at ``now``."""
         error = StatusIndicator.OFF
         if now < self.internal_fault + FAULT_SHOWN:
             error = StatusIndicator.ON

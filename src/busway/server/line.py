@@ -1,4 +1,4 @@
-"""A serial port as a listener: the only place where the servers of a line meet their port.
+"""A serial port as a listener: the asyncio driver between a port and the session of its line.
 
 Knows when bytes come and go; knows nothing of what they say.
 
@@ -154,7 +154,7 @@ class SerialListener:
             self._claim = None
 
     def status(self) -> ListenerStatus:
-        """How it stands now."""
+        """The status of the listener now."""
         diagnostics, session = self.diagnostics, self._session
         return ListenerStatus(
             endpoint=self.name,

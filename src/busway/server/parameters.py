@@ -1,4 +1,4 @@
-"""What can be set about a server and its listeners, beside the sockets' own parameters."""
+"""Limits and timeouts of the connections of a listener; options of sockets are in `busway.transport.tcp`."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -8,12 +8,12 @@ from ..errors import ConfigError
 from .pools import PoolLimits
 
 NOBODY: Final = Networks()
-"""No device is marked."""
+"""An empty list: no priority hosts."""
 
 
 @dataclass(frozen=True, slots=True)
 class ListenerParameters:
-    """How a listener treats its connections.
+    """Limits and timeouts of the connections of a listener.
 
     None of the timeouts, nor ``request_rate``, touches a connection of a priority host.
 

@@ -1,4 +1,4 @@
-"""The three ways to serve: in a coroutine, for ever from a blocking program, and in a thread beside one."""
+"""`serve`, `serve_forever` and `serve_in_thread`: a server in a coroutine, in a blocking program, or in a thread."""
 
 import asyncio
 import contextlib
@@ -64,7 +64,7 @@ def serve(
     local_connections: Callable[[], int] | None = None,
     **options: "Unpack[ServerOptions]",
 ) -> Server:
-    """A server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
+    """Make a server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
 
     Args:
         endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one. Serial ports
@@ -180,7 +180,7 @@ class ServerThread:
         return self._server.endpoints
 
     def status(self) -> ServerStatus:
-        """How the server stands now."""
+        """The status of the server now."""
 
         async def ask() -> ServerStatus:
             return self._server.status()
@@ -255,7 +255,7 @@ def serve_in_thread(
 
 
 class _Ready:
-    """What the thread tells the program that started it."""
+    """Start-up result of the server thread: the running server, or the error that stopped it."""
 
     def __init__(self) -> None:
         self.event = threading.Event()

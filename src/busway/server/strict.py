@@ -1,4 +1,4 @@
-"""What a preset means for a server as a whole: its own options, those of its lines, and the port 502.
+"""Presets of a server: set its own options, those of its serial lines, and whether it listens on port 502.
 
 Knows the listeners of a server and where each of them takes options; knows not what these mean.
 """
@@ -14,7 +14,7 @@ from ..options.text import converted
 from .listener import Listener
 
 STANDARD_PORT: Final = "standard_port"
-"""The option by which a server listens on 502 beside other ports."""
+"""Name of the option that makes a server listen on port 502 beside other ports."""
 
 Place = str | Endpoint | Listener
 

@@ -1,4 +1,4 @@
-"""A UDP listener: one frame per datagram, answered to its sender and to nobody else.
+"""A UDP listener: one frame per datagram, answered to its sender alone.
 
 Knows datagrams and peers; knows nothing of what they say.
 
@@ -86,7 +86,7 @@ class UdpListener:
             await one.closed
 
     def end_unauthorised(self) -> int:
-        """Forget peers whose hosts may no longer send; how many there were. What is in work for them gets no answer."""
+        """Forget peers whose hosts may no longer send; returns their number. Their pending requests get no answer."""
         ended = [peer for peer in self._peers.values() if not self.listener_context.may_stay(peer)]
         for peer in ended:
             self.leave(peer)
@@ -142,7 +142,7 @@ class UdpListener:
             self.leave(peer)
 
     def leave(self, peer: "_Peer") -> None:
-        """A peer has lost its place."""
+        """Remove a peer that has lost its slot."""
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
@@ -164,7 +164,7 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Give up a priority peer that has nothing in work and no priority place; whether there was one (rule 4)."""
+        """Forget an idle priority peer without a priority slot; returns whether there was one (rule 4 of this file)."""
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
             return False
@@ -238,7 +238,7 @@ class _Socket(asyncio.DatagramProtocol):
 
 
 class _Peer:
-    """One sender and its conversation; its attributes as of `busway.server.listener_context.ConnectedPeer`."""
+    """One sender of datagrams and its session; attributes as in `busway.server.listener_context.ConnectedPeer`."""
 
     session: Session
 
@@ -306,7 +306,7 @@ class _Peer:
 
     @property
     def has_ended(self) -> bool:
-        """False: nobody says when a sender has gone."""
+        """Always False: over UDP the end of a sender is not signalled."""
         return False
 
     @property

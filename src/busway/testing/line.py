@@ -161,7 +161,7 @@ class PacedLine:
 
     @property
     def settings(self) -> SerialSettings:
-        """What gives a character its length."""
+        """Baud rate and character format of the line, which give a character its duration."""
         return self._line.settings
 
     @property
@@ -176,7 +176,7 @@ class PacedLine:
 
     @property
     def noise(self) -> float:
-        """Probability, 0…1, that a character is damaged on its way. May be changed at any time."""
+        """Probability, 0…1, that a character is damaged in transit. May be changed at any time."""
         return self._line.noise
 
     @noise.setter
@@ -191,7 +191,7 @@ class PacedLine:
         return copied
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """What the tap has heard, cut where there was a silence (seconds; 1.5 characters) or another port spoke."""
+        """The bytes seen on the line, split where there was a silence (seconds; 1.5 characters) or the sender changed."""
         return gathered(self.tap, self.character_time, silence)
 
     def forget(self) -> None:
@@ -205,11 +205,11 @@ class PacedLine:
         self._do(clear)
 
     def cut(self, *ports: int) -> None:
-        """Break the wire to these ports, or to all."""
+        """Interrupt the line to these ports, or to all."""
         self._do(lambda: self._line.cut(*ports))
 
     def mend(self, *ports: int) -> None:
-        """Mend the wire to these ports, or to all."""
+        """Restore the line to these ports, or to all."""
         self._do(lambda: self._line.mend(*ports))
 
     def inject(self, data: bytes) -> None:
@@ -217,7 +217,7 @@ class PacedLine:
         self._do(lambda: self._line.inject(data, max(time.monotonic(), self._line.now)))
 
     def unplug(self, port: int) -> None:
-        """Take a port away, as an adapter is pulled: its path is gone, and the system tells whoever has it open."""
+        """Remove a port like a pulled adapter: its path is gone, and programs that have it open get an error."""
         self._do(lambda: self._unplug(port))
 
     def replug(self, port: int, name: str | None = None) -> str:
@@ -241,7 +241,7 @@ class PacedLine:
             raise TimeoutError(f"the line was not quiet for {listener.silence:g} s within {timeout:g} s")
 
     def close(self) -> None:
-        """End the line: its paths are gone, and the system tells whoever has a port open. May be called twice."""
+        """End the line: its paths are gone, and programs that have a port open get an error. May be called twice."""
         if self._ended:
             return
         self._ended = True
@@ -307,7 +307,7 @@ class PacedLine:
         return wait_ready(watched, [], timeout)
 
     def _take(self, port: int, pty: _Pty, written_at: float) -> None:
-        """What a program has written starts on its way."""
+        """Put the bytes that a program has written on the line."""
         try:
             data = os.read(pty.near, LARGEST_BACKLOG)
         except BlockingIOError:

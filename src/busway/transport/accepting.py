@@ -151,7 +151,7 @@ class EpollAcceptor:
 
 
 class LoopAcceptor:
-    """What a server of the event loop accepts."""
+    """A listener whose connections are accepted by the event loop's own server."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, server: asyncio.Server) -> None:
         self._loop = loop

@@ -1,4 +1,4 @@
-"""What is counted anyway, and what `RequestTally` counts, as families of metrics at the moment of a scrape.
+"""The Prometheus collector: turns status, counters and `RequestTally` into metric families at each scrape.
 
 Knows the shape of a status and the names of metrics; knows no server, socket or registry.
 

@@ -76,7 +76,7 @@ class EpollStream(asyncio.Transport):
         self._lost = False  # `connection_lost` was called, or is about to be
 
     def begin(self) -> None:
-        """Tell the protocol that the connection stands, and read.
+        """Call the protocol's `connection_made`, and start reading.
 
         Raises:
             OSError: the system cannot watch another descriptor; the protocol is told so by `connection_lost`, too.
@@ -143,7 +143,7 @@ class EpollStream(asyncio.Transport):
     # Sending.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes, behind those that wait. After the connection has ended they go nowhere.
+        """Send bytes, after those that wait. After the connection has ended they are dropped.
 
         Raises:
             TypeError: these are no bytes.
@@ -212,7 +212,7 @@ class EpollStream(asyncio.Transport):
         self._watch()
 
     def write_eof(self) -> None:
-        """Send no more, behind what waits; the other direction stays open."""
+        """Close the sending direction after the waiting bytes are sent; the other direction stays open."""
         if self._closing or self._finished:
             return
         self._finished = True

@@ -118,7 +118,7 @@ def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
 
 
 def can_watch(loop: asyncio.AbstractEventLoop) -> bool:
-    """Whether an epoll object can stand in an event loop: those of asyncio and uvloop, on systems that have one.
+    """Whether an event loop can watch an epoll object: those of asyncio and uvloop, on systems that have epoll.
 
     A loop that makes connections in a way of its own, as one without a network for tests does, is left to it.
     """
