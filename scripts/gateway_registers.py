@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from marked import ROOT, replaced, update
 
-from busway.apps.gateway.own_unit import FIRST_LINE, LINE_REGISTERS, REGISTERS, StatusRegister
+from busway.apps.gateway.own_unit import FIRST_UPSTREAM, REGISTERS, UPSTREAM_REGISTERS, StatusRegister
 
 
 def render(entries: Sequence[StatusRegister], start: int, label: str) -> str:
@@ -24,5 +24,5 @@ if __name__ == "__main__":
     file = ROOT / "docs" / "gateway.md"
     page = file.read_text(encoding="utf-8")
     page = replaced(page, "own", render(REGISTERS, 0, ""))
-    page = replaced(page, "lines", render(LINE_REGISTERS, FIRST_LINE, f"{FIRST_LINE} + "))
+    page = replaced(page, "lines", render(UPSTREAM_REGISTERS, FIRST_UPSTREAM, f"{FIRST_UPSTREAM} + "))
     update(file, page)

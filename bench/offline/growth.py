@@ -119,7 +119,7 @@ def plan(routes: Sequence[Route]) -> GatewayPlan:
 async def routes(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads through a gateway with so many routes, one for each unit, which is renumbered."""
     loop.listeners[1] = Device
-    table = [Route(line="line", units=frozenset({unit}), unit=1) for unit in range(1, size + 1)]
+    table = [Route(upstream="line", units=frozenset({unit}), unit=1) for unit in range(1, size + 1)]
     asked = [to_unit(read(number, number), 1 + number % size) for number in range(READS)]
     async with AsyncExitStack() as running:
         yield await forwarding(loop, plan(table), asked, running)
@@ -131,7 +131,7 @@ async def address_routes(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     loop.listeners[1] = Device
     holding, width = Table.HOLDING_REGISTERS, 32
     table = [
-        Route(line="line", units=frozenset({1}), addresses=AddressRange(holding, width * one, width * (one + 1)))
+        Route(upstream="line", units=frozenset({1}), addresses=AddressRange(holding, width * one, width * (one + 1)))
         for one in range(size)
     ]
     asked = [read(number, width * (number % size)) for number in range(READS)]

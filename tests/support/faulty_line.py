@@ -89,11 +89,11 @@ async def faulty_line(
             device.on_write("holding_registers", lambda change, seen=written[unit]: seen.append(change.new))
         server = Server([listen], FaultyHandler(LocalHandler(devices), faults, tap), tap=tap, standard_port=False)
         async with server:
-            base = route or Route(line="line", units=frozenset(range(1, 248)))
+            base = route or Route(upstream="line", units=frozenset(range(1, 248)))
             patient = replace(base, units=frozenset({2}), timeout=ADAPTIVE_TIMEOUT)  # who behaves has time
             plan = GatewayPlan(
                 listeners=(GatewayListener("office", Listener(listener)),),
-                lines=(UpstreamSettings.of("line", dial or server.endpoints[0], **options),),
+                upstreams=(UpstreamSettings.of("line", dial or server.endpoints[0], **options),),
                 table=RoutingTable((patient, base)),
             )
             async with Gateway(plan) as gateway:

@@ -1,4 +1,4 @@
-"""``busway gateway``: stand between clients and lines, until Ctrl-C or SIGTERM.
+"""``busway gateway``: forward client requests to serial lines or other servers, until Ctrl-C or SIGTERM.
 
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 2. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
@@ -55,7 +55,7 @@ Examples:
   busway gateway check plant.toml
   busway gateway --systemd-unit plant.toml > /etc/systemd/system/busway-gateway.service
 
-URLs: where it listens, several if need be; the last one is the line, or server, behind.
+URLs: where it listens, several if need be; the last one is the serial line or server that it forwards to.
 A listener that the network reaches is read-only without a policy; --allow-writes lifts that.
 """
 
@@ -66,7 +66,9 @@ _PATHS = frozenset({"--policy", "--audit", "--capture"})
 
 def gateway(
     what: list[str] = typer.Argument(
-        ..., metavar="LISTENER... LINE | FILE | check FILE", help="URLs, the line last; or a gateway file, in TOML."
+        ...,
+        metavar="LISTENER... UPSTREAM | FILE | check FILE",
+        help="URLs, the upstream last; or a gateway file, in TOML.",
     ),
     no_standard_port: bool = NO_STANDARD_PORT,
     policy: str | None = POLICY,
@@ -89,7 +91,7 @@ def gateway(
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
-    """Stand between clients and lines."""
+    """Forward client requests to serial lines or other servers."""
     from ..apps.server.service import Service, Wishes
     from ..server.loops import run
 
@@ -138,9 +140,11 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
     files = [word for word in words if not _is_url(word)]
     if not files:
         if len(words) == 1:
-            raise ConfigError("a line is needed behind the listener, for example rtu:///dev/ttyUSB0", key="LINE")
-        adaptive_timeout = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", high=3600)
-        return lambda: simple_gateway(words[:-1], words[-1], changes=changes, client_deadline=adaptive_timeout)
+            raise ConfigError(
+                "add the URL of a serial line or server to forward to, for example rtu:///dev/ttyUSB0", key="UPSTREAM"
+            )
+        within = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", high=3600)
+        return lambda: simple_gateway(words[:-1], words[-1], changes=changes, client_deadline=within)
     if len(words) > 1:
         raise ConfigError(f"either URLs or one file, not {' '.join(words)}", key="FILE")
     if deadline is not None:
@@ -221,7 +225,7 @@ def _running(service: "Service") -> "Gateway":
 
 def _standing(gateway: "Gateway") -> str:
     """What a service manager shows."""
-    return f"{', '.join(gateway.endpoints)} to {', '.join(line.name for line in gateway.plan.lines)}"
+    return f"{', '.join(gateway.endpoints)} to {', '.join(upstream.name for upstream in gateway.plan.upstreams)}"
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:

@@ -35,7 +35,7 @@ COMMANDS = {
     "counters": "Read what a device counts of its communication.",
     "serve": "Be a device.",
     "simulate": "Be devices that behave as a file says.",
-    "gateway": "Stand between clients and lines.",
+    "gateway": "Forward client requests to serial lines or other servers.",
     "status": "Show how a running server or gateway does.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",

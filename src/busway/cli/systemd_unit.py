@@ -104,7 +104,7 @@ class ServiceUnit:
     @property
     def _has_ports(self) -> bool:
         return any(
-            place.carrier == "serial" for place in (*self._places, *(one.link.endpoint for one in self.plan.lines))
+            place.carrier == "serial" for place in (*self._places, *(one.link.endpoint for one in self.plan.upstreams))
         )
 
     @property

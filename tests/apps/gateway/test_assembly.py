@@ -26,12 +26,12 @@ def test_sections_become_listeners_lines_routes_and_options_of_servers() -> None
     limits = plan.listeners[0].settings.limits
     assert limits is not None
     assert (limits.max_connections, limits.idle_timeout) == (20, 600)
-    hall, inverter = plan.lines
+    hall, inverter = plan.upstreams
     assert (hall.link.parameters.timeout, hall.link.parameters.retries) == (0.5, 1)
     assert (inverter.connections, inverter.share_reads, inverter.broadcast) == (4, False, True)
     first, second, third, fourth = plan.table.routes
     assert (first.action, first.code, first.listeners) == (RouteAction.REFUSE, 1, frozenset({"scada"}))
-    assert (second.line, second.max_registers, second.timeout) == ("hall", 50, 0.6)
+    assert (second.upstream, second.max_registers, second.timeout) == ("hall", 50, 0.6)
     assert third.addresses == AddressRange(busway.codes.Table.HOLDING_REGISTERS, 0, 100)
     assert (third.unit, third.shift, third.cache) == (1, 1000, 0.5)
     assert fourth.action is RouteAction.DROP
@@ -57,7 +57,7 @@ def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> N
     assert [listener.name for listener in plan.listeners] == [ANY_PORT, "udp://127.0.0.1:0"]
     twice = simple_gateway([ANY_PORT, ANY_PORT], "tcp://10.0.0.5").plan
     assert [listener.name for listener in twice.listeners] == [ANY_PORT, f"{ANY_PORT} (2)"]
-    assert [line.link.endpoint.path for line in plan.lines] == ["/dev/not-there"]
+    assert [line.link.endpoint.path for line in plan.upstreams] == ["/dev/not-there"]
     for listeners, line, sentence in (
         ([ANY_PORT], "rtu:///dev/x?baud=9", "baud: must be 50"),
         (["tcp://127.0.0.1:0?timeout=3"], "tcp://h", "timeout: unknown option of a listener"),
@@ -75,7 +75,7 @@ def test_certificates_of_lines_that_can_not_be_read_are_found_where_files_are_ex
     file = tmp_path / "gateway.toml"
     text = f'listen = ["{ANY_PORT}"]\n[[line]]\nname = "x"\nurl = "tls://10.0.0.5"\nauthority = "ca.pem"\n'
     file.write_text(text)
-    assert load_gateway(file).plan.lines
+    assert load_gateway(file).plan.upstreams
     with pytest.raises(busway.ConfigError, match=r"gateway\.toml:5: line\[0\]\.authority: .*ca\.pem can ?not be read"):
         load_gateway(file, examine=True)
 
@@ -205,7 +205,7 @@ async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_r
                     await service.reload()
                 gateway = service.server
                 assert isinstance(gateway, Gateway)
-                assert gateway.plan.lines[0].link.parameters.timeout == 0.4
+                assert gateway.plan.upstreams[0].link.parameters.timeout == 0.4
                 assert await read_from(link, 1) == [100]
                 assert link.counters.connections == 1
 

@@ -60,7 +60,7 @@ async def gateway(
         UpstreamSettings.of(name, url, **({"turnaround_delay": 0.01} if url.startswith("rtu") else {}), **options)
         for name, url in lines.items()
     )
-    plan = GatewayPlan(listeners=(listener,), lines=settings, table=RoutingTable(routes), own_unit=own_unit)
+    plan = GatewayPlan(listeners=(listener,), upstreams=settings, table=RoutingTable(routes), own_unit=own_unit)
     async with Gateway(plan) as made:
         endpoint = made.endpoints[0]
         calls = {"max_transactions": 4} if endpoint.startswith("tcp") else {}
@@ -75,7 +75,7 @@ async def refusal(asked: object) -> int:
 
 
 async def test_every_write_that_may_be_broadcast_is_echoed_as_a_device_would_answer_it() -> None:
-    async with bus() as line, gateway(Route(line="line", units=OTHERS), lines={"line": line.url}) as (_, link):
+    async with bus() as line, gateway(Route(upstream="line", units=OTHERS), lines={"line": line.url}) as (_, link):
         allow_all = link.unit(0)
         await allow_all.write_single_register(0, 7)
         await allow_all.write_multiple_registers(1, [8, 9])
@@ -90,7 +90,7 @@ async def test_every_write_that_may_be_broadcast_is_echoed_as_a_device_would_ans
 async def test_the_echo_comes_after_the_broadcast_was_sent_and_the_turnaround_is_over() -> None:
     async with (
         bus() as line,
-        gateway(Route(line="line", units=OTHERS), lines={"line": line.url}) as (made, link),
+        gateway(Route(upstream="line", units=OTHERS), lines={"line": line.url}) as (made, link),
     ):
         asked = asyncio.create_task(link.unit(0).write_single_register(5, 55))
         await until(lambda: made.open_requests == 1)
@@ -104,7 +104,7 @@ async def test_silence_is_an_option_and_the_write_is_made_all_the_same() -> None
     listener = GatewayListener("office", Listener(ANY_PORT), silent_broadcasts=True)
     async with (
         bus() as line,
-        gateway(Route(line="line", units=OTHERS), lines={"line": line.url}, listener=listener) as (made, link),
+        gateway(Route(upstream="line", units=OTHERS), lines={"line": line.url}, listener=listener) as (made, link),
     ):
         asked = asyncio.create_task(link.unit(0).write_single_register(5, 55))
         await until(lambda: line.registers(5, 1) == [[55], [55]] and not made.open_requests)
@@ -116,7 +116,7 @@ async def test_silence_is_an_option_and_the_write_is_made_all_the_same() -> None
 async def test_a_silent_listener_still_says_that_a_broadcast_was_not_sent() -> None:
     listener = GatewayListener("office", Listener(ANY_PORT), silent_broadcasts=True)
     async with gateway(
-        Route(line="down", units=OTHERS), lines={"down": "rtu+tcp://127.0.0.1:1"}, listener=listener
+        Route(upstream="down", units=OTHERS), lines={"down": "rtu+tcp://127.0.0.1:1"}, listener=listener
     ) as (
         _,
         link,
@@ -129,15 +129,15 @@ async def test_several_lines_hear_it_each_once_and_lines_of_other_listeners_do_n
         listeners = (LISTENER, GatewayListener("other", Listener(ANY_PORT)))
         plan = GatewayPlan(
             listeners=listeners,
-            lines=tuple(
+            upstreams=tuple(
                 UpstreamSettings.of(name, line.url, turnaround_delay=0.01)
                 for name, line in {"one": one, "two": two, "foreign": foreign}.items()
             ),
             table=RoutingTable(
                 (
-                    Route(line="one", listeners=frozenset({"office"}), units=frozenset({1, 2})),
-                    Route(line="two", listeners=frozenset({"office"}), units=frozenset({11, 12}), unit_offset=-10),
-                    Route(line="foreign", listeners=frozenset({"other"})),
+                    Route(upstream="one", listeners=frozenset({"office"}), units=frozenset({1, 2})),
+                    Route(upstream="two", listeners=frozenset({"office"}), units=frozenset({11, 12}), unit_offset=-10),
+                    Route(upstream="foreign", listeners=frozenset({"other"})),
                 )
             ),
         )
@@ -153,8 +153,8 @@ async def test_one_of_two_lines_that_is_down_is_told_and_the_other_hears_it() ->
     async with (
         bus() as line,
         gateway(
-            Route(line="line", units=frozenset({1, 2})),
-            Route(line="down", units=frozenset({3})),
+            Route(upstream="line", units=frozenset({1, 2})),
+            Route(upstream="down", units=frozenset({3})),
             lines={"line": line.url, "down": "rtu+tcp://127.0.0.1:1"},
         ) as (_, link),
     ):
@@ -172,10 +172,10 @@ async def test_a_server_on_tcp_hears_it_only_if_it_is_told_to() -> None:
 
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
         lines = {"tcp": server.endpoints[0]}
-        async with gateway(Route(line="tcp", units=OTHERS), lines=lines) as (_, link):
+        async with gateway(Route(upstream="tcp", units=OTHERS), lines=lines) as (_, link):
             assert await refusal(link.unit(0).write_single_register(5, 55)) == 0x0A
         assert heard == []
-        async with gateway(Route(line="tcp", units=OTHERS), lines=lines, broadcast=True) as (_, link):
+        async with gateway(Route(upstream="tcp", units=OTHERS), lines=lines, broadcast=True) as (_, link):
             await link.unit(0).write_single_register(5, 55)
         assert heard == [0]
 
@@ -184,7 +184,7 @@ async def test_unit_0_of_a_server_on_tcp_is_written_where_a_route_says_so() -> N
     device = busway.Device(holding_registers=10)
     async with (
         busway.serve(ANY_PORT, units={0: device}) as server,
-        gateway(Route(line="tcp", units=frozenset({0})), lines={"tcp": server.endpoints[0]}) as (_, link),
+        gateway(Route(upstream="tcp", units=frozenset({0})), lines={"tcp": server.endpoints[0]}) as (_, link),
     ):
         await link.unit(0).write_single_register(5, 55)
         assert await link.unit(0).read_holding_registers(5, count=1) == [55]
@@ -196,24 +196,24 @@ async def test_unit_0_of_a_server_on_tcp_is_written_where_a_route_says_so() -> N
 @pytest.mark.parametrize(
     "routes",
     [
-        [Route(line="line", units=OTHERS, functions=frozenset({1, 2, 3, 4}))],
+        [Route(upstream="line", units=OTHERS, functions=frozenset({1, 2, 3, 4}))],
         [
             Route(units=OTHERS, functions=frozenset({5, 6, 15, 16, 22, 23}), action=RouteAction.REFUSE),
-            Route(line="line", units=OTHERS),
+            Route(upstream="line", units=OTHERS),
         ],
         [
             Route(units=frozenset({0}), functions=frozenset({6}), action=RouteAction.REFUSE),
-            Route(line="line", units=OTHERS),
+            Route(upstream="line", units=OTHERS),
         ],
         [
             Route(units=frozenset({2}), functions=frozenset({6}), action=RouteAction.REFUSE),
-            Route(line="line", units=OTHERS),
+            Route(upstream="line", units=OTHERS),
         ],
         [
-            Route(line="line", units=frozenset({1})),
-            Route(line="line", units=frozenset({2}), functions=frozenset({3})),
+            Route(upstream="line", units=frozenset({1})),
+            Route(upstream="line", units=frozenset({2}), functions=frozenset({3})),
         ],
-        [Route(line="line", units=OTHERS, addresses=AddressRange(Table.HOLDING_REGISTERS, 0, 5))],
+        [Route(upstream="line", units=OTHERS, addresses=AddressRange(Table.HOLDING_REGISTERS, 0, 5))],
     ],
     ids=["reads only", "writes refused", "unit 0 refused", "one unit refused", "one unit reads only", "out of range"],
 )
@@ -229,7 +229,7 @@ async def test_a_dropped_broadcast_is_neither_sent_nor_answered() -> None:
         bus() as line,
         gateway(
             Route(units=frozenset({0}), action=RouteAction.DROP),
-            Route(line="line", units=OTHERS),
+            Route(upstream="line", units=OTHERS),
             lines={"line": line.url},
         ) as (made, link),
     ):
@@ -241,7 +241,7 @@ async def test_a_dropped_broadcast_is_neither_sent_nor_answered() -> None:
 
 
 async def test_addresses_are_moved_and_long_writes_split_as_for_one_unit() -> None:
-    route = Route(line="line", units=OTHERS, shift=10, max_registers=2, split_writes=True)
+    route = Route(upstream="line", units=OTHERS, shift=10, max_registers=2, split_writes=True)
     async with bus() as line, gateway(route, lines={"line": line.url}) as (made, link):
         await link.unit(0).write_multiple_registers(5, [1, 2, 3, 4, 5])
         assert line.registers(15, 5) == [[1, 2, 3, 4, 5]] * 2
@@ -254,8 +254,8 @@ async def test_units_that_want_it_under_different_addresses_can_not_be_written_a
     async with (
         bus() as line,
         gateway(
-            Route(line="line", units=frozenset({1})),
-            Route(line="line", units=frozenset({2}), shift=10),
+            Route(upstream="line", units=frozenset({1})),
+            Route(upstream="line", units=frozenset({2}), shift=10),
             lines={"line": line.url},
         ) as (_, link),
     ):
@@ -267,8 +267,8 @@ async def test_a_route_may_lead_one_unit_to_all_of_a_line() -> None:
     async with (
         bus() as line,
         gateway(
-            Route(line="line", units=frozenset({200}), unit=0),
-            Route(line="line", units=frozenset({1, 2})),
+            Route(upstream="line", units=frozenset({200}), unit=0),
+            Route(upstream="line", units=frozenset({1, 2})),
             lines={"line": line.url},
         ) as (_, link),
     ):
@@ -286,8 +286,8 @@ async def test_a_policy_that_keeps_a_client_from_one_unit_keeps_it_from_writing_
     async with bus() as line:
         plan = GatewayPlan(
             listeners=(GatewayListener("office", Listener(f"{scheme}://127.0.0.1:0")),),
-            lines=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
-            table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
+            upstreams=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
+            table=RoutingTable((Route(upstream="line", units=frozenset({1, 2})),)),
         )
         async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
             if scheme == "tcp":
@@ -313,8 +313,8 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
     async with bus() as line:
         plan = GatewayPlan(
             listeners=(GatewayListener("office", Listener(f"{scheme}://127.0.0.1:0")),),
-            lines=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
-            table=RoutingTable((Route(line="line", units=frozenset({1, 2})),)),
+            upstreams=(UpstreamSettings.of("line", line.url, turnaround_delay=0.01),),
+            table=RoutingTable((Route(upstream="line", units=frozenset({1, 2})),)),
         )
         async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
             for guard in made._running.values():
@@ -347,9 +347,9 @@ async def test_a_serial_listener_reaches_serial_lines_once_and_servers_on_tcp_un
     listener = GatewayListener("office", Listener("rtu+tcp://127.0.0.1:0"))
     async with bus() as line, busway.serve(ANY_PORT, units=on_tcp) as server, ScriptedPeer(answer) as told:
         async with gateway(
-            Route(line="line", units=frozenset({1, 2})),
-            Route(line="tcp", units=frozenset({5, 6})),
-            Route(line="told", units=frozenset({7}), functions=frozenset({3})),
+            Route(upstream="line", units=frozenset({1, 2})),
+            Route(upstream="tcp", units=frozenset({5, 6})),
+            Route(upstream="told", units=frozenset({7}), functions=frozenset({3})),
             lines={"line": line.url, "tcp": server.endpoints[0], "told": told.endpoint},
             listener=listener,
         ) as (made, link):
@@ -374,8 +374,8 @@ async def test_a_serial_listener_whose_route_names_no_units_reaches_a_server_on_
     listener = GatewayListener("office", Listener("rtu+tcp://127.0.0.1:0"))
     async with bus() as line, busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
         async with gateway(
-            Route(line="line", units=frozenset({1, 2})),
-            Route(line="tcp"),
+            Route(upstream="line", units=frozenset({1, 2})),
+            Route(upstream="tcp"),
             lines={"line": line.url, "tcp": server.endpoints[0]},
             listener=listener,
         ) as (made, link):
@@ -390,8 +390,8 @@ async def test_units_that_lead_elsewhere_do_not_keep_a_line_from_hearing_it() ->
         bus() as one,
         bus() as two,
         gateway(
-            Route(line="one", units=frozenset({1})),
-            Route(line="two", units=OTHERS),
+            Route(upstream="one", units=frozenset({1})),
+            Route(upstream="two", units=OTHERS),
             lines={"one": one.url, "two": two.url},
         ) as (_, link),
     ):
@@ -404,8 +404,8 @@ async def test_a_serial_listener_must_not_write_to_all_what_it_may_not_write_to_
     async with (
         bus() as line,
         gateway(
-            Route(line="line", units=frozenset({1})),
-            Route(line="line", units=frozenset({2}), functions=frozenset({3})),
+            Route(upstream="line", units=frozenset({1})),
+            Route(upstream="line", units=frozenset({2}), functions=frozenset({3})),
             lines={"line": line.url},
             listener=listener,
         ) as (made, link),
@@ -424,12 +424,12 @@ async def test_a_client_that_goes_away_takes_its_queued_broadcasts_with_it() -> 
         lines = {"line": line.url, "stuck": stuck.endpoint}
         plan = GatewayPlan(
             listeners=(LISTENER,),
-            lines=(
+            upstreams=(
                 UpstreamSettings.of("line", lines["line"], turnaround_delay=0.01),
                 UpstreamSettings.of("stuck", lines["stuck"], broadcast=True, timeout=5.0),
             ),
             table=RoutingTable(
-                (Route(line="line", units=frozenset({1, 2})), Route(line="stuck", units=frozenset({3, 4})))
+                (Route(upstream="line", units=frozenset({1, 2})), Route(upstream="stuck", units=frozenset({3, 4})))
             ),
         )
         async with Gateway(plan) as made:

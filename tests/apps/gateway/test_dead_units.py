@@ -11,8 +11,8 @@ from bus import Bus, MasterEnd
 
 import busway
 from busway.apps.gateway.handler import ListenerHandler
-from busway.apps.gateway.lines import Line
 from busway.apps.gateway.routes import ListenerRoutes, Route
+from busway.apps.gateway.upstream import Upstream
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.call import Call
@@ -124,10 +124,10 @@ def polled(dead: frozenset[int], *, asked: range = UNITS, timeout: float = 0.5) 
     bus = Bus(2, 9600)
     master = bus.master(parameters=ClientParameters(timeout=timeout, retries=1, queue=1000))
     bus.servers({unit: busway.Device(holding_registers=1000) for unit in UNITS if unit not in dead})
-    line = Line("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
+    line = Upstream("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
     line._links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(ListenerRoutes([Route(line="line", units=frozenset(UNITS))]), {"line": line})
+    handler.follow(ListenerRoutes([Route(upstream="line", units=frozenset(UNITS))]), {"line": line})
     pollers = Pollers(bus, handler, port=_Nothing())
     bus.ends.append(pollers)
     for client in range(CLIENTS):

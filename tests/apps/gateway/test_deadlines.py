@@ -32,7 +32,7 @@ async def gateway(
     plan = GatewayPlan(
         tuple(GatewayListener(f"listener {n}", Listener(ANY_PORT), deadline=one) for n, one in enumerate(deadlines)),
         (UpstreamSettings.of("line", line, **options),),
-        RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
+        RoutingTable((route or Route(upstream="line", units=frozenset(range(1, 248))),)),
     )
     async with Gateway(plan) as made:
         yield made
@@ -140,7 +140,7 @@ async def test_who_shares_a_read_has_his_own_deadline_and_not_that_of_another(la
 @pytest.mark.parametrize("cache", [None, 5.0])  # by the road of batches, and by the other
 async def test_who_joins_a_read_with_less_time_than_the_first_has_0b_when_his_is_over(cache: float | None) -> None:
     slow = Slow()
-    route = Route(line="line", cache=cache)
+    route = Route(upstream="line", cache=cache)
     async with (
         busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, None), route=route, timeout=5) as made,
@@ -160,7 +160,7 @@ async def test_who_joins_a_read_with_less_time_than_the_first_has_0b_when_his_is
 @pytest.mark.parametrize("cache", [None, 5.0])
 async def test_a_read_for_which_nobody_has_time_left_is_taken_back(cache: float | None) -> None:
     slow = Slow()
-    route = Route(line="line", cache=cache)
+    route = Route(upstream="line", cache=cache)
     async with (
         busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, 0.15, None), route=route, timeout=5) as made,
@@ -184,7 +184,7 @@ async def test_where_nothing_is_said_a_request_is_answered_within_two_and_a_half
     line = UpstreamSettings.of("line", "tcp://127.0.0.1:1")
     assert line.link.parameters.timeout == 1.0
     adaptive_timeout = busway.open("tcp://127.0.0.1:1").parameters.timeout
-    assert worst_case(line, Route(line="line")).seconds < listener.deadline < adaptive_timeout == 3.0
+    assert worst_case(line, Route(upstream="line")).seconds < listener.deadline < adaptive_timeout == 3.0
 
 
 @pytest.mark.real_time
@@ -290,7 +290,7 @@ async def test_a_retry_is_not_begun_for_a_client_whose_deadline_is_over() -> Non
 async def test_a_route_has_its_own_timeout() -> None:
     async with (
         ScriptedPeer(lambda peer, frame: None) as peer,
-        gateway(peer.endpoint, route=Route(line="line", timeout=0.05), timeout=60, retries=0) as made,
+        gateway(peer.endpoint, route=Route(upstream="line", timeout=0.05), timeout=60, retries=0) as made,
         client(made) as link,
     ):
         assert await code_of(link.unit(1).read_holding_registers(0, count=1)) == 0x0B

@@ -33,7 +33,7 @@ def device(first: int = 0) -> busway.Device:
 
 def plan(*routes: Route, lines: dict[str, str], listener: GatewayListener = LISTENER, **options: object) -> GatewayPlan:
     settings = tuple(UpstreamSettings.of(name, url, **options) for name, url in lines.items())
-    return GatewayPlan(listeners=(listener,), lines=settings, table=RoutingTable(routes))
+    return GatewayPlan(listeners=(listener,), upstreams=settings, table=RoutingTable(routes))
 
 
 @contextlib.asynccontextmanager
@@ -87,8 +87,8 @@ async def test_an_unknown_function_is_forwarded_unread() -> None:
 async def test_what_can_not_be_asked_is_0a_and_what_does_not_answer_is_0b() -> None:
     async with ScriptedPeer(lambda peer, frame: None) as silent:
         made = plan(
-            Route(line="silent", units=frozenset({1})),
-            Route(line="down", units=frozenset({2})),
+            Route(upstream="silent", units=frozenset({1})),
+            Route(upstream="down", units=frozenset({2})),
             lines={"silent": silent.endpoint + "?timeout=0.05", "down": "tcp://127.0.0.1:1"},
             retries=0,
         )
@@ -123,7 +123,7 @@ async def test_transaction_slots_of_the_listener_exhausted_are_06() -> None:
     async with ScriptedPeer(lambda peer, frame: None) as silent:
         made = simple_plan([ANY_PORT], silent.endpoint, timeout=0.2, retries=0, share_reads=False)
         made = GatewayPlan(
-            made.listeners, made.lines, made.table, server={"parameters": ServerParameters(max_transactions=2)}
+            made.listeners, made.upstreams, made.table, server={"parameters": ServerParameters(max_transactions=2)}
         )
         async with through(made, max_transactions=4, timeout=5) as (_, link):
             asked = [code_of(link.unit(1).read_holding_registers(n, count=1)) for n in range(4)]
@@ -132,7 +132,7 @@ async def test_transaction_slots_of_the_listener_exhausted_are_06() -> None:
 
 @pytest.mark.clause("T32")
 async def test_the_gateway_itself_answers_on_unit_255_and_on_0() -> None:
-    made = plan(Route(line="line", units=frozenset({1})), lines={"line": "tcp://127.0.0.1:1"})
+    made = plan(Route(upstream="line", units=frozenset({1})), lines={"line": "tcp://127.0.0.1:1"})
     made = replace(made, own_registers=True)
     async with through(made) as (_, link):
         assert (await link.unit(255).read_device_identification())[1] == b"gateway"
@@ -145,8 +145,8 @@ async def test_the_gateway_itself_answers_on_unit_255_and_on_0() -> None:
 
 @pytest.mark.clause("T32")
 async def test_without_an_own_unit_255_is_no_path() -> None:
-    made = plan(Route(line="line", units=frozenset({1})), lines={"line": "tcp://127.0.0.1:1"})
-    made = GatewayPlan(made.listeners, made.lines, made.table, own_unit=None)
+    made = plan(Route(upstream="line", units=frozenset({1})), lines={"line": "tcp://127.0.0.1:1"})
+    made = GatewayPlan(made.listeners, made.upstreams, made.table, own_unit=None)
     async with through(made) as (_, link):
         assert await code_of(link.unit(255).read_device_identification()) == 0x0A
 
@@ -156,8 +156,8 @@ async def test_routes_renumber_shift_split_refuse_and_drop() -> None:
         made = plan(
             Route(units=frozenset({1}), functions=frozenset({6, 16}), action=RouteAction.REFUSE, code=3),
             Route(units=frozenset({1}), addresses=AddressRange(Table.COILS, 0, 10), action=RouteAction.DROP),
-            Route(line="line", units=frozenset({1}), unit=5, shift=100, max_registers=7, max_bits=9),
-            Route(line="line", units=frozenset({105}), unit_offset=-100),
+            Route(upstream="line", units=frozenset({1}), unit=5, shift=100, max_registers=7, max_bits=9),
+            Route(upstream="line", units=frozenset({105}), unit_offset=-100),
             lines={"line": server.endpoints[0]},
         )
         async with through(made, timeout=5, retries=0) as (_, link):
@@ -197,7 +197,7 @@ async def test_a_serial_listener_is_silent_for_units_that_it_does_not_route() ->
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         async with busway.serve(ANY_PORT, units={3: device(300)}) as server:
             made = plan(
-                Route(line="line", units=frozenset({3})),
+                Route(upstream="line", units=frozenset({3})),
                 lines={"line": server.endpoints[0]},
                 listener=GatewayListener("serial", Listener(urls[0])),
             )
@@ -215,7 +215,7 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
         one, two = device(), device()
         async with busway.serve(ANY_PORT, units={3: one, 4: two}) as server:
             made = plan(
-                Route(line="line", units=frozenset({3, 4})),
+                Route(upstream="line", units=frozenset({3, 4})),
                 lines={"line": server.endpoints[0]},
                 listener=GatewayListener("serial", Listener(urls[0])),
             )
@@ -244,7 +244,7 @@ async def test_identical_reads_in_flight_are_asked_once() -> None:
 async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_writes() -> None:
     behind = device()
     async with busway.serve(ANY_PORT, units={1: behind}) as server:
-        made = plan(Route(line="line", cache=60.0), lines={"line": server.endpoints[0]})
+        made = plan(Route(upstream="line", cache=60.0), lines={"line": server.endpoints[0]})
         async with through(made) as (gateway, link):
             unit = link.unit(1)
             assert await unit.read_holding_registers(0, count=20) == list(range(20))
@@ -353,11 +353,11 @@ async def test_draining_ends_with_its_deadline_and_says_what_is_left() -> None:
 async def test_a_change_of_routes_keeps_the_connections() -> None:
     async with busway.serve(ANY_PORT, units={1: device(), 2: device(1000)}) as server:
         lines = {"line": server.endpoints[0]}
-        before = plan(Route(line="line", units=frozenset({1})), lines=lines)
+        before = plan(Route(upstream="line", units=frozenset({1})), lines=lines)
         async with through(before) as (gateway, link):
             assert await link.unit(1).read_holding_registers(0, count=1) == [0]
             assert await code_of(link.unit(2).read_holding_registers(0, count=1)) == 0x0A
-            said = await gateway.change(plan(Route(line="line", units=ALL_UNITS), lines=lines))
+            said = await gateway.change(plan(Route(upstream="line", units=ALL_UNITS), lines=lines))
             assert said == ["1 routes"]
             assert await link.unit(2).read_holding_registers(0, count=1) == [1000]
             assert link.counters.connections == 1
@@ -368,10 +368,10 @@ async def test_a_changed_line_is_dialled_anew_and_the_old_one_closed() -> None:
     async with (
         busway.serve(ANY_PORT, units={1: device()}) as old,
         busway.serve(ANY_PORT, units={1: device(1000)}) as new,
-        through(plan(Route(line="line"), lines={"line": old.endpoints[0]})) as (gateway, link),
+        through(plan(Route(upstream="line"), lines={"line": old.endpoints[0]})) as (gateway, link),
     ):
         assert await link.unit(1).read_holding_registers(0, count=1) == [0]
-        said = await gateway.change(plan(Route(line="line"), lines={"line": new.endpoints[0]}))
+        said = await gateway.change(plan(Route(upstream="line"), lines={"line": new.endpoints[0]}))
         assert said == ["line line changed"]
         assert await link.unit(1).read_holding_registers(0, count=1) == [1000]
         await until(lambda: not old.status().connections)
@@ -380,11 +380,11 @@ async def test_a_changed_line_is_dialled_anew_and_the_old_one_closed() -> None:
 async def test_a_change_that_can_not_be_leaves_everything_as_it_was() -> None:
     async with busway.serve(ANY_PORT, units={1: device()}) as server:
         lines = {"line": server.endpoints[0]}
-        async with through(plan(Route(line="line"), lines=lines)) as (gateway, link):
+        async with through(plan(Route(upstream="line"), lines=lines)) as (gateway, link):
             assert await link.unit(1).read_holding_registers(0, count=1) == [0]
             worse = GatewayPlan(
                 listeners=(LISTENER, GatewayListener("taken", Listener(server.endpoints[0]))),
-                lines=gateway.plan.lines,
+                upstreams=gateway.plan.upstreams,
                 table=gateway.plan.table,
             )
             with pytest.raises(busway.LinkDown):
@@ -410,12 +410,12 @@ async def test_several_connections_to_one_server_share_the_clients_and_keep_each
     ("made", "sentence"),
     [
         (
-            lambda: plan(Route(line="nowhere"), lines={"line": "tcp://127.0.0.1:1"}),
+            lambda: plan(Route(upstream="nowhere"), lines={"line": "tcp://127.0.0.1:1"}),
             "there is no line 'nowhere', but line",
         ),
         (lambda: GatewayPlan((), (), RoutingTable(())), "at least one listener"),
         (
-            lambda: plan(Route(line="line", listeners=frozenset({"x"})), lines={"line": "tcp://127.0.0.1:1"}),
+            lambda: plan(Route(upstream="line", listeners=frozenset({"x"})), lines={"line": "tcp://127.0.0.1:1"}),
             "there is no listener 'x', but office",
         ),
     ],

@@ -14,8 +14,8 @@ from waiting import until
 import busway
 from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.handler import ListenerHandler
-from busway.apps.gateway.lines import Line
 from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, RoutingTable
+from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
 from busway.framing.mbap import MbapFrame
 from busway.server.listener import Listener
@@ -37,7 +37,7 @@ async def test_three_hundred_clients_are_served_over_one_connection_and_leave_no
         plan = GatewayPlan(
             (GatewayListener("office", Listener(ANY_PORT, limits=limits)),),
             (UpstreamSettings.of("line", server.endpoints[0], queue=300, timeout=10, max_transactions=16),),
-            RoutingTable((Route(line="line"),)),
+            RoutingTable((Route(upstream="line"),)),
         )
         async with Gateway(plan) as gateway:
             host, port = gateway.endpoints[0].removeprefix("tcp://").split(":")
@@ -104,8 +104,8 @@ class Taking:
             call.owner.set_result(None)
 
 
-def lines_of(connections: int) -> tuple[Line, list[Taking]]:
-    line = Line("line", link_settings("tcp://127.0.0.1:1", {}), connections=connections)
+def lines_of(connections: int) -> tuple[Upstream, list[Taking]]:
+    line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), connections=connections)
     links = [Taking() for _ in range(connections)]
     line._links.extend(links)  # type: ignore[arg-type]  # instead of connections
     return line, links
@@ -115,7 +115,7 @@ def lines_of(connections: int) -> tuple[Line, list[Taking]]:
 def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) -> None:
     line, links = lines_of(4)
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(ListenerRoutes([Route(line="line", units=ALL_UNITS, cache=60.0)]), {"line": line})
+    handler.follow(ListenerRoutes([Route(upstream="line", units=ALL_UNITS, cache=60.0)]), {"line": line})
     diagnostics = CommunicationState()
 
     def some_clients(first: int) -> None:
@@ -159,7 +159,7 @@ def _ignored(context: RequestContext, reply: object) -> None:
 def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_come() -> None:
     line, links = lines_of(4)
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(ListenerRoutes([Route(line="line")]), {"line": line})
+    handler.follow(ListenerRoutes([Route(upstream="line")]), {"line": line})
 
     def ask(peer: str, address: int) -> Taking:
         context = RequestContext(unit=1, function=3, diagnostics=CommunicationState(), peer=peer, finish=_ignored)

@@ -74,12 +74,12 @@ async def test_reads_never_go_back_behind_a_write_or_another_read(seed: int, cac
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(device.decide)) as server:  # type: ignore[arg-type]
         plan = GatewayPlan(
             listeners=(GatewayListener("office", Listener(ANY_PORT)),),
-            lines=(
+            upstreams=(
                 UpstreamSettings.of(
                     "line", server.endpoints[0], max_transactions=16, queue=1000, connections=3, timeout=20
                 ),
             ),
-            table=RoutingTable((Route(line="line", cache=cache),)),
+            table=RoutingTable((Route(upstream="line", cache=cache),)),
         )
         async with Gateway(plan) as gateway:
 

@@ -49,7 +49,7 @@ async def gateway(
 
 
 def only(*units: int, line: str = "line") -> Route:
-    return Route(line=line, units=frozenset(units))
+    return Route(upstream=line, units=frozenset(units))
 
 
 # --- 0A, 0B, 06, silence -------------------------------------------------------------------------
@@ -170,7 +170,7 @@ async def test_slots_of_the_listener_exhausted_are_06_and_what_waits_is_answered
     async with faulty_line(behind, timeout=5) as line:
         plan = line.gateway.plan
         own = GatewayPlan(
-            plan.listeners, plan.lines, plan.table, server={"parameters": ServerParameters(max_transactions=2)}
+            plan.listeners, plan.upstreams, plan.table, server={"parameters": ServerParameters(max_transactions=2)}
         )
         line.add("late", delay=0.1)
         async with Gateway(own) as made, busway.open(made.endpoints[0], max_transactions=5, timeout=5) as link:
@@ -217,7 +217,7 @@ async def test_a_slow_loris_frees_its_place_and_disturbs_nobody() -> None:
         plan = line.gateway.plan
         limits = ListenerParameters(max_connections=3, frame_timeout=0.1)
         own = GatewayPlan(
-            (GatewayListener("office", Listener(ANY_PORT, limits=limits)),), plan.lines, plan.table, own_unit=None
+            (GatewayListener("office", Listener(ANY_PORT, limits=limits)),), plan.upstreams, plan.table, own_unit=None
         )
         async with Gateway(own) as made:
             host, port = made.endpoints[0].removeprefix("tcp://").split(":")

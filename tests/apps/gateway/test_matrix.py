@@ -70,8 +70,8 @@ async def gateway_between(listener: str, line: str, files: Files) -> AsyncIterat
         async with busway.serve(inner.listen, units={unit: device(unit) for unit in UNITS}) as server:
             plan = GatewayPlan(
                 listeners=(GatewayListener("office", Listener(outer.listen)),),
-                lines=(UpstreamSettings.of("line", inner.client(server.endpoints[0]), timeout=2.0),),
-                table=RoutingTable((Route(line="line", units=frozenset({*UNITS, 30})),)),
+                upstreams=(UpstreamSettings.of("line", inner.client(server.endpoints[0]), timeout=2.0),),
+                table=RoutingTable((Route(upstream="line", units=frozenset({*UNITS, 30})),)),
                 own_unit=None,
             )
             async with (

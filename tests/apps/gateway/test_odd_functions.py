@@ -49,7 +49,7 @@ async def between(
             plan = GatewayPlan(
                 (GatewayListener("office", Listener(outer[0])),),
                 (UpstreamSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),
-                RoutingTable((Route(line="line", units=frozenset({3})),)),
+                RoutingTable((Route(upstream="line", units=frozenset({3})),)),
                 functions=functions,
                 own_unit=None,
             )

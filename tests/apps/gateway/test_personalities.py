@@ -88,7 +88,7 @@ ROWS = (
     Row("min-gap", RIGHT, {"seconds": 0.03}, {"request_gap": 0.05, **PATIENT}),
     Row("unit-switch", RIGHT, line={"timeout": TIMEOUT, "retries": 1}),
     Row("max-block", 3, {"items": 5}, count=6),
-    Row("max-block", RIGHT, {"items": 5}, count=17, route=Route(line="line", max_registers=5)),
+    Row("max-block", RIGHT, {"items": 5}, count=17, route=Route(upstream="line", max_registers=5)),
     Row("hole", 2, {"address": 10}),
     Row("short", BROKEN, {"missing": 1}, {"timeout": TIMEOUT, "retries": 0}),
     Row("long", BROKEN, {"extra": 1}, {"timeout": TIMEOUT, "retries": 0}, only=("tcp",)),
@@ -209,7 +209,7 @@ async def test_whoever_answers_a_broadcast_is_not_taken_for_the_next_one_that_is
 
 
 async def test_wide_registers_go_through_in_their_width_where_the_line_is_told_of_it() -> None:
-    route = Route(line="line", shift=5, max_registers=10, cache=60.0)
+    route = Route(upstream="line", shift=5, max_registers=10, cache=60.0)
     async with (
         faulty_line("tcp", route=route, register_width=4, timeout=AMPLE) as line,
         busway.open(line.endpoint, timeout=AMPLE, retries=0, register_width=4) as link,

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import busway
 from busway.apps.gateway.handler import ListenerHandler
-from busway.apps.gateway.lines import Line
 from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
+from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.faults.clock import FakeClock
@@ -105,7 +105,7 @@ def asked_by(handler: ListenerHandler, unit: int, pdu: bytes, *, peer: str = "cl
 
 ROUTES = st.builds(
     lambda line, units, functions, addresses, unit, shift, limits, writes, refusal: Route(
-        line="" if refusal else line,
+        upstream="" if refusal else line,
         units=units,
         functions=functions,
         addresses=None if addresses is None else AddressRange(addresses[0], addresses[1], addresses[1] + addresses[2]),
@@ -181,7 +181,7 @@ def expected(routes: Sequence[Route], unit: int, pdu: bytes) -> tuple[str, int, 
         if limit is None or function == 6 or (function in (15, 16) and not route.split_writes):
             limit = count
         return (
-            route.line,
+            route.upstream,
             route.unit or unit,
             [_piece(pdu, at, min(limit, count - at), address + route.shift) for at in range(0, count, limit)],
         )
@@ -203,8 +203,8 @@ def _piece(pdu: bytes, at: int, count: int, address: int) -> bytes:
     return head
 
 
-def _line(name: str, devices: dict[int, PlainDevice]) -> tuple[Line, InstantLink]:
-    line = Line(name, link_settings("tcp://127.0.0.1:1", {}))
+def _line(name: str, devices: dict[int, PlainDevice]) -> tuple[Upstream, InstantLink]:
+    line = Upstream(name, link_settings("tcp://127.0.0.1:1", {}))
     link = InstantLink(devices)
     line._links.append(link)  # type: ignore[arg-type]  # instead of a connection
     return line, link
@@ -237,9 +237,9 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
             assert asked == {}
             assert reply == (None if found is None else bytes((pdu[0] | 0x80, found)))
             continue
-        name, unit_behind, pieces = found
-        assert asked == {name: [(unit_behind, piece) for piece in pieces]}
-        device = model[name].setdefault(unit_behind, PlainDevice())
+        name, upstream_unit, pieces = found
+        assert asked == {name: [(upstream_unit, piece) for piece in pieces]}
+        device = model[name].setdefault(upstream_unit, PlainDevice())
         answers = [device.answer(piece) for piece in pieces]
         bad = next((one for one in answers if one[0] & 0x80), None)
         if bad is not None:
@@ -320,10 +320,10 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     clock = FakeClock(100.0)
     device = Chronicle(clock)
     link = InstantLink(dict.fromkeys((1, 255), device))  # type: ignore[arg-type]  # 255 is the device itself
-    line = Line("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
+    line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
     handler = ListenerHandler("office", busway.STANDARD)
-    route = Route(line="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
+    route = Route(upstream="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
     handler.follow(RoutingTable((route,)).of_listener("office"), {"line": line})
     written: dict[int, tuple[float, int]] = {}  # when somebody last saw a write end
     for action, number, extra in steps:
@@ -349,10 +349,10 @@ def test_a_remembered_value_is_used_at_all() -> None:
     """Or the property above would say nothing."""
     clock = FakeClock(100.0)
     link = InstantLink({1: PlainDevice()})
-    line = Line("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
+    line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(RoutingTable((Route(line="line", cache=1.0),)).of_listener("office"), {"line": line})
+    handler.follow(RoutingTable((Route(upstream="line", cache=1.0),)).of_listener("office"), {"line": line})
     for seconds, requests in ((0.0, 1), (0.5, 1), (0.49, 1), (0.02, 2)):
         clock.advance(seconds)
         assert asked_by(handler, 1, bytes.fromhex("03 0001 0001")) == bytes.fromhex("03 02 0007")

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import busway
 from busway.access.authorizer import PolicyHandler
 from busway.apps.gateway.handler import ListenerHandler
-from busway.apps.gateway.lines import Line
 from busway.apps.gateway.routes import AddressRange, ListenerRoutes, Route, RouteAction
+from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.framing.mbap import MbapReceiver, encode_mbap
@@ -78,7 +78,7 @@ class WireLink:
         segments: how many requests each segment had.
     """
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: Upstream) -> None:
         self.session = TcpClientSession(line.settings.parameters)
         self.session.serve_units_in_turn()
         self.session.connected(0.0)
@@ -217,10 +217,10 @@ class Plant:
         **options: Any,
     ) -> None:
         options = {"max_transactions": 16, "retries": 0, "queue": 200, **options}
-        self.line = Line("line", link_settings("tcp://127.0.0.1:1", options), share_reads=share_reads)
+        self.line = Upstream("line", link_settings("tcp://127.0.0.1:1", options), share_reads=share_reads)
         self.link = WireLink(self.line)
         self.listener = ListenerHandler("office", busway.STANDARD)
-        self.listener.follow(ListenerRoutes(routes or (Route(line="line"),)), {"line": self.line})
+        self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.line})
         self.handler: Any = self.listener if bunches else LongRoad(self.listener)
         if policy is not None:
             self.handler = PolicyHandler(self.handler, policy)
@@ -233,10 +233,10 @@ class Plant:
 
 ROUTES = [
     Route(action=RouteAction.REFUSE, code=4, addresses=AddressRange(Table.HOLDING_REGISTERS, 300, 310)),
-    Route(line="line", units=frozenset({2}), unit=7, shift=20),
-    Route(line="line", units=frozenset({3}), max_registers=3),
-    Route(line="line", units=frozenset({4}), functions=frozenset({3}), timeout=0.3),
-    Route(line="line", units=frozenset({1})),
+    Route(upstream="line", units=frozenset({2}), unit=7, shift=20),
+    Route(upstream="line", units=frozenset({3}), max_registers=3),
+    Route(upstream="line", units=frozenset({4}), functions=frozenset({3}), timeout=0.3),
+    Route(upstream="line", units=frozenset({1})),
 ]
 PDUS = st.one_of(
     st.builds(read, st.integers(0, 12), st.integers(1, 4)),
@@ -591,7 +591,7 @@ def test_new_routes_hold_from_the_next_request_on_and_what_is_on_its_way_is_answ
     plant = Plant()
     client = plant.client("client")
     client.ask(read(0), read(1))
-    plant.listener.follow(ListenerRoutes((Route(line="line", unit=9, shift=100),)), {"line": plant.line})
+    plant.listener.follow(ListenerRoutes((Route(upstream="line", unit=9, shift=100),)), {"line": plant.line})
     client.ask(read(0))
     assert [(unit, pdu) for _, unit, pdu in plant.link.asked] == [(1, read(0)), (1, read(1)), (9, read(100))]
     plant.link.answer()

@@ -48,7 +48,7 @@ def plan(line: str, *, listeners: int = 2, **route: Any) -> GatewayPlan:
     return GatewayPlan(
         tuple(GatewayListener(f"listener {n}", Listener(ANY_PORT)) for n in range(listeners)),
         (UpstreamSettings.of("line", line, same_device=(frozenset({1, 2}),)),),
-        RoutingTable((Route(line="line", **route),)),
+        RoutingTable((Route(upstream="line", **route),)),
     )
 
 
@@ -104,7 +104,7 @@ async def test_a_write_to_one_unit_of_a_device_is_seen_by_a_remembered_read_of_a
 
 def test_a_file_says_which_units_are_the_same_device_and_the_check_repeats_it() -> None:
     configuration = parse_gateway(FILE.format(groups="[[1, 2], [5, 6]]"), "x.toml")
-    assert configuration.plan.lines[0].same_device == (frozenset({1, 2}), frozenset({5, 6}))
+    assert configuration.plan.upstreams[0].same_device == (frozenset({1, 2}), frozenset({5, 6}))
     rows = {(kind, name): said for kind, name, said in gateway_rows(configuration)}
     assert "units 1-2 are the same device; units 5-6 are the same device" in rows["line", "hall"]
 

@@ -26,18 +26,18 @@ def _find(routes: list[Route], unit: int, request: busway.Request) -> Route | St
 
 
 def test_the_first_route_that_fits_decides() -> None:
-    first, second = Route(line="a", units=frozenset({1})), Route(line="b")
+    first, second = Route(upstream="a", units=frozenset({1})), Route(upstream="b")
     read = busway.ReadHoldingRegisters(0, 1)
     assert _find([first, second], 1, read) is first
     assert _find([first, second], 2, read) is second
 
 
 def test_a_unit_without_a_route_has_none() -> None:
-    assert _find([Route(line="a", units=frozenset({1}))], 2, busway.ReadHoldingRegisters(0, 1)) is None
+    assert _find([Route(upstream="a", units=frozenset({1}))], 2, busway.ReadHoldingRegisters(0, 1)) is None
 
 
 def test_a_route_may_take_some_functions_only() -> None:
-    reads = Route(line="a", functions=frozenset({3, 4}))
+    reads = Route(upstream="a", functions=frozenset({3, 4}))
     assert _find([reads], 1, busway.ReadHoldingRegisters(0, 1)) is reads
     assert _find([reads], 1, busway.WriteSingleRegister(0, 1)) is None
 
@@ -57,7 +57,7 @@ def test_a_route_may_take_some_functions_only() -> None:
     ],
 )
 def test_a_range_takes_what_lies_wholly_within_it(request_: busway.Request, taken: bool) -> None:
-    route = Route(line="a", addresses=AddressRange(HOLDING, 100, 110))
+    route = Route(upstream="a", addresses=AddressRange(HOLDING, 100, 110))
     assert _find([route], 1, request_) == (route if taken else None)
 
 
@@ -71,35 +71,37 @@ def test_a_range_takes_what_lies_wholly_within_it(request_: busway.Request, take
     ],
 )
 def test_what_lies_across_the_edge_of_a_range_fits_nowhere(request_: busway.Request) -> None:
-    route = Route(line="a", addresses=AddressRange(HOLDING, 100, 110))
-    assert _find([route, Route(line="b")], 1, request_) == Straddles(route)
+    route = Route(upstream="a", addresses=AddressRange(HOLDING, 100, 110))
+    assert _find([route, Route(upstream="b")], 1, request_) == Straddles(route)
 
 
 def test_a_route_that_can_never_be_reached_is_refused_by_name() -> None:
     with pytest.raises(ConfigError, match="never reached: 'all of it'") as error:
-        RoutingTable((Route(line="a", name="all of it"), Route(line="b", units=frozenset({7}))))
+        RoutingTable((Route(upstream="a", name="all of it"), Route(upstream="b", units=frozenset({7}))))
     assert error.value.key == "route[1]"
 
 
 def test_routes_of_different_listeners_do_not_hide_each_other() -> None:
-    table = RoutingTable((Route(line="a", listeners=frozenset({"x"})), Route(line="b", listeners=frozenset({"y"}))))
+    table = RoutingTable(
+        (Route(upstream="a", listeners=frozenset({"x"})), Route(upstream="b", listeners=frozenset({"y"})))
+    )
     read = busway.ReadCoils(0, 1)
-    assert [table.of_listener(name).find(1, read).line for name in "xy"] == ["a", "b"]  # type: ignore[union-attr]
+    assert [table.of_listener(name).find(1, read).upstream for name in "xy"] == ["a", "b"]  # type: ignore[union-attr]
     assert table.of_listener("z").units == frozenset()
 
 
 @pytest.mark.parametrize(
     ("options", "key"),
     [
-        ({"line": "a", "action": RouteAction.DROP}, "line"),
-        ({}, "line"),
-        ({"line": "a", "units": frozenset()}, "units"),
-        ({"line": "a", "units": frozenset({300})}, "units"),
-        ({"line": "a", "unit_offset": 1}, "unit_offset"),
-        ({"line": "a", "unit": 256}, "unit"),
-        ({"line": "a", "units": frozenset({1}), "unit": 2, "unit_offset": 1}, "unit_offset"),
-        ({"line": "a", "max_registers": 0}, "max_registers"),
-        ({"line": "a", "cache": -1.0}, "cache"),
+        ({"upstream": "a", "action": RouteAction.DROP}, "upstream"),
+        ({}, "upstream"),
+        ({"upstream": "a", "units": frozenset()}, "units"),
+        ({"upstream": "a", "units": frozenset({300})}, "units"),
+        ({"upstream": "a", "unit_offset": 1}, "unit_offset"),
+        ({"upstream": "a", "unit": 256}, "unit"),
+        ({"upstream": "a", "units": frozenset({1}), "unit": 2, "unit_offset": 1}, "unit_offset"),
+        ({"upstream": "a", "max_registers": 0}, "max_registers"),
+        ({"upstream": "a", "cache": -1.0}, "cache"),
         ({"action": RouteAction.REFUSE, "code": 0}, "code"),
     ],
 )
@@ -122,7 +124,7 @@ def _ranges(draw: st.DrawFn) -> AddressRange | None:
 ROUTES = st.lists(
     st.builds(
         Route,
-        line=st.just("a"),
+        upstream=st.just("a"),
         functions=st.sampled_from([frozenset(), frozenset({3}), frozenset({3, 6, 16}), frozenset({1, 23})]),
         addresses=_ranges(),
         shift=st.integers(0, 1000),  # tells them apart
@@ -172,7 +174,7 @@ def test_many_ranges_of_one_unit_are_not_looked_through(monkeypatch: pytest.Monk
         raise AssertionError("looked through")
 
     monkeypatch.setattr(ListenerRoutes, "_looked_through", never)
-    routes = [Route(line="a", addresses=AddressRange(HOLDING, 10 * n, 10 * n + 10), shift=n) for n in range(500)]
+    routes = [Route(upstream="a", addresses=AddressRange(HOLDING, 10 * n, 10 * n + 10), shift=n) for n in range(500)]
     found = ListenerRoutes(routes)
     assert found.find(1, busway.ReadHoldingRegisters(4321, 9)) is routes[432]
     assert found.find(1, busway.ReadHoldingRegisters(4321, 10)) == Straddles(routes[432])

@@ -80,9 +80,9 @@ def test_a_refusal_behind_the_routes_that_it_was_meant_for_is_refused() -> None:
     ("keys", "sentence"),
     [
         ({"units": "248"}, "9: route[0].units: unit 248 would be 248 on 'hall', a serial line, which has units 1…247"),
-        ({"units": "1,0"}, "9: route[0].units: unit 0 would be 0 on 'hall', where nobody answers; a broadcast goes"),
+        ({"units": "1,0"}, "9: route[0].units: unit 0 would be 0 on 'hall', where no unit answers; a broadcast goes"),
         ({"units": "1", "unit": 250}, "10: route[0].unit: unit 1 would be 250 on 'hall', a serial line"),
-        ({"unit": 0}, "9: route[0].unit: unit 1 would be 0 on 'hall', where nobody answers"),
+        ({"unit": 0}, "9: route[0].unit: unit 1 would be 0 on 'hall', where no unit answers"),
         ({"units": "5", "unit_offset": -6}, "10: route[0].unit_offset: unit 5 would become -1"),
         ({"units": "200", "unit_offset": 50}, "10: route[0].unit_offset: unit 200 would be 250 on 'hall'"),
         ({"unit_offset": 255}, "9: route[0].unit_offset: leaves no unit that 'hall' has"),
@@ -244,7 +244,7 @@ def test_a_deadline_out_of_range_is_refused() -> None:
 
 def test_the_worst_case_of_a_write_has_no_retries_and_the_longest_frame() -> None:
     line = UpstreamSettings.of("x", "rtu:///dev/x?baud=1200", timeout=1.0, retries=0)
-    case = worst_case(line, Route(line="x"))
+    case = worst_case(line, Route(upstream="x"))
     assert case.seconds == pytest.approx(1.0 + 0.05 + 256 * 11 / 1200)
 
 
@@ -307,7 +307,7 @@ def test_a_listener_that_the_network_reaches_and_roles_without_tls_are_warned_of
 def test_gaps_of_routes_are_those_of_the_units_behind_on_serial_lines_only() -> None:
     slow = route("hall", units="101-102", unit_offset=-100, request_gap=0.5)
     plan = parse_gateway(LISTENER + LINE + slow + route("hall", units="2", request_gap=0.7), "x").plan
-    assert plan.lines[0].unit_gaps == {1: 0.5, 2: 0.7}
+    assert plan.upstreams[0].unit_gaps == {1: 0.5, 2: 0.7}
     assert refused(LISTENER, SERVER, route("server", units="1", request_gap=0.5)) == [
         "10: route[0].request_gap: is an option of the line where that is no serial one"
     ]

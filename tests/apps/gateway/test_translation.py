@@ -6,12 +6,12 @@ from hypothesis import strategies as st
 
 import busway
 from busway.apps.gateway.routes import Route
-from busway.apps.gateway.translation import behind, in_front
+from busway.apps.gateway.translation import client_reply, upstream_requests
 from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.pdu.general import OpaqueRequest
 
-SHIFTED = Route(line="a", shift=100)
+SHIFTED = Route(upstream="a", shift=100)
 
 
 class _Device:
@@ -50,11 +50,11 @@ REQUESTS = st.one_of(
 def test_a_request_in_pieces_has_the_answer_and_effect_of_the_whole(
     request: busway.Request, registers: int, bits: int
 ) -> None:
-    route = Route(line="a", max_registers=registers, max_bits=bits, split_writes=True)
+    route = Route(upstream="a", max_registers=registers, max_bits=bits, split_writes=True)
     whole, split = _Device(), _Device()
-    sent = behind(request, route)
+    sent = upstream_requests(request, route)
     replies = [split.ask(one) for one in sent]
-    assert in_front(request, route, sent, replies) == whole.ask(request)
+    assert client_reply(request, route, sent, replies) == whole.ask(request)
     for table in Table:
         view = table.value
         assert getattr(whole.device, view)[0:2000] == getattr(split.device, view)[0:2000]
@@ -62,35 +62,35 @@ def test_a_request_in_pieces_has_the_answer_and_effect_of_the_whole(
 
 @given(REQUESTS, st.integers(-200, 200))
 def test_a_shift_moves_the_addresses_and_the_answer_moves_them_back(request: busway.Request, shift: int) -> None:
-    route = Route(line="a", shift=shift)
+    route = Route(upstream="a", shift=shift)
     address = request.spans()[0].address
     if address + shift < 0:
         with pytest.raises(InvalidRequest):
-            behind(request, route)
+            upstream_requests(request, route)
         return
-    (moved,) = behind(request, route)
+    (moved,) = upstream_requests(request, route)
     assert moved.spans()[0].address == address + shift
-    reply = in_front(request, route, (moved,), [_Device().ask(moved)])
+    reply = client_reply(request, route, (moved,), [_Device().ask(moved)])
     if request.spans()[0].writes:
         assert request.prepare()[:5] == reply.encode()[:5]
 
 
 def test_both_addresses_of_function_23_are_shifted() -> None:
-    (moved,) = behind(busway.ReadWriteMultipleRegisters.of(1, 2, 3, [4]), SHIFTED)
+    (moved,) = upstream_requests(busway.ReadWriteMultipleRegisters.of(1, 2, 3, [4]), SHIFTED)
     assert isinstance(moved, busway.ReadWriteMultipleRegisters)
     assert (moved.read_address, moved.write_address) == (101, 103)
 
 
 def test_a_shift_beyond_the_table_is_refused() -> None:
     with pytest.raises(InvalidRequest):
-        behind(busway.ReadHoldingRegisters(65_500, 10), SHIFTED)
+        upstream_requests(busway.ReadHoldingRegisters(65_500, 10), SHIFTED)
 
 
 def test_writes_are_not_split_unless_asked_for() -> None:
     request = busway.WriteMultipleRegisters.of(0, [1, 2, 3])
-    assert behind(request, Route(line="a", max_registers=1)) == (request,)
+    assert upstream_requests(request, Route(upstream="a", max_registers=1)) == (request,)
 
 
 def test_a_function_without_addresses_goes_through_as_it_is() -> None:
     for request in (OpaqueRequest(0x41, b"abc"), busway.ReportServerId()):
-        assert behind(request, SHIFTED) == (request,)
+        assert upstream_requests(request, SHIFTED) == (request,)

@@ -34,7 +34,7 @@ async def gateway(line: str, *, route: Route | None = None, **options: Any) -> A
     plan = GatewayPlan(
         (GatewayListener("office", Listener(ANY_PORT)),),
         (UpstreamSettings.of("line", line, **options),),
-        RoutingTable((route or Route(line="line", units=frozenset(range(1, 248))),)),
+        RoutingTable((route or Route(upstream="line", units=frozenset(range(1, 248))),)),
     )
     async with Gateway(plan) as made:
         yield made
@@ -91,7 +91,7 @@ async def test_the_rest_of_a_split_read_is_not_asked_for_a_client_that_has_gone(
     slow = Slow()
     async with (
         busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
-        gateway(server.endpoints[0], route=Route(line="line", max_registers=10), timeout=5) as made,
+        gateway(server.endpoints[0], route=Route(upstream="line", max_registers=10), timeout=5) as made,
     ):
         leaving = client(made)
         asked = asyncio.create_task(leaving.unit(1).read_holding_registers(0, count=100))
@@ -110,7 +110,7 @@ async def test_the_rest_of_a_split_read_is_not_asked_for_a_client_that_has_gone(
 async def test_a_split_write_that_has_begun_is_written_to_its_end() -> None:
     """Half a block would be worse than all of it; and nobody may read the range as unchanged meanwhile."""
     slow = Slow()
-    route = Route(line="line", max_registers=2, split_writes=True, cache=60)
+    route = Route(upstream="line", max_registers=2, split_writes=True, cache=60)
     async with (
         busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], route=route, timeout=5) as made,
@@ -180,7 +180,7 @@ async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | 
     before = open_handles()
     gate = HeldReplies()
     async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
-        route = Route(line="line", cache=cache, max_registers=3)
+        route = Route(upstream="line", cache=cache, max_registers=3)
         async with gateway(server.endpoints[0], route=route, timeout=5, queue=1000) as made:
             for turn in range(15):
                 links = [client(made, max_transactions=8) for _ in range(4)]
@@ -334,7 +334,7 @@ def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
     assert opening.port_wait == seconds
     told = "".join(f"{key} = {value}\n" for key, value in options.items())
     text = f'listen = ["{ANY_PORT}"]\n[[line]]\nname = "line"\nurl = "{url}"\n{told}'
-    read = parse_gateway(text, "gateway.toml").plan.lines[0].link.line
+    read = parse_gateway(text, "gateway.toml").plan.upstreams[0].link.line
     assert read is not None
     assert read.opening.port_wait == seconds
 

@@ -60,9 +60,9 @@ def gateway_port() -> Iterator[int]:
             lines.append(UpstreamSettings.of(f"line {unit}", url_of(kind.split("-")[1], wire.paths[0]), timeout=2.0))
         plan = GatewayPlan(
             listeners=(GatewayListener("office", Listener("tcp://127.0.0.1:0")),),
-            lines=tuple(lines),
+            upstreams=tuple(lines),
             table=RoutingTable(
-                tuple(Route(line=f"line {unit}", units=frozenset({unit}), unit=UNIT) for unit in SERVERS)
+                tuple(Route(upstream=f"line {unit}", units=frozenset({unit}), unit=UNIT) for unit in SERVERS)
             ),
         )
         yield stack.enter_context(running(plan))

@@ -1,9 +1,9 @@
-"""What a client in front is told when the line behind brought no answer.
+"""What a client in front is told when the upstream brought no answer.
 
 Knows errors and exception codes (Messaging on TCP/IP V1.0b §4.4.2.5, Application Protocol V1.1b3 §7).
 
 1. An exception of the device goes through as it is.
-2. Where the request did not get to the device, or the line is down or overloaded: 0A. What waited so long that its
+2. Where the request did not get to the device, or the upstream is down or overloaded: 0A. What waited so long that its
    client has given up was not sent either.
 3. Where the device was asked and gave no answer that could be used, or is known not to answer: 0B. A write that may
    have been executed is among them: the client must not take it for refused.

@@ -35,7 +35,7 @@ from ...session.parameters import CLIENT_DEADLINE, ServerParameters
 from ...transport.tcp import SocketParameters
 from ...transport.tls.parameters import TlsParameters
 from ..server.configuration import Configuration, put_together
-from .gateway import OF_LINES, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from .gateway import UPSTREAM_DEFAULTS, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
 from .routes import RoutingTable
 from .routing_table import PlacedListener, PlacedRoute, judge_routes, placed_routes, unit_gaps
 
@@ -55,7 +55,7 @@ class GatewayConfiguration:
     Attributes:
         common: what it has in common with other configurations: security, policy, audit log, metrics, control.
         file: its sections.
-        plan: listeners, lines and routes.
+        plan: listeners, upstreams and routes.
         routes: the routes, each with where it stands.
         at_once: sections that hold at once when the file is read again while it runs.
     """
@@ -121,7 +121,7 @@ class GatewayConfiguration:
             policy: what holds at new listeners until the policy is replaced.
 
         Raises:
-            LinkDown, ConfigError: a new listener or line can not be had; everything is as before.
+            LinkDown, ConfigError: a new listener or upstream can not be had; everything is as before.
         """
         assert isinstance(running, Gateway)
         old = running.plan
@@ -156,7 +156,7 @@ def load_gateway(
 
     Raises:
         ConfigError: the file can not be read, or something in it can not be; then it has all ``problems``, each with
-            file, line and key.
+            file, upstream and key.
     """
     name = os.fspath(path)
     return parse_gateway(read_text(name), name, examine=examine, changes=changes)
@@ -173,7 +173,7 @@ def parse_gateway(
         examine, changes: as of `load_gateway`.
 
     Raises:
-        FileError: all that is wrong, each with file, line and key.
+        FileError: all that is wrong, each with file, upstream and key.
     """
     file, source = read_gateway_file(text, name)
     return _put_together(file, source, examine=examine, changes=changes)
@@ -181,16 +181,16 @@ def parse_gateway(
 
 def simple_gateway(
     listeners: Sequence[str],
-    line: str,
+    upstream: str,
     *,
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """The common case, without a file: every unit of every listener to one line.
+    """The common case, without a file: every unit of every listener to one upstream.
 
     Args:
         listeners: URLs to listen on.
-        line: URL of the line, or server, behind.
+        upstream: URL of the upstream, or server, behind.
         changes: as of `load_gateway`.
         client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
 
@@ -199,12 +199,12 @@ def simple_gateway(
     """
     for url in listeners:
         listener_settings(Listener(url), limits=ListenerParameters())
-    link_settings(line, {})
-    source = Source(COMMAND, {"listen": list(listeners), "line": [{"name": "line", "url": line}]}, {})
+    link_settings(upstream, {})
+    source = Source(COMMAND, {"listen": list(listeners), "line": [{"name": "line", "url": upstream}]}, {})
     try:
         return _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
     except FileError as error:
-        # There is no file whose line could be named.
+        # There is no file whose upstream could be named.
         raise ConfigError("; ".join(each.message for each in error.problems)) from error
 
 
@@ -223,15 +223,15 @@ def _put_together(
     listeners = _named_apart(
         [_placed_listener(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
     )
-    lines = {}
+    upstreams = {}
     for index, section in enumerate(file.line):
-        line = _line(file, section, name, ("line", index), judge)
-        if line is not None:
-            lines[line.name] = line
+        upstream = _upstream(file, section, name, ("line", index), judge)
+        if upstream is not None:
+            upstreams[upstream.name] = upstream
         if examine:
-            _examine_line(section, name, ("line", index), judge)
-    routes = placed_routes(file, lines, judge)
-    judge_routes(file, routes, listeners, lines, None if common.access is None else common.access.policy, judge)
+            _examine_upstream(section, name, ("line", index), judge)
+    routes = placed_routes(file, upstreams, judge)
+    judge_routes(file, routes, listeners, upstreams, None if common.access is None else common.access.policy, judge)
     served, server = _as_served(common)
     warnings = judge.end()
     plan = GatewayPlan(
@@ -239,7 +239,7 @@ def _put_together(
             GatewayListener(listener.name, settings, listener.deadline, _is_silent(file, listener.place))
             for listener, settings in zip(listeners, served, strict=True)
         ),
-        lines=tuple(replace(line, unit_gaps=unit_gaps(routes, name)) for name, line in lines.items()),
+        upstreams=tuple(replace(upstream, unit_gaps=unit_gaps(routes, name)) for name, upstream in upstreams.items()),
         table=RoutingTable(tuple(one.route for one in routes)),
         own_unit=file.gateway.own_unit,
         own_registers=file.gateway.own_registers,
@@ -277,9 +277,11 @@ def _is_silent(file: GatewayFile, place: Place) -> bool:
     return section is not None and section.silent_broadcasts
 
 
-def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> UpstreamSettings | None:
+def _upstream(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> UpstreamSettings | None:
     general, security = for_all_links(file)
-    link = named_link(section, {**OF_LINES, **general}, security, lambda options: rooted(options, name), at, judge)
+    link = named_link(
+        section, {**UPSTREAM_DEFAULTS, **general}, security, lambda options: rooted(options, name), at, judge
+    )
     if link is None:
         return None
     return judge.make(
@@ -295,7 +297,7 @@ def _line(file: GatewayFile, section: LineSection, name: str, at: Place, judge: 
     )
 
 
-def _examine_line(section: LineSection, name: str, at: Place, judge: Judge) -> None:
+def _examine_upstream(section: LineSection, name: str, at: Place, judge: Judge) -> None:
     for key in TLS_FILES:
         path = getattr(section, key)
         if path is not None:

@@ -1,6 +1,6 @@
 """A table of functions that remembers how the reads of pollers were decoded.
 
-Knows requests; knows no line.
+Knows requests; knows no upstream.
 """
 
 from ...pdu.functions import AnyRequest, FunctionTable
@@ -10,7 +10,7 @@ REMEMBERED = 4096
 
 
 class RememberingTable(FunctionTable):
-    """Gives one object for the same read, so that it is decoded once, and encoded once for the line behind.
+    """Gives one object for the same read, so that it is decoded once, and encoded once for the upstream.
 
     Clients of a gateway ask the same few questions for ever: 1.5 µs of 12 per transaction.
     """

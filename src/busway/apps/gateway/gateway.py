@@ -1,11 +1,11 @@
-"""The gateway: listeners, routes and lines, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
+"""The gateway: listeners, routes and upstreams, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
 
-Knows servers, routes and lines; knows no file.
+Knows servers, routes and upstreams; knows no file.
 
 1. Each listener is a server of its own, so that one can be opened, closed or changed while the others go on.
 2. Draining ends with the answers of what was asked before it, or with its deadline: no new connection is taken, and
    nothing more is read, meanwhile.
-3. A change of configuration keeps every unchanged listener and line with its connections; routes change for all
+3. A change of configuration keeps every unchanged listener and upstream with its connections; routes change for all
    from one request to the next.
 4. One policy, one audit log and one count of a rule's rates hold for all listeners.
 """
@@ -41,15 +41,15 @@ from ...session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ...session.reconnect import ConnectionState
 from .functions import RememberingTable
 from .handler import GatewayListenerCounters, ListenerHandler
-from .lines import MAX_CONNECTIONS, Line, LineStatus
 from .own_unit import STATES, own_device
 from .routes import RoutingTable
+from .upstream import MAX_CONNECTIONS, Upstream, UpstreamStatus
 
 if TYPE_CHECKING:
     from ...access.audit import AuditLog
 
 DRAIN_SECONDS = 5.0
-OF_LINES: Mapping[str, Any] = {  # Any: values of options
+UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
     "port_wait": 0.0,
     "timeout": TIMEOUT_BY_FRAMING["rtu"],
     "open_after": OPEN_AFTER_BY_FRAMING["rtu"],
@@ -132,7 +132,7 @@ class UpstreamSettings:
         """
         endpoint = parse_endpoint(url)
         offered = options_of(endpoint)
-        for key, value in OF_LINES.items():
+        for key, value in UPSTREAM_DEFAULTS.items():
             if key in offered and key not in endpoint.options:
                 options.setdefault(key, value)
         names = ("connections", "share_reads", "broadcast", "unit_gaps", "same_device")
@@ -165,7 +165,7 @@ class GatewayStatus:
     uptime: float
     endpoints: tuple[str, ...]
     gateway_listeners: tuple[GatewayListenerStatus, ...]
-    upstreams: tuple[LineStatus, ...]
+    upstreams: tuple[UpstreamStatus, ...]
     open_requests: int
 
     @property
@@ -204,7 +204,7 @@ class GatewayStatus:
 
     @property
     def local_connections(self) -> int:
-        """Connections of the lines that stand."""
+        """Connections of the upstreams that stand."""
         return sum(link.state in _CONNECTED for upstream in self.upstreams for link in upstream.links)
 
 
@@ -227,7 +227,7 @@ class GatewayPlan:
     """Everything that a gateway is told, checked as a whole.
 
     Attributes:
-        listeners, lines: each with a name of its own.
+        listeners, upstreams: each with a name of its own.
         table: the routes between them.
         own_unit: unit identifier of the gateway itself; None where it is no device.
         own_registers: whether it has input registers that tell how it does.
@@ -236,7 +236,7 @@ class GatewayPlan:
     """
 
     listeners: tuple[GatewayListener, ...]
-    lines: tuple[UpstreamSettings, ...]
+    upstreams: tuple[UpstreamSettings, ...]
     table: RoutingTable
     own_unit: int | None = TCP_DEVICE_UNIT
     own_registers: bool = False
@@ -248,18 +248,18 @@ class GatewayPlan:
             raise ConfigError("a gateway needs at least one listener to listen on", key="listener")
         for key, names in (
             ("listener", [one.name for one in self.listeners]),
-            ("line", [one.name for one in self.lines]),
+            ("line", [one.name for one in self.upstreams]),
         ):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
                 raise ConfigError(f"the name {twice!r} stands twice", key=key)
-        lines = {one.name for one in self.lines}
+        upstreams = {one.name for one in self.upstreams}
         listeners = {one.name for one in self.listeners}
         for route in self.table.routes:
-            if route.line and route.line not in lines:
+            if route.upstream and route.upstream not in upstreams:
                 raise ConfigError(
-                    f"there is no line {route.line!r}, but {', '.join(sorted(lines)) or 'none at all'}",
-                    key="route.line",
+                    f"there is no line {route.upstream!r}, but {', '.join(sorted(upstreams)) or 'none at all'}",
+                    key="route.upstream",
                 )
             unknown = sorted(route.listeners - listeners)
             if unknown:
@@ -269,7 +269,7 @@ class GatewayPlan:
 
 
 class Gateway:
-    """Listeners, routes and lines; an asynchronous context manager that starts and stops.
+    """Listeners, routes and upstreams; an asynchronous context manager that starts and stops.
 
     Args:
         plan: what it is told.
@@ -298,7 +298,7 @@ class Gateway:
         self._rates: dict[str, Rates] = {}
         self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
         self._listeners: dict[str, _RunningListener] = {}
-        self._lines: dict[str, Line] = {}
+        self._upstreams: dict[str, Upstream] = {}
         self._started = 0.0
         self._functions: FunctionTable = RememberingTable(plan.functions)
         self._own: Handler | None = None
@@ -319,11 +319,11 @@ class Gateway:
         return [url for each in self._listeners.values() for url in each.server.endpoints]
 
     async def start(self) -> None:
-        """Open all listeners; lines connect when needed. Raises `LinkDown`, `ConfigError`; then nothing is open."""
+        """Open all listeners; upstreams connect when needed. Raises `LinkDown`, `ConfigError`; then nothing is open."""
         if self.is_running:
             return
         try:
-            self._lines = {one.name: _opened(one) for one in self.plan.lines}
+            self._upstreams = {one.name: _opened(one) for one in self.plan.upstreams}
             self._follow(self._running.values())
             for name, each in self._running.items():
                 await each.server.start()
@@ -334,13 +334,13 @@ class Gateway:
         self._started = time.monotonic()
 
     async def stop(self) -> None:
-        """Close listeners and lines at once. What is not answered yet gets no answer."""
+        """Close listeners and upstreams at once. What is not answered yet gets no answer."""
         listeners, self._listeners = self._listeners, {}
         for each in listeners.values():
             await each.server.stop()
-        lines, self._lines = self._lines, {}
-        for line in lines.values():
-            await line.close()
+        upstreams, self._upstreams = self._upstreams, {}
+        for upstream in upstreams.values():
+            await upstream.close()
         self._started = 0.0
 
     async def drain(self, seconds: float = DRAIN_SECONDS) -> int:
@@ -353,8 +353,8 @@ class Gateway:
             await each.server.take_no_more()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                for line in self._lines.values():
-                    await line.wait_until_answered()
+                for upstream in self._upstreams.values():
+                    await upstream.wait_until_answered()
         left = self.open_requests
         await self.stop()
         return left
@@ -362,67 +362,69 @@ class Gateway:
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
         """Follow another plan; what changed, in words.
 
-        Unchanged listeners and lines keep their connections. If a new listener cannot be opened, the error is raised
-        and everything is as before, except for the connections of the listeners that were to change.
+        Unchanged listeners and upstreams keep their connections. If a new listener cannot be opened, the error is
+        raised and everything is as before, except for the connections of the listeners that were to change.
 
         Args:
             plan: the new plan.
             policy: what holds at new listeners until `replace_policy`; None: what holds at the others.
 
         Raises:
-            LinkDown, ConfigError: a new listener or line can not be had.
+            LinkDown, ConfigError: a new listener or upstream can not be had.
         """
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
                 "own unit, functions and the options of servers change with a restart only", key="gateway"
             )
-        old_lines = {one.name: one for one in self.plan.lines}
+        old_upstreams = {one.name: one for one in self.plan.upstreams}
         old_listeners = {one.name: one for one in self.plan.listeners}
-        same_lines = {one.name: self._lines[one.name] for one in plan.lines if old_lines.get(one.name) == one}
+        same_upstreams = {
+            one.name: self._upstreams[one.name] for one in plan.upstreams if old_upstreams.get(one.name) == one
+        }
         same_listeners = {
             one.name: self._listeners[one.name]
             for one in plan.listeners
             if one.name in self._listeners and old_listeners[one.name].settings == one.settings
         }
-        closing = [line for name, line in self._lines.items() if name not in same_lines]
-        ports = [line for line in closing if line.settings.endpoint.carrier == "serial"]
+        closing = [upstream for name, upstream in self._upstreams.items() if name not in same_upstreams]
+        ports = [upstream for upstream in closing if upstream.settings.endpoint.carrier == "serial"]
         going = [each for name, each in self._listeners.items() if name not in same_listeners]
-        lines, listeners = dict(same_lines), dict(same_listeners)
+        upstreams, listeners = dict(same_upstreams), dict(same_listeners)
         try:
             # They may hold the very ports that new ones want.
             for each in going:
                 await each.server.stop()
-            for line in ports:
-                await line.close()
-            for settings in plan.lines:
-                if settings.name not in lines:
-                    lines[settings.name] = _opened(settings)
+            for upstream in ports:
+                await upstream.close()
+            for settings in plan.upstreams:
+                if settings.name not in upstreams:
+                    upstreams[settings.name] = _opened(settings)
             for listener in plan.listeners:
                 if listener.name not in listeners:
-                    listeners[listener.name] = made = self._made(listener, plan, lines, policy or self._policy)
+                    listeners[listener.name] = made = self._made(listener, plan, upstreams, policy or self._policy)
                     await made.server.start()
         except BaseException:
             for name in listeners.keys() - same_listeners.keys():
                 await listeners[name].server.stop()
-            for name in lines.keys() - same_lines.keys():
-                await lines[name].close()
-            for line in ports:
-                _open(line, old_lines[line.name])
+            for name in upstreams.keys() - same_upstreams.keys():
+                await upstreams[name].close()
+            for upstream in ports:
+                _open(upstream, old_upstreams[upstream.name])
             for each in going:
                 await each.server.start()
             raise
-        said = [*_changes("listener", old_listeners, plan.listeners), *_changes("line", old_lines, plan.lines)]
+        said = [*_changes("listener", old_listeners, plan.listeners), *_changes("line", old_upstreams, plan.upstreams)]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
         self.plan = plan
-        self._lines = {one.name: lines[one.name] for one in plan.lines}
+        self._upstreams = {one.name: upstreams[one.name] for one in plan.upstreams}
         self._listeners = {one.name: listeners[one.name] for one in plan.listeners}
         self._running = dict(self._listeners)
         for listener in plan.listeners:
             listeners[listener.name].follow(listener)
         self._follow(self._listeners.values())
-        for line in closing:
-            await line.close()
+        for upstream in closing:
+            await upstream.close()
         return said
 
     async def __aenter__(self) -> Self:
@@ -475,19 +477,19 @@ class Gateway:
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
-        """Set the counters of listeners and lines to zero; connections and listeners stay as they are."""
+        """Set the counters of listeners and upstreams to zero; connections and listeners stay as they are."""
         for each in self._running.values():
             each.server.reset_counters()
             _to_zero(each.handler.counters)
-        for line in self._lines.values():
-            _to_zero(line.counters)
+        for upstream in self._upstreams.values():
+            _to_zero(upstream.counters)
 
     # Its state.
 
     @property
     def open_requests(self) -> int:
         """Requests that are not answered yet."""
-        return sum(line.open_requests for line in self._lines.values())
+        return sum(upstream.open_requests for upstream in self._upstreams.values())
 
     @property
     def servers(self) -> list[Server]:
@@ -504,7 +506,7 @@ class Gateway:
                 GatewayListenerStatus(name, each.server.status(), each.handler.counters)
                 for name, each in self._running.items()
             ),
-            upstreams=tuple(line.status() for line in self._lines.values()),
+            upstreams=tuple(upstream.status() for upstream in self._upstreams.values()),
             open_requests=self.open_requests,
         )
 
@@ -519,7 +521,7 @@ class Gateway:
             sum(listener.server.counters.requests for listener in status.gateway_listeners),
             sum(listener.counters.no_route for listener in status.gateway_listeners),
         ]
-        return own, [_line_numbers(line) for line in status.upstreams]
+        return own, [_upstream_numbers(upstream) for upstream in status.upstreams]
 
     # Inside.
 
@@ -528,7 +530,7 @@ class Gateway:
         return self._policy is not None or self._audit is not None
 
     def _made(
-        self, listener: GatewayListener, plan: GatewayPlan, lines: Mapping[str, Line], policy: Policy | None
+        self, listener: GatewayListener, plan: GatewayPlan, upstreams: Mapping[str, Upstream], policy: Policy | None
     ) -> _RunningListener:
         handler = ListenerHandler(
             listener.name,
@@ -538,7 +540,7 @@ class Gateway:
             deadline=listener.deadline,
             silent_broadcasts=listener.silent_broadcasts,
         )
-        handler.follow(plan.table.of_listener(listener.name), lines)
+        handler.follow(plan.table.of_listener(listener.name), upstreams)
         outer: Handler = handler
         guard = None
         if self._is_guarded:
@@ -556,7 +558,7 @@ class Gateway:
 
     def _follow(self, listeners: Iterable[_RunningListener]) -> None:
         for each in listeners:
-            each.handler.follow(self.plan.table.of_listener(each.listener.name), self._lines)
+            each.handler.follow(self.plan.table.of_listener(each.listener.name), self._upstreams)
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
@@ -581,8 +583,8 @@ def _to_zero(counters: object) -> None:
         setattr(counters, one.name, 0)
 
 
-def _opened(settings: UpstreamSettings) -> Line:
-    line = Line(
+def _opened(settings: UpstreamSettings) -> Upstream:
+    upstream = Upstream(
         settings.name,
         settings.link,
         connections=settings.connections,
@@ -590,19 +592,19 @@ def _opened(settings: UpstreamSettings) -> Line:
         broadcast=settings.broadcast,
         same_device=settings.same_device,
     )
-    _open(line, settings)
-    return line
+    _open(upstream, settings)
+    return upstream
 
 
-def _open(line: Line, settings: UpstreamSettings) -> None:
-    line.open()
-    line.leave_alone(settings.unit_gaps)
+def _open(upstream: Upstream, settings: UpstreamSettings) -> None:
+    upstream.open()
+    upstream.leave_alone(settings.unit_gaps)
 
 
 def _changes(
     what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
-    """What there is to say of listeners, or of lines."""
+    """What there is to say of listeners, or of upstreams."""
     names = set()
     for one in new:
         names.add(one.name)
@@ -611,13 +613,13 @@ def _changes(
     yield from (f"{what} {name} closed" for name in old if name not in names)
 
 
-def _line_numbers(line: LineStatus) -> list[int]:
-    counters = line.counters
+def _upstream_numbers(upstream: UpstreamStatus) -> list[int]:
+    counters = upstream.counters
     return [
-        max((STATES.index(one.state) for one in line.links), default=0),
-        sum(one.in_flight for one in line.links),
-        sum(one.queued for one in line.links),
-        sum(len(one.suspended) for one in line.links),
+        max((STATES.index(one.state) for one in upstream.links), default=0),
+        sum(one.in_flight for one in upstream.links),
+        sum(one.queued for one in upstream.links),
+        sum(len(one.suspended) for one in upstream.links),
         counters.forwarded,
         counters.answered,
         counters.exceptions,
@@ -627,21 +629,23 @@ def _line_numbers(line: LineStatus) -> list[int]:
     ]
 
 
-def simple_plan(listeners: Sequence[str | Endpoint | Listener], line: str | Endpoint, **options: Any) -> GatewayPlan:
-    """The common case: every unit of every listener to one line.
+def simple_plan(
+    listeners: Sequence[str | Endpoint | Listener], upstream: str | Endpoint, **options: Any
+) -> GatewayPlan:
+    """The common case: every unit of every listener to one upstream.
 
     Args:
         listeners: URLs to listen on.
-        line: URL of the line behind, or of the server.
-        options: of the line, as `UpstreamSettings.of` takes them.
+        upstream: URL of the upstream, or of the server.
+        options: of the upstream, as `UpstreamSettings.of` takes them.
     """
     from .routes import ALL_UNITS, Route
 
-    endpoint = parse_endpoint(line)
+    endpoint = parse_endpoint(upstream)
     units = ALL_UNITS if endpoint.framing == "mbap" else frozenset(range(1, 248))
     wanted = [one if isinstance(one, Listener) else Listener(one) for one in listeners]
     return GatewayPlan(
         listeners=tuple(GatewayListener(parse_endpoint(one.endpoint).url, one) for one in wanted),
-        lines=(UpstreamSettings.of("line", line, **options),),
-        table=RoutingTable((Route(line="line", units=units),)),
+        upstreams=(UpstreamSettings.of("line", upstream, **options),),
+        table=RoutingTable((Route(upstream="line", units=units),)),
     )

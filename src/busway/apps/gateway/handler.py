@@ -1,10 +1,10 @@
-"""One listener of a gateway: each request to the line that its route names, or to the gateway itself.
+"""One listener of a gateway: each request to the upstream that its route names, or to the gateway itself.
 
-Knows routes, lines and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
+Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
-1. A write to unit 0 goes to all lines of the listener that take broadcasts, and is answered once it was sent. A line
-   takes it only where a route lets the listener write so to each of its units, and the policy the client: all of them
-   will hear it.
+1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered once it was sent. An
+   upstream takes it only where a route lets the listener write so to each of its units, and the policy the client:
+   all of them will hear it.
 2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
    listener is silent there, because it never hears of those units (`ListenerHandler.serial_units`).
 3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
@@ -24,17 +24,17 @@ from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...session.forwarding import ForwardPlan, ForwardPlans
 from ...session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
-from .lines import Line
 from .read_batches import ReadTarget, batch_plan
 from .routes import ListenerRoutes, Route, RouteAction, Straddles
-from .translation import behind, echo
+from .translation import echo, upstream_requests
+from .upstream import Upstream
 
 _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 
 @dataclass(slots=True)
 class GatewayListenerCounters:
-    """What became of the requests of a listener that no line has counted.
+    """What became of the requests of a listener that no upstream has counted.
 
     Attributes:
         no_route: requests for which there is no route.
@@ -97,15 +97,15 @@ class ListenerHandler:
         self._own_unit = own_unit
         self.refusal_of: RefusalOf = _no_refusal
         self._routes = ListenerRoutes(())
-        self._lines: Mapping[str, Line] = {}
+        self._upstreams: Mapping[str, Upstream] = {}
         self._serial_units: set[int] = set()
         self._plans = ForwardPlans()
         self._ways: dict[tuple[str, int, float | None], ReadTarget] = {}
 
-    def follow(self, routes: ListenerRoutes, lines: Mapping[str, Line]) -> None:
+    def follow(self, routes: ListenerRoutes, upstreams: Mapping[str, Upstream]) -> None:
         """Route by these from now on; what is on its way stays there."""
         self._routes = routes
-        self._lines = lines
+        self._upstreams = upstreams
         self._plans = ForwardPlans()
         self._ways = {}
         # The same set for ever: listeners hold it as a live view.
@@ -121,7 +121,7 @@ class ListenerHandler:
         return self._serial_units
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """There is no short road: every answer comes from a line."""
+        """There is no short road: every answer comes from an upstream."""
         return {}
 
     def forward_plans(self, context: RequestContext) -> ForwardPlans:
@@ -136,22 +136,22 @@ class ListenerHandler:
         found = self._routes.find(context.unit, request)
         if not isinstance(found, Route) or found.action is not RouteAction.FORWARD or found.cache is not None:
             return None
-        line = self._lines.get(found.line)
-        if line is None or not line.takes_bunches:
+        upstream = self._upstreams.get(found.upstream)
+        if upstream is None or not upstream.takes_bunches:
             return None
         try:
-            sent = behind(request, found)
+            sent = upstream_requests(request, found)
         except InvalidRequest:
             return None
         if len(sent) > 1:
             return None
         (asked,) = sent
         assert isinstance(asked, ReadRegisters | ReadBits)
-        unit = found.unit_behind(context.unit)
-        key = line.name, unit, found.timeout
+        unit = found.upstream_unit(context.unit)
+        key = upstream.name, unit, found.timeout
         way = self._ways.get(key)
         if way is None:
-            way = self._ways[key] = ReadTarget(self, line, unit, found.timeout)
+            way = self._ways[key] = ReadTarget(self, upstream, unit, found.timeout)
         return batch_plan(way, context.unit, asked)
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
@@ -168,9 +168,9 @@ class ListenerHandler:
         if isinstance(found, Route):
             if found.action is not RouteAction.FORWARD:
                 return self._not_forwarded(context, found)
-            line = self._lines.get(found.line)
-            if line is not None:  # or it was taken out of the configuration a moment ago
-                return line.forward(context, request, found, deadline=self.deadline)
+            upstream = self._upstreams.get(found.upstream)
+            if upstream is not None:  # or it was taken out of the configuration a moment ago
+                return upstream.forward(context, request, found, deadline=self.deadline)
             found = None
         if found is None and self._own is not None and unit in (self._own_unit, BROADCAST_UNIT):
             self.counters.own += 1
@@ -197,11 +197,13 @@ class ListenerHandler:
             return self._not_forwarded(context, own)
         charged: set[int] = set()
         ways = [
-            way for line in self._takers() if (way := self._way_to_all(context, line, request, charged)) is not None
+            way
+            for upstream in self._takers()
+            if (way := self._way_to_all(context, upstream, request, charged)) is not None
         ]
         if not ways:
-            if isinstance(own, Route) and own.line in self._lines:
-                return self._lines[own.line].forward(context, request, own, deadline=self.deadline)
+            if isinstance(own, Route) and own.upstream in self._upstreams:
+                return self._upstreams[own.upstream].forward(context, request, own, deadline=self.deadline)
             return self._no_route(context, None)
         rest = _Rest(context, None if self.silent_broadcasts else echo(request))
         parts = [(way, rest.part()) for way in ways]
@@ -212,7 +214,7 @@ class ListenerHandler:
         return LATER
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """A broadcast of a serial listener, which comes once for every unit: a line that takes broadcasts gets one.
+        """A broadcast of a serial listener, which comes once per unit: an upstream that takes broadcasts gets one.
 
         A server on a network gets one for each unit that a route names, and one to unit 0 where the route names none:
         247 requests of which most have no device would keep it busy for minutes.
@@ -220,45 +222,45 @@ class ListenerHandler:
         found = self._routes.find(context.unit, request)
         if not isinstance(found, Route) or found.action is not RouteAction.FORWARD:
             return SILENCE
-        line = self._lines.get(found.line)
-        if line is None:
+        upstream = self._upstreams.get(found.upstream)
+        if upstream is None:
             return SILENCE
-        if not line.takes_broadcasts and not found.names_no_units:
-            return line.forward(context, request, found, deadline=self.deadline)
-        if id(line) not in executed:
-            executed.add(id(line))
+        if not upstream.takes_broadcasts and not found.names_no_units:
+            return upstream.forward(context, request, found, deadline=self.deadline)
+        if id(upstream) not in executed:
+            executed.add(id(upstream))
             self.counters.broadcasts += 1
-            way = self._way_to_all(context, line, request, executed)
+            way = self._way_to_all(context, upstream, request, executed)
             if isinstance(way, Route):
                 self._to_all(context, request, way)
             elif way is not None:
                 self._refused(context, way)
         return SILENCE
 
-    def _takers(self) -> list[Line]:
-        """The lines of this listener that take broadcasts."""
-        lines = [self._lines[name] for name in self._routes.lines if name in self._lines]
-        return [line for line in lines if line.takes_broadcasts]
+    def _takers(self) -> list[Upstream]:
+        """The upstreams of this listener that take broadcasts."""
+        upstreams = [self._upstreams[name] for name in self._routes.upstreams if name in self._upstreams]
+        return [upstream for upstream in upstreams if upstream.takes_broadcasts]
 
     def _way_to_all(
-        self, context: RequestContext, line: Line, request: Request, charged: set[int]
+        self, context: RequestContext, upstream: Upstream, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """How a write reaches all units of a line; the exception code, if one of them must not be written so.
+        """How a write reaches all units of an upstream; the exception code, if one of them must not be written so.
 
-        Everybody on the line hears it: what is refused for one of its units is refused for all, and all must want it
-        under the same address. None where it is not for that line at all. ``charged`` as of `RefusalOf`.
+        Every unit on the upstream hears it: what is refused for one of them is refused for all, and all must want it
+        under the same address. None where it is not for that upstream at all. ``charged`` as of `RefusalOf`.
         """
         ways: set[Route] = set()
         refused = 0  # by the words of a route
         unreached = False
         units: list[int] = []
-        for unit in self._routes.units_to(line.name):
+        for unit in self._routes.units_to(upstream.name):
             found = self._routes.find(unit, request)
             if isinstance(found, Straddles):
                 refused = refused or ExceptionCode.ILLEGAL_DATA_ADDRESS
             elif found is not None and found.action is RouteAction.REFUSE:
                 refused = refused or found.code
-            elif found is None or found.line != line.name:
+            elif found is None or found.upstream != upstream.name:
                 unreached = True
             else:
                 units.append(unit)
@@ -270,7 +272,7 @@ class ListenerHandler:
         return self.refusal_of(context, request, units, charged) or ways.pop()
 
     def _to_all(self, context: RequestContext, request: Request, way: Route) -> Message | Deferral:
-        return self._lines[way.line].broadcast(context, request, way, deadline=self.deadline)
+        return self._upstreams[way.upstream].broadcast(context, request, way, deadline=self.deadline)
 
     def _refused(self, context: RequestContext, code: int) -> Message:
         self.counters.refused += 1
@@ -278,9 +280,9 @@ class ListenerHandler:
 
 
 def _for_all_units(route: Route) -> Route:
-    """A route to all units of a line, that moves and splits as the one to one of them does."""
+    """A route to all units of an upstream, that moves and splits as the one to one of them does."""
     return Route(
-        line=route.line,
+        upstream=route.upstream,
         unit=BROADCAST_UNIT,
         shift=route.shift,
         max_registers=route.max_registers,
@@ -290,7 +292,7 @@ def _for_all_units(route: Route) -> Route:
 
 
 class _Rest:
-    """Waits until a broadcast was sent on all lines; the worst of them is the answer."""
+    """Waits until a broadcast was sent on all upstreams; the worst of them is the answer."""
 
     __slots__ = ("_context", "_parts", "_reply")
 
@@ -301,7 +303,7 @@ class _Rest:
         context.gone = self.asker_gone
 
     def part(self) -> RequestContext:
-        """Who asks one of the lines."""
+        """Who asks one of the upstreams."""
         context = self._context
         part = RequestContext(
             unit=BROADCAST_UNIT,
@@ -317,7 +319,7 @@ class _Rest:
         return part
 
     def one_done(self, part: RequestContext, reply: Message | Deferral) -> None:
-        """One line has sent it, or could not."""
+        """One upstream has sent it, or could not."""
         if isinstance(reply, ExceptionResponse):
             self._reply = reply
         self._parts.remove(part)

@@ -1,11 +1,11 @@
-"""What a line remembers of reads: those in flight, which others may share, and values that may still be answered.
+"""What an upstream remembers of reads: those in flight, which others may share, and values that may still be answered.
 
 Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
 
 Whoever has seen a write end must not be given what was there before it. So:
 
 1. From the moment a write to a unit is asked until it has ended, nothing of the unit is shared or remembered, and what
-   was before is forgotten. A broadcast does so for all units of the line.
+   was before is forgotten. A broadcast does so for all units of the upstream.
    A write to 255 or 0 of a server on TCP is one to the device itself, whatever number others ask it by: it concerns all
    units too, and what is remembered of 255 and 0 is forgotten at every write.
    So is a write to one of the units that are known to be the same device: it concerns all of them.
@@ -59,7 +59,7 @@ class _Unit(Generic[Shared]):
 
 
 class Memory(Generic[Shared]):
-    """The memory of one line. ``Shared`` is whatever stands for a read in flight.
+    """The memory of one upstream. ``Shared`` is whatever stands for a read in flight.
 
     Args:
         register_width: bytes of a register.
@@ -144,7 +144,7 @@ class Memory(Generic[Shared]):
         """Keep what a read has brought, unless something was written meanwhile.
 
         Args:
-            unit: the unit on the line.
+            unit: the unit on the upstream.
             place: what was read there.
             data: the items, as a reply carries them.
             since: what `read_begins` gave.

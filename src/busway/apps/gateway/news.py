@@ -1,10 +1,10 @@
-"""What the operator of a gateway is told of a line: that it cannot be reached, and how many requests got 0A for it.
+"""Log lines about an upstream of a gateway: that it cannot be reached, and how many requests got 0A for it.
 
 Knows reasons and times; knows no link and no request.
 
-1. A reason is told once, and again when it changes; that the line is back is told too.
+1. A reason is told once, and again when it changes; that the upstream is back is told too.
 2. The first request that gets 0A is told with its reason. Those after it are counted, and told once a minute, or when
-   the reason changes, or when the line is back: a poller would fill the log.
+   the reason changes, or when the upstream is back: a poller would fill the log.
 """
 
 import logging
@@ -17,13 +17,13 @@ _log = logging.getLogger("busway.apps.gateway")
 AGAIN_AFTER: Final = 60.0
 """Seconds after which requests that got 0A for the same reason are told again."""
 WAITING: Final = "waiting for it"
-"""What follows the reason where the line is tried again by itself; `busway serve` says so of its ports."""
+"""What follows the reason where the upstream is tried again by itself; `busway serve` says so of its ports."""
 AT_NEED: Final = "tried again when something is asked"
 """What follows it elsewhere."""
 
 
-class LineNews:
-    """The log lines of one line.
+class UpstreamNews:
+    """The log lines of one upstream.
 
     Args:
         name: what routes call it.

@@ -1,4 +1,4 @@
-"""What a gateway file says, in rows for people: listeners, lines, and the routing table.
+"""What a gateway file says, in rows for people: listeners, upstreams, and the routing table.
 
 Knows sections, plans and words; judges nothing.
 """
@@ -21,13 +21,13 @@ _OF_GATEWAYS = frozenset({"listener", "policy", "server"})
 
 
 def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
-    """Listeners, lines, the gateway's own unit, policy and logs: kind, name, what is said about it."""
+    """Listeners, upstreams, the gateway's own unit, policy and logs: kind, name, what is said about it."""
     plan = configuration.plan
     known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
     for listener, row in zip(plan.listeners, known["listener"], strict=True):
         yield "listener", listener.name, "; ".join(_listener(listener, row))
-    for line in plan.lines:
-        yield "line", line.name, "; ".join(_line(line, configuration.routes))
+    for upstream in plan.upstreams:
+        yield "line", upstream.name, "; ".join(_upstream(upstream, configuration.routes))
     yield "own unit", "none" if plan.own_unit is None else str(plan.own_unit), _own_unit(plan)
     yield from known["policy"]
     yield from known["server"]
@@ -58,22 +58,22 @@ def _listener(listener: GatewayListener, row: Row) -> Iterator[str]:
         yield "broadcasts get no answer"
 
 
-def _line(line: UpstreamSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
-    endpoint, parameters = line.link.endpoint, line.link.parameters
+def _upstream(upstream: UpstreamSettings, routes: Sequence[PlacedRoute]) -> Iterator[str]:
+    endpoint, parameters = upstream.link.endpoint, upstream.link.parameters
     yield endpoint.url
-    if line.link.line is not None and line.link.line.port is not None:
-        port = line.link.line.port
+    if upstream.link.line is not None and upstream.link.line.port is not None:
+        port = upstream.link.line.port
         timing = timing_of(port)
         yield f"{port.baud} baud, {timing.character * 1000:.3g} ms a character"
     yield f"timeout {parameters.timeout:g} s, {parameters.retries} retries"
-    cases = [worst_case(line, one.route, one.gap) for one in routes if one.route.line == line.name]
+    cases = [worst_case(upstream, one.route, one.gap) for one in routes if one.route.upstream == upstream.name]
     if cases:
         yield f"{max(case.seconds for case in cases):.3g} s at most"
-    if line.connections > 1:
-        yield f"{line.connections} connections"
-    if not line.share_reads:
+    if upstream.connections > 1:
+        yield f"{upstream.connections} connections"
+    if not upstream.share_reads:
         yield "reads are not shared"
-    for group in line.same_device:
+    for group in upstream.same_device:
         yield f"units {units_text(group)} are the same device"
 
 
@@ -93,7 +93,7 @@ def _own_unit(plan: GatewayPlan) -> str:
 def _target(route: Route) -> str:
     if route.action is RouteAction.REFUSE:
         return f"refused: {route.code:02X} {exception_meaning(route.code).partition(':')[0]}"
-    return "dropped" if route.action is RouteAction.DROP else route.line
+    return "dropped" if route.action is RouteAction.DROP else route.upstream
 
 
 def _details(route: Route, gap: float) -> Iterator[str]:
@@ -102,9 +102,9 @@ def _details(route: Route, gap: float) -> Iterator[str]:
     if route.unit_offset:
         first, last = min(route.units), max(route.units)
         yield (
-            f"as units {route.unit_behind(first)}…{route.unit_behind(last)}"
+            f"as units {route.upstream_unit(first)}…{route.upstream_unit(last)}"
             if first != last
-            else (f"as unit {route.unit_behind(first)}")
+            else (f"as unit {route.upstream_unit(first)}")
         )
     if route.shift:
         yield f"addresses {route.shift:+d}"

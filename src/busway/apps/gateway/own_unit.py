@@ -1,6 +1,6 @@
 """The gateway itself as a device: identification, diagnostics, and, if they are wanted, its status as input registers.
 
-Knows numbers of a status; knows no line and no listener (T32: unit 255, and 0 for what is no broadcast).
+Knows numbers of a status; knows no upstream and no listener (T32: unit 255, and 0 for what is no broadcast).
 
 Without registers a read gets exception 01: who names no unit asks unit 255, and shall not take what the gateway says of
 itself for values of a device.
@@ -17,11 +17,11 @@ from ...server.device import Device
 from ...server.hooks import Access
 from ...version import __version__
 
-FIRST_LINE: Final = 100
-"""Address of the first line's registers."""
-PER_LINE: Final = 16
-"""Registers from one line to the next."""
-MOST_LINES: Final = 64
+FIRST_UPSTREAM: Final = 100
+"""Address of the first upstream's registers."""
+PER_UPSTREAM: Final = 16
+"""Registers from one upstream to the next."""
+MOST_UPSTREAMS: Final = 64
 FUNCTIONS: Final = (
     FunctionCode.DIAGNOSTICS,
     FunctionCode.GET_COMM_EVENT_COUNTER,
@@ -36,7 +36,7 @@ STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
 
 @dataclass(frozen=True, slots=True)
 class StatusRegister:
-    """One value of the map: where it lies (in a line's block, from its start), how wide it is, and what it says."""
+    """One value of the map: its address (within an upstream's block), its width, and its meaning."""
 
     address: int
     registers: int
@@ -52,7 +52,7 @@ REGISTERS: Final = (
     StatusRegister(6, 2, "requests", "requests received"),
     StatusRegister(8, 2, "no_route", "requests for which there was no route (0A)"),
 )
-LINE_REGISTERS: Final = (
+UPSTREAM_REGISTERS: Final = (
     StatusRegister(0, 1, "state", "0 down, 1 backing off, 2 connecting, 3 suspect, 4 up: of its best connection"),
     StatusRegister(1, 1, "in_flight", "requests whose reply is awaited"),
     StatusRegister(2, 1, "queued", "requests that wait for their turn"),
@@ -66,7 +66,7 @@ LINE_REGISTERS: Final = (
 )
 
 Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
-"""Gives the values of `REGISTERS`, and for each line those of `LINE_REGISTERS`, as they are now."""
+"""Gives the values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`, as they are now."""
 
 
 def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
@@ -77,7 +77,7 @@ def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
         registers: whether it has any: input registers, made anew at each read.
     """
     device = Device(
-        input_registers=FIRST_LINE + MOST_LINES * PER_LINE if registers else 0,
+        input_registers=FIRST_UPSTREAM + MOST_UPSTREAMS * PER_UPSTREAM if registers else 0,
         identification={0: "busway", 1: "gateway", 2: __version__, 4: "busway gateway"},
         server_id=b"busway gateway\xff",
         functions=(*FUNCTIONS, FunctionCode.READ_INPUT_REGISTERS) if registers else FUNCTIONS,
@@ -86,11 +86,11 @@ def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
         return device
 
     def refresh(access: Access) -> None:
-        own, lines = numbers()
+        own, upstreams = numbers()
         with device.update():
             _put(device, 0, REGISTERS, own)
-            for index, line in enumerate(lines[:MOST_LINES]):
-                _put(device, FIRST_LINE + index * PER_LINE, LINE_REGISTERS, line)
+            for index, upstream in enumerate(upstreams[:MOST_UPSTREAMS]):
+                _put(device, FIRST_UPSTREAM + index * PER_UPSTREAM, UPSTREAM_REGISTERS, upstream)
 
     device.on_read("input_registers", refresh, when="before")
     return device

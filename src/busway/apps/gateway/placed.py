@@ -1,4 +1,4 @@
-"""A route of a gateway file, with where it stands: so that a sentence about it can name line and key.
+"""A route of a gateway file, with where it stands: so that a sentence about it can name upstream and key.
 
 Knows sections and routes; judges nothing.
 """

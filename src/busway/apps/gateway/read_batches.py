@@ -1,6 +1,6 @@
 """Reads of a client that came together, on their way to a server on TCP and back as one demand.
 
-Knows lines, demands and who asked; knows no route.
+Knows upstreams, demands and who asked; knows no route.
 
 1. What was asked together, of one unit, is one demand, a bunch: it waits for its turn and leaves as one, and as many of
    its reads as the turn allows.
@@ -28,33 +28,33 @@ from .waiters import WaiterDeadlines
 
 if TYPE_CHECKING:
     from .handler import ListenerHandler
-    from .lines import Line
+    from .upstream import Upstream
 
 FOR_EVER = 86_400.0
 """Seconds that a client waits who has no deadline, where the one before it has one."""
 
 
 class ReadTarget:
-    """A unit behind a line, as a listener reaches it.
+    """A unit behind an upstream, as a listener reaches it.
 
     Args:
         listener: whose clients ask.
-        line: where.
+        upstream: where.
         unit: the unit that is asked behind.
-        timeout: seconds to wait for it; None: as the line does.
+        timeout: seconds to wait for it; None: as the upstream does.
     """
 
-    __slots__ = ("line", "listener", "timeout", "unit")
+    __slots__ = ("listener", "timeout", "unit", "upstream")
 
-    def __init__(self, listener: "ListenerHandler", line: "Line", unit: int, timeout: float | None) -> None:
+    def __init__(self, listener: "ListenerHandler", upstream: "Upstream", unit: int, timeout: float | None) -> None:
         self.listener = listener
-        self.line = line
+        self.upstream = upstream
         self.unit = unit
-        self.timeout = timeout or line.settings.parameters.timeout
+        self.timeout = timeout or upstream.settings.parameters.timeout
 
     def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         """Ask reads of one client; each gets its answer, or an exception code."""
-        self.line.bunches.ask(self, asker, reads)
+        self.upstream.bunches.ask(self, asker, reads)
 
 
 def batch_plan(way: ReadTarget, unit: int, asked: ReadRegisters | ReadBits) -> ForwardPlan:
@@ -97,10 +97,10 @@ class ReadBatch(Call):
         reads: list[ForwardedRead],
         deadline: float | None,
     ) -> None:
-        line = bunches.line
+        upstream = bunches.upstream
         requests = [plan.request for _, plan in reads]
         super().__init__(
-            way.unit, requests, False, way.timeout, line.settings.parameters.retries, False, asker.peer, deadline
+            way.unit, requests, False, way.timeout, upstream.settings.parameters.retries, False, asker.peer, deadline
         )
         self.owner = self
         self.places = len(reads)
@@ -148,12 +148,12 @@ class ReadBatch(Call):
 
 
 class ReadBatches:
-    """The bunches of one line."""
+    """The bunches of one upstream."""
 
-    __slots__ = ("_answered", "line")
+    __slots__ = ("_answered", "upstream")
 
-    def __init__(self, line: "Line") -> None:
-        self.line = line
+    def __init__(self, upstream: "Upstream") -> None:
+        self.upstream = upstream
         self._answered: dict[ForwardedReads, None] = {}  # who has answers that have not left yet
 
     def ask(self, way: ReadTarget, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
@@ -163,14 +163,14 @@ class ReadBatches:
             self._send()
 
     def _ask_or_share(self, way: ReadTarget, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
-        line = self.line
-        link = line.link_for(asker.peer)
+        upstream = self.upstream
+        link = upstream.link_for(asker.peer)
         if link is None:
             self._refuse(asker, reads, NO_PATH)
-            line.counters.no_path += len(reads)
+            upstream.counters.no_path += len(reads)
             return
         again: list[ForwardedRead] = []
-        if line.share_reads:
+        if upstream.share_reads:
             reads, again = self._share(way, asker, reads)
         if reads:
             self._ask(way, link, asker, reads)
@@ -186,20 +186,20 @@ class ReadBatches:
                 self._ask(way, link, asker, [read])
         else:
             for read in reads:
-                self._refuse(asker, [read], self.line.refused(error))
+                self._refuse(asker, [read], self.upstream.refused(error))
 
     def _begin(
         self, way: ReadTarget, link: AsyncLinkDriver, asker: ForwardedReads, reads: list[ForwardedRead]
     ) -> ModbusError | None:
         """Hand reads to the link; the error if they were not taken."""
-        line = self.line
+        upstream = self.upstream
         now = link.now()
-        adaptive_timeout = way.listener.deadline
-        batch = ReadBatch(self, link, way, asker, reads, None if adaptive_timeout is None else now + adaptive_timeout)
+        within = way.listener.deadline
+        batch = ReadBatch(self, link, way, asker, reads, None if within is None else now + within)
         # All before it begins: it may end at once, while a connection is made anew.
-        line.add_open(len(reads))
+        upstream.add_open(len(reads))
         asker.works[batch] = None
-        shared = line.memory.shared(way.unit) if line.share_reads else None
+        shared = upstream.memory.shared(way.unit) if upstream.share_reads else None
         if shared is not None:
             batch.shared = shared
             batch.keys = [plan.request.wire for _, plan in reads]
@@ -209,7 +209,7 @@ class ReadBatches:
         except ModbusError as error:
             self._leave(batch)
             return error.with_traceback(None)  # its frames hold the one that holds it
-        line.counters.forwarded += len(reads)
+        upstream.counters.forwarded += len(reads)
         return None
 
     def _refuse(self, asker: ForwardedReads, reads: list[ForwardedRead], code: int) -> None:
@@ -223,7 +223,7 @@ class ReadBatches:
         self, way: ReadTarget, asker: ForwardedReads, reads: list[ForwardedRead]
     ) -> tuple[list[ForwardedRead], list[ForwardedRead]]:
         """Let reads wait for others that are in flight; what has to be asked, and what is the same as one of those."""
-        shared = self.line.memory.shared(way.unit)
+        shared = self.upstream.memory.shared(way.unit)
         keys = [plan.request.wire for _, plan in reads]
         if shared is None or (shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys)):
             return reads, []
@@ -245,18 +245,18 @@ class ReadBatches:
         return left, again
 
     def _join(self, batch: ReadBatch, way: ReadTarget, asker: ForwardedReads, read: ForwardedRead, key: Key) -> None:
-        self.line.counters.shared += 1
+        self.upstream.counters.shared += 1
         batch.joined.setdefault(batch.keys.index(key), []).append((asker, read))
         asker.works[batch] = None
-        now, adaptive_timeout = batch.link.now(), way.listener.deadline
+        now, within = batch.link.now(), way.listener.deadline
         if batch.deadlines is None:
             batch.deadlines = WaiterDeadlines(batch.link.now, batch.link.call_at, partial(self._time_is_over, batch))
             if batch.deadline is not None and batch.asker is not None:
                 batch.deadlines.add((batch.asker, None), batch.deadline)
-        if adaptive_timeout is not None:
-            batch.deadlines.add((asker, read), now + adaptive_timeout)
+        if within is not None:
+            batch.deadlines.add((asker, read), now + within)
         if batch.deadline is not None:  # whoever came first may have less time than who comes now
-            batch.deadline = max(batch.deadline, now + (FOR_EVER if adaptive_timeout is None else adaptive_timeout))
+            batch.deadline = max(batch.deadline, now + (FOR_EVER if within is None else within))
 
     def _time_is_over(self, batch: ReadBatch, waiter: tuple[ForwardedReads, ForwardedRead | None]) -> None:
         """One of those who share reads waits no longer: for one that he joined, or for those that are his own."""
@@ -278,7 +278,7 @@ class ReadBatches:
                 if is_sent
                 else NoReply("the deadline passed in the queue; nothing was sent")
             )
-            asker.refuse(one, self.line.refused(error))
+            asker.refuse(one, self.upstream.refused(error))
             self._answered[asker] = None
         if asker is not batch.asker and all(
             asker is not other for others in batch.joined.values() for other, _ in others
@@ -313,7 +313,7 @@ class ReadBatches:
         if asker is not None and not (batch.open or batch.told or batch.joined):
             data: list[Any] = batch.outcomes  # Any: bytes, see `_as_bytes`
             if set(map(type, data)) == _GOOD:
-                self.line.counters.answered += len(data)
+                self.upstream.counters.answered += len(data)
                 self._leave(batch)
                 asker.answer(batch.reads, data)
                 self._answered[asker] = None
@@ -332,19 +332,19 @@ class ReadBatches:
             assert isinstance(outcome, _REPLIES)  # the session has seen that it answers a read
             outcome = outcome.data
         if isinstance(outcome, bytes):
-            self.line.counters.answered += 1
+            self.upstream.counters.answered += 1
             for asker, read in waiters:
                 asker.answer((read,), (outcome,))
                 self._answered[asker] = None
         else:
-            code = self.line.refused(outcome)
+            code = self.upstream.refused(outcome)
             for asker, read in waiters:
                 asker.refuse(read, code)
                 self._answered[asker] = None
 
     def gone(self, batch: ReadBatch, asker: ForwardedReads) -> None:
         """A client has gone: what nobody else waits for is taken back as far as it can be."""
-        counters = self.line.counters
+        counters = self.upstream.counters
         if batch.asker is asker:
             batch.asker = None
             counters.abandoned += batch.left
@@ -363,7 +363,7 @@ class ReadBatches:
 
     def _leave(self, batch: ReadBatch) -> None:
         """Nobody waits for a bunch any more."""
-        self.line.add_open(-batch.left)
+        self.upstream.add_open(-batch.left)
         if batch.deadlines is not None:
             batch.deadlines.close()
         shared = batch.shared
@@ -381,9 +381,9 @@ class ReadBatches:
 
     def _left(self, batch: ReadBatch, position: int) -> None:
         """A single read has its answer."""
-        self.line.add_open(-1)
+        self.upstream.add_open(-1)
         if batch.keys:
-            self.line.memory.read_ended(batch.unit, batch.keys[position], batch)  # nobody may join it any more
+            self.upstream.memory.read_ended(batch.unit, batch.keys[position], batch)  # nobody may join it any more
 
 
 @lru_cache(maxsize=32)

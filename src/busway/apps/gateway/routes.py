@@ -1,6 +1,6 @@
-"""Which line and which unit a request belongs to.
+"""Which upstream and which unit a request belongs to.
 
-Knows requests by unit, function and range; knows no line beyond its name, and no byte.
+Knows requests by unit, function and range; knows no upstream beyond its name, and no byte.
 
 1. The routes of a listener are looked through in their order; the first one that fits decides.
 2. A route with a range of addresses takes what lies wholly within it. A request that lies across the edge of such a
@@ -54,7 +54,7 @@ class Route:
     """One rule of a routing table.
 
     Attributes:
-        line: name of the line behind; empty where nothing is forwarded.
+        upstream: name of the upstream; empty where nothing is forwarded.
         listeners: names of the listeners it holds for; empty for all.
         units: unit identifiers as they are asked, 0…255.
         functions: function codes; empty for all.
@@ -67,11 +67,11 @@ class Route:
         action: forward, refuse with ``code``, or drop.
         code: the exception code of a refusal.
         cache: seconds for which a read may be answered from an earlier one; None for never.
-        timeout: seconds to wait for the device, instead of the line's own.
+        timeout: seconds to wait for the device, instead of the upstream's own.
         name: for messages.
     """
 
-    line: str = ""
+    upstream: str = ""
     listeners: frozenset[str] = frozenset()
     units: frozenset[int] = ALL_UNITS
     functions: frozenset[int] = frozenset()
@@ -104,15 +104,15 @@ class Route:
         for unit in self.units:
             if not 0 <= unit <= 255:
                 raise ConfigError(f"a unit is 0…255, not {unit}", key="units")
-            if not 0 <= self.unit_behind(unit) <= 255:
-                raise ConfigError(f"unit {unit} would become {self.unit_behind(unit)}", key="unit_offset")
+            if not 0 <= self.upstream_unit(unit) <= 255:
+                raise ConfigError(f"unit {unit} would become {self.upstream_unit(unit)}", key="unit_offset")
         if self.unit is not None and self.unit_offset:
             raise ConfigError("either a unit or an offset, not both", key="unit_offset")
-        if (self.action is RouteAction.FORWARD) != bool(self.line):
-            raise ConfigError("a route leads to a line, or refuses, or drops", key="line")
+        if (self.action is RouteAction.FORWARD) != bool(self.upstream):
+            raise ConfigError("a route names an upstream, or refuses, or drops", key="upstream")
 
-    def unit_behind(self, unit: int) -> int:
-        """The unit that is asked on the line."""
+    def upstream_unit(self, unit: int) -> int:
+        """The unit that is asked on the upstream."""
         return unit + self.unit_offset if self.unit is None else self.unit
 
     @property
@@ -143,7 +143,7 @@ class Route:
     @property
     def title(self) -> str:
         """How messages call it."""
-        return self.name or f"units {units_text(self.units)} to {self.line or self.action.value}"
+        return self.name or f"units {units_text(self.units)} to {self.upstream or self.action.value}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,12 +207,12 @@ class ListenerRoutes:
                 return Straddles(route)
         return None
 
-    def units_to(self, line: str) -> list[int]:
-        """The units 1…247 of which some requests lead to a line."""
+    def units_to(self, upstream: str) -> list[int]:
+        """The units 1…247 of which some requests lead to an upstream."""
         return [
             unit
             for unit in range(1, LAST_SERIAL_UNIT + 1)
-            if any(route.line == line for route in self._by_unit.get(unit, ()))
+            if any(route.upstream == upstream for route in self._by_unit.get(unit, ()))
         ]
 
     @property
@@ -221,9 +221,11 @@ class ListenerRoutes:
         return frozenset(self._by_unit)
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """The lines that routes lead to, each once, in the order of the routes."""
-        return tuple(dict.fromkeys(route.line for routes in self._by_unit.values() for route in routes if route.line))
+    def upstreams(self) -> tuple[str, ...]:
+        """The upstreams that routes lead to, each once, in the order of the routes."""
+        return tuple(
+            dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
+        )
 
 
 def _touched_at_once(request: Request) -> Span | None:

@@ -1,11 +1,12 @@
 """The routes of a gateway file, and what of them can not work, said before anything runs.
 
-Knows what the sections say and what lines and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2; T32).
+Knows what the sections say and what upstreams and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2,
+T32).
 
-1. A route without units is for all units that its line can have behind.
-2. What can never work is refused: a route that is never reached, a unit that a line or a listener cannot have, a
-   client that gives up before the line can have answered, a line that leads back to a listener.
-3. What works, but hardly as it was meant, is a warning: units that an earlier route takes, a line without a route.
+1. A route without units is for all units that its upstream can have behind.
+2. What can never work is refused: a route that is never reached, a unit that an upstream or a listener cannot have, a
+   client that gives up before the upstream can have answered, an upstream that leads back to a listener.
+3. What works, but hardly as it was meant, is a warning: units that an earlier route takes, an upstream without a route.
 """
 
 import os
@@ -55,7 +56,7 @@ class PlacedListener:
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """How long a line may take for a request that has its turn.
+    """How long an upstream may take for a request that has its turn.
 
     Attributes:
         seconds: until the last attempt has failed.
@@ -69,18 +70,19 @@ class WorstCase:
 # The routes.
 
 
-def placed_routes(file: GatewayFile, lines: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
+def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
     """The routes of a file, without those that the judge refuses."""
     if not file.route:
         return [
-            PlacedRoute(Route(line=name, units=_units_behind(line)), ("line", 0), None) for name, line in lines.items()
+            PlacedRoute(Route(upstream=name, units=_upstream_units(upstream)), ("line", 0), None)
+            for name, upstream in upstreams.items()
         ]
     found = []
     for index, section in enumerate(file.route):
         at: Place = ("route", index)
-        if section.line is not None and section.line not in lines:
-            continue  # the judge has been told of the line
-        made = judge.make(partial(_route, section, lines), partial(_key_of, section, at))
+        if section.line is not None and section.line not in upstreams:
+            continue  # the judge has been told of the upstream
+        made = judge.make(partial(_route, section, upstreams), partial(_key_of, section, at))
         if made is not None:
             found.append(PlacedRoute(made, at, section))
     return found
@@ -90,15 +92,15 @@ def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
     return (*at, key) if key is not None and key in section.model_fields_set else at
 
 
-def _route(section: RouteSection, lines: Mapping[str, UpstreamSettings]) -> Route:
-    line = None if section.line is None else lines[section.line]
+def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> Route:
+    upstream = None if section.line is None else upstreams[section.line]
     asked = section.asked_units()
     addresses = section.asked_addresses()
-    action = RouteAction.FORWARD if line is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
+    action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
     return Route(
-        line=section.line or "",
+        upstream=section.line or "",
         listeners=frozenset(section.listeners or ()),
-        units=_default_units(section, line) if asked is None else asked,
+        units=_default_units(section, upstream) if asked is None else asked,
         functions=section.asked_functions(),
         addresses=None if addresses is None else AddressRange(*addresses),
         unit=section.unit,
@@ -115,11 +117,11 @@ def _route(section: RouteSection, lines: Mapping[str, UpstreamSettings]) -> Rout
     )
 
 
-def _default_units(section: RouteSection, line: UpstreamSettings | None) -> frozenset[int]:
-    """The units of a route that names none: those that its line can have."""
-    if line is None:
+def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> frozenset[int]:
+    """The units of a route that names none: those that its upstream can have."""
+    if upstream is None:
         return ALL_UNITS
-    behind = _units_behind(line)
+    behind = _upstream_units(upstream)
     if section.unit is not None:
         return behind
     units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
@@ -128,8 +130,8 @@ def _default_units(section: RouteSection, line: UpstreamSettings | None) -> froz
     return units
 
 
-def _units_behind(line: UpstreamSettings) -> frozenset[int]:
-    return ALL_UNITS if line.link.endpoint.framing == "mbap" else SERIAL_UNITS
+def _upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
+    return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 
 # What can not work.
@@ -139,30 +141,30 @@ def judge_routes(
     file: GatewayFile,
     routes: Sequence[PlacedRoute],
     listeners: Sequence[PlacedListener],
-    lines: Mapping[str, UpstreamSettings],
+    upstreams: Mapping[str, UpstreamSettings],
     policy: Policy | None,
     judge: Judge,
 ) -> None:
-    """Tell the judge what of routes, listeners, lines and the policy does not go together."""
+    """Tell the judge what of routes, listeners, upstreams and the policy does not go together."""
     for at, sentence in (
         *_unreached(routes),
         *_hidden_refusals(routes),
-        *_impossible_units(routes, listeners, lines),
+        *_impossible_units(routes, listeners, upstreams),
         *_impossible_addresses(routes),
-        *_gaps_on_networks(routes, lines),
-        *_impatient_clients(routes, listeners, lines),
+        *_gaps_on_networks(routes, upstreams),
+        *_impatient_clients(routes, listeners, upstreams),
         *_listeners_without_units(file, routes, listeners),
-        *_loops(file, listeners, lines),
+        *_loops(file, listeners, upstreams),
     ):
         judge.refuse(at, sentence)
     for at, sentence in (
         *_overlaps(routes),
-        *_idle_lines(file, routes, lines),
+        *_idle_upstreams(file, routes, upstreams),
         *_hidden_own_unit(file, routes),
         *_idle_listeners(routes, listeners),
-        *_lines_slower_than_the_default(routes, listeners, lines),
+        *_upstreams_slower_than_the_default(routes, listeners, upstreams),
         *(() if policy is None else ways_past(policy, routes)),
-        *_same_servers(file, lines),
+        *_same_servers(file, upstreams),
     ):
         judge.warn(at, sentence)
 
@@ -250,14 +252,14 @@ def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
 
 
 def _impossible_units(
-    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
+    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
     for placed in routes:
         route, section = placed.route, placed.section
-        if route.line and _units_behind(lines[route.line]) is SERIAL_UNITS:
-            wrong = sorted(unit for unit in route.units if route.unit_behind(unit) not in SERIAL_UNITS)
+        if route.upstream and _upstream_units(upstreams[route.upstream]) is SERIAL_UNITS:
+            wrong = sorted(unit for unit in route.units if route.upstream_unit(unit) not in SERIAL_UNITS)
             if wrong:
-                yield placed.key("unit", "unit_offset", "units"), _no_unit_behind(route, wrong[0])
+                yield placed.key("unit", "unit_offset", "units"), _no_upstream_unit(route, wrong[0])
         if section is None or section.units is None:
             continue
         at = [one for one in listeners if not route.listeners or one.name in route.listeners]
@@ -270,13 +272,14 @@ def _impossible_units(
             )
 
 
-def _no_unit_behind(route: Route, unit: int) -> str:
-    behind = route.unit_behind(unit)
+def _no_upstream_unit(route: Route, unit: int) -> str:
+    behind = route.upstream_unit(unit)
     if behind == 0:
         return (
-            f"unit {unit} would be 0 on {route.line!r}, where nobody answers; a broadcast goes to all lines by itself"
+            f"unit {unit} would be 0 on {route.upstream!r}, where no unit answers; "
+            "a broadcast goes to all lines by itself"
         )
-    return f"unit {unit} would be {behind} on {route.line!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
+    return f"unit {unit} would be {behind} on {route.upstream!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
 
 
 def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
@@ -291,19 +294,19 @@ def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
             yield placed.key("functions"), f"none of them reads or writes {route.addresses.table.label}s"
 
 
-def _gaps_on_networks(routes: Sequence[PlacedRoute], lines: Mapping[str, UpstreamSettings]) -> Faults:
+def _gaps_on_networks(routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
     for placed in routes:
-        if placed.gap and placed.route.line and lines[placed.route.line].link.line is None:
+        if placed.gap and placed.route.upstream and upstreams[placed.route.upstream].link.line is None:
             yield placed.key("request_gap"), "is an option of the line where that is no serial one"
 
 
-def unit_gaps(routes: Sequence[PlacedRoute], line: str) -> dict[int, float]:
+def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
     """The gaps that routes ask for, by the unit behind: the longest of each."""
     found: dict[int, float] = {}
     for placed in routes:
-        if placed.gap and placed.route.line == line:
+        if placed.gap and placed.route.upstream == upstream:
             for unit in placed.route.units:
-                behind = placed.route.unit_behind(unit)
+                behind = placed.route.upstream_unit(unit)
                 found[behind] = max(placed.gap, found.get(behind, 0.0))
     return found
 
@@ -315,30 +318,30 @@ def _touches(code: int, addresses: AddressRange) -> bool:
 
 
 def _impatient_clients(
-    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
+    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
     for listener in listeners:
         if listener.deadline is None or not listener.is_chosen:
             continue
         cases = [
-            (worst_case(lines[one.route.line], one.route, one.gap), one.route.line)
+            (worst_case(upstreams[one.route.upstream], one.route, one.gap), one.route.upstream)
             for one in routes
-            if one.route.line and (not one.route.listeners or listener.name in one.route.listeners)
+            if one.route.upstream and (not one.route.listeners or listener.name in one.route.listeners)
         ]
         if not cases:
             continue
-        case, line = max(cases, key=lambda each: each[0].seconds)
+        case, upstream = max(cases, key=lambda each: each[0].seconds)
         if listener.deadline < case.seconds:
             yield (
                 (*listener.place[:2], "client_deadline"),
-                f"{listener.deadline:g} s is less than line {line!r} may take: {case.seconds:.3g} s = {case.sum}",
+                f"{listener.deadline:g} s is less than line {upstream!r} may take: {case.seconds:.3g} s = {case.sum}",
             )
 
 
-def _lines_slower_than_the_default(
-    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]
+def _upstreams_slower_than_the_default(
+    routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
-    """Lines whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
+    """Upstreams whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
     deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
         return
@@ -349,28 +352,29 @@ def _lines_slower_than_the_default(
             not listener.is_chosen and (not route.listeners or listener.name in route.listeners)
             for listener in listeners
         )
-        if not route.line or route.line in told or not is_asked:
+        if not route.upstream or route.upstream in told or not is_asked:
             continue
-        case = worst_case(lines[route.line], replace(route, max_registers=None, max_bits=None), one.gap)
+        case = worst_case(upstreams[route.upstream], replace(route, max_registers=None, max_bits=None), one.gap)
         if case.seconds > deadline:
-            told.add(route.line)
+            told.add(route.upstream)
             yield (
                 one.key("timeout"),
-                f"line {route.line!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B after "
-                f"{deadline:g} s; set client_deadline of the listener to what its clients wait, or a shorter timeout",
+                f"line {route.upstream!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B "
+                f"after {deadline:g} s; set client_deadline of the listener to what its clients wait, or a "
+                "shorter timeout",
             )
 
 
-def worst_case(line: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
-    """How long a request of a route may take on its line, once it has its turn; ``gap``: that of its unit, seconds."""
-    parameters = line.link.parameters
+def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
+    """How long a request of a route may take upstream once it has its turn; ``gap``: that of its unit, seconds."""
+    parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout
     reading = writing = parameters.request_gap
-    if line.link.line is not None:
-        timing = timing_of(line.link.line.port)
-        serial = line.link.line.conversation
+    if upstream.link.line is not None:
+        timing = timing_of(upstream.link.line.port)
+        serial = upstream.link.line.conversation
         pause = max(parameters.request_gap, serial.unit_switch_gap, serial.quiet_window, timing.t3_5)
-        short, long = _REQUEST_CHARACTERS[line.link.endpoint.framing]
+        short, long = _REQUEST_CHARACTERS[upstream.link.endpoint.framing]
         pause = max(pause, gap)
         reading, writing = pause + timing.duration(short), pause + timing.duration(long)
     pieces = max(_pieces(_MOST_REGISTERS, route.max_registers), _pieces(_MOST_BITS, route.max_bits))
@@ -406,7 +410,7 @@ def _listeners_without_units(
 
 def _idle_listeners(routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]) -> Faults:
     for listener in listeners:
-        if not listener.is_serial and not any(one.route.line for one in _of_listener(routes, listener)):
+        if not listener.is_serial and not any(one.route.upstream for one in _of_listener(routes, listener)):
             yield listener.place, "no route leads from here to a line"
 
 
@@ -414,17 +418,17 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
     return [one for one in routes if not one.route.listeners or listener.name in one.route.listeners]
 
 
-def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], lines: Mapping[str, UpstreamSettings]) -> Faults:
-    """Lines that lead to the gateway itself, and ports that are wanted twice."""
+def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
+    """Upstreams that lead to the gateway itself, and ports that are wanted twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
         if listener.endpoint.carrier == "serial":
             owners[os.path.realpath(listener.endpoint.path)] = f"listener {listener.name}"
     for index, section in enumerate(file.line):
-        line = lines.get(section.name)
-        if line is None:
+        upstream = upstreams.get(section.name)
+        if upstream is None:
             continue
-        endpoint = line.link.endpoint
+        endpoint = upstream.link.endpoint
         place: Place = ("line", index, "url")
         if endpoint.carrier == "serial":
             port = os.path.realpath(endpoint.path)
@@ -437,14 +441,14 @@ def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], lines: Mappin
             yield place, f"leads back to the gateway itself, to listener {own.name}"
 
 
-def _is_same(listener: Endpoint, line: Endpoint) -> bool:
-    if listener.carrier == "serial" or listener.port != line.port or not listener.port:
+def _is_same(listener: Endpoint, upstream: Endpoint) -> bool:
+    if listener.carrier == "serial" or listener.port != upstream.port or not listener.port:
         return False
-    if (listener.carrier == "udp") != (line.carrier == "udp"):
+    if (listener.carrier == "udp") != (upstream.carrier == "udp"):
         return False
-    listener_host, line_host = (_SAME.get(host, host) for host in (listener.host, line.host))
-    return listener_host == line_host or (
-        listener_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(line_host)}")
+    listener_host, upstream_host = (_SAME.get(host, host) for host in (listener.host, upstream.host))
+    return listener_host == upstream_host or (
+        listener_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(upstream_host)}")
     )
 
 
@@ -452,20 +456,22 @@ def _bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _idle_lines(file: GatewayFile, routes: Sequence[PlacedRoute], lines: Mapping[str, UpstreamSettings]) -> Faults:
-    used = {one.route.line for one in routes}
+def _idle_upstreams(
+    file: GatewayFile, routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]
+) -> Faults:
+    used = {one.route.upstream for one in routes}
     for index, section in enumerate(file.line):
-        if section.name in lines and section.name not in used:
+        if section.name in upstreams and section.name not in used:
             yield ("line", index, "name"), f"no route leads to {section.name!r}"
 
 
-def _same_servers(file: GatewayFile, lines: Mapping[str, UpstreamSettings]) -> Faults:
+def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) -> Faults:
     seen: dict[tuple[str, str, int | None], str] = {}
     for index, section in enumerate(file.line):
-        line = lines.get(section.name)
-        if line is None or line.link.endpoint.carrier == "serial":
+        upstream = upstreams.get(section.name)
+        if upstream is None or upstream.link.endpoint.carrier == "serial":
             continue
-        endpoint = line.link.endpoint
+        endpoint = upstream.link.endpoint
         server = ("udp" if endpoint.carrier == "udp" else "tcp", endpoint.host, endpoint.port)
         if server in seen:
             yield (

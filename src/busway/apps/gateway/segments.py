@@ -1,6 +1,6 @@
 """Routes by address of one unit and one function: found by where a request lies, not by looking through all of them.
 
-Knows routes in their order, and ranges; knows no unit and no line.
+Knows routes in their order, and ranges; knows no unit and no upstream.
 
 The first route that a request touches decides, whether it takes it whole or only a part. So the table is cut at the
 edges of all ranges, and each piece knows the first route that has it; of the pieces that a request lies on, the route

@@ -1,7 +1,7 @@
-"""What a request looks like on the line behind, and its answer to the client.
+"""What a request looks like on the upstream, and its answer to the client.
 
-Knows requests and replies; knows no line. A shifted address is shifted back in the answer, a request that was split is
-answered whole.
+Knows requests and replies; knows no upstream. A shifted address is shifted back in the answer, a request that was
+split is answered whole.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from ...pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters
 from .routes import Route
 
 
-def behind(request: Request, route: Route, width: int = NARROW) -> tuple[Request, ...]:
+def upstream_requests(request: Request, route: Route, width: int = NARROW) -> tuple[Request, ...]:
     """The requests to send for one that a route takes: itself, as a rule.
 
     Args:
@@ -57,7 +57,7 @@ def behind(request: Request, route: Route, width: int = NARROW) -> tuple[Request
     )
 
 
-def in_front(request: Request, route: Route, sent: Sequence[Request], replies: Sequence[Message]) -> Message:
+def client_reply(request: Request, route: Route, sent: Sequence[Request], replies: Sequence[Message]) -> Message:
     """The answer to ``request`` from the answers to what was ``sent`` for it."""
     if len(replies) > 1:
         return _joined(request, sent, replies)

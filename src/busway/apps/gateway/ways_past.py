@@ -15,12 +15,12 @@ from .placed import PlacedRoute
 from .routes import Route
 
 Device = tuple[str, int]
-"""Line, and unit behind."""
+"""Upstream, and unit behind."""
 
 
 def ways_past(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
     """The rules that do not hold for all ways to their devices: where each stands, and a sentence."""
-    forwards = [one for one in routes if one.route.line]
+    forwards = [one for one in routes if one.route.upstream]
     for index, rule in enumerate(policy.rules):
         if _restricts(rule):
             for sentence in (*_by_unit(rule, policy, forwards), *_by_address(rule, forwards)):
@@ -38,15 +38,15 @@ def _by_unit(rule: Rule, policy: Policy, routes: Sequence[PlacedRoute]) -> Itera
     known: dict[Device, int] = {}
     for one in routes:
         for unit in sorted(one.route.units & rule.units):
-            known.setdefault((one.route.line, one.route.unit_behind(unit)), unit)
+            known.setdefault((one.route.upstream, one.route.upstream_unit(unit)), unit)
     for one in routes:
         route = one.route
         for unit in sorted(route.units - rule.units):
-            asked = known.get((route.line, route.unit_behind(unit)))
+            asked = known.get((route.upstream, route.upstream_unit(unit)))
             if asked is not None and _is_permitted(policy, unit) and not _has_a_rule_alike(policy, rule, unit):
                 yield (
                     f"does not hold for unit {unit}, by which {one.title} leads to the same device as unit {asked}: "
-                    f"unit {route.unit_behind(unit)} of line {route.line!r}"
+                    f"unit {route.upstream_unit(unit)} of line {route.upstream!r}"
                 )
                 break
 
@@ -75,7 +75,7 @@ def _by_address(rule: Rule, routes: Sequence[PlacedRoute]) -> Iterator[str]:
         devices: dict[Device, set[int]] = {}  # the shifts by which the rule's numbers reach it
         for one in routes:
             for unit in one.route.units if rule.units is None else one.route.units & rule.units:
-                devices.setdefault((one.route.line, one.route.unit_behind(unit)), set()).add(one.route.shift)
+                devices.setdefault((one.route.upstream, one.route.upstream_unit(unit)), set()).add(one.route.shift)
         for one in routes:
             sentence = _other_addresses(rule, table, ranges, one, devices)
             if sentence:
@@ -87,7 +87,7 @@ def _other_addresses(
 ) -> str:
     route = one.route
     for unit in sorted(route.units if rule.units is None else route.units & rule.units):
-        behind = (route.line, route.unit_behind(unit))
+        behind = (route.upstream, route.upstream_unit(unit))
         for shift in sorted(devices.get(behind, set()) - {route.shift}):
             for first, end in ranges:
                 moved = (first + shift - route.shift, end + shift - route.shift)

@@ -1,15 +1,15 @@
-"""A line behind a gateway: its links, and the requests that wait for them.
+"""An upstream a gateway: its links, and the requests that wait for them.
 
 Knows links and demands; knows no listener beyond the context of a request.
 
 1. Each request ends exactly once: with the device's answer, with its exception, or with 0A or 0B.
-2. The order on the line is that of its scheduler: round robin over the connections in front, see
+2. The order on the upstream is that of its scheduler: round robin over the connections in front, see
    `busway.session.queue`.
 3. A client that goes away takes its queued requests with it; the one on the wire finishes, and its answer is dropped.
-4. Where a line has several connections to one server, all requests of one client use the same one, so that they
+4. Where an upstream has several connections to one server, all requests of one client use the same one, so that they
    arrive in the order in which they were asked.
-5. A serial port is opened when the line is, and again whenever it has gone: its operator knows what is wrong with it
-   before a client does. A server on a network is dialled at the first need.
+5. A serial port is opened when the upstream is, and again whenever it has gone: its operator knows what is wrong with
+   it before a client does. A server on a network is dialled at the first need.
 """
 
 import asyncio
@@ -40,10 +40,10 @@ from ...session.reconnect import ConnectionEvent
 from ...session.serial_client import SerialClientSession
 from .answers import code_for
 from .memory import Key, Memory, Place
-from .news import LineNews
+from .news import UpstreamNews
 from .read_batches import FOR_EVER, ReadBatch, ReadBatches
 from .routes import Route
-from .translation import behind, in_front
+from .translation import client_reply, upstream_requests
 from .waiters import WaiterDeadlines
 
 MAX_CONNECTIONS = 16
@@ -53,13 +53,13 @@ _CLIENTS_REMEMBERED = 4096
 
 @dataclass(slots=True)
 class UpstreamCounters:
-    """What happened to the requests of a line.
+    """What happened to the requests of an upstream.
 
     Attributes:
         forwarded: requests that were handed to a link.
         answered: requests that got the device's answer.
         exceptions: requests that the device refused.
-        no_path: requests answered 0A: line down, queue full, or not to be asked so.
+        no_path: requests answered 0A: upstream down, queue full, or not to be asked so.
         no_answer: requests answered 0B.
         shared: reads that were answered by another's read in flight.
         recalled: reads that were answered from memory.
@@ -95,7 +95,7 @@ class SuspendedUnit:
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """One connection of a line.
+    """One connection of an upstream.
 
     Attributes:
         state: where it stands.
@@ -119,8 +119,8 @@ class LinkStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class LineStatus:
-    """A line as a status shows it.
+class UpstreamStatus:
+    """An upstream as a status shows it.
 
     Attributes:
         name, endpoint: what routes call it, and where it leads.
@@ -137,7 +137,7 @@ class LineStatus:
 
 
 class _Exchange:
-    """One demand on a line, and everybody who waits for it. It has the face of a future for `AsyncLinkDriver.begin`."""
+    """One call to an upstream, and all clients that wait for it; a completion callback of `AsyncLinkDriver.begin`."""
 
     # Most are one client's, and neither shared nor remembered: those have no slot to fill (1 of 15 µs).
     key: Key | None = None
@@ -147,9 +147,9 @@ class _Exchange:
     call: Call
 
     def __init__(
-        self, line: "Line", link: AsyncLinkDriver, unit: int, waiter: tuple[RequestContext, Request, Route]
+        self, upstream: "Upstream", link: AsyncLinkDriver, unit: int, waiter: tuple[RequestContext, Request, Route]
     ) -> None:
-        self.line = line
+        self.upstream = upstream
         self.link = link
         self.unit = unit
         self.waiters = [waiter]
@@ -158,7 +158,7 @@ class _Exchange:
 
     def asker_gone(self) -> None:
         """The client that asked first has gone."""
-        self.line.gone(self, self.waiters[0][0])
+        self.upstream.gone(self, self.waiters[0][0])
 
     def done(self) -> bool:
         """Never: `set_result` is called once."""
@@ -166,7 +166,7 @@ class _Exchange:
 
     def set_result(self, result: None) -> None:
         """All outcomes are there."""
-        self.line.ended(self)
+        self.upstream.ended(self)
 
     @property
     def is_sent(self) -> bool:
@@ -174,8 +174,8 @@ class _Exchange:
         return bool(self.call.next or self.call.attempts)
 
 
-class Line:
-    """One line: where routes lead.
+class Upstream:
+    """One upstream: where routes lead.
 
     Args:
         name: what routes call it.
@@ -213,7 +213,7 @@ class Line:
         self._keeper: asyncio.Task[None] | None = None  # of a serial port
         self._port_gone = asyncio.Event()
         is_port = settings.endpoint.carrier == "serial"
-        self.news = LineNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
+        self.news = UpstreamNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
         self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; who asked last comes last
         self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
@@ -302,7 +302,7 @@ class Line:
         """Requests that are not answered yet."""
         return self._open
 
-    def status(self) -> LineStatus:
+    def status(self) -> UpstreamStatus:
         """How it stands."""
         links = tuple(
             LinkStatus(
@@ -317,7 +317,7 @@ class Line:
             )
             for link in self._links
         )
-        return LineStatus(self.name, self.settings.endpoint.url, links, self.counters, _lamps(links))
+        return UpstreamStatus(self.name, self.settings.endpoint.url, links, self.counters, _lamps(links))
 
     # Requests.
 
@@ -332,7 +332,7 @@ class Line:
             route: what becomes of it.
             deadline: seconds after which the client has given up; None if that is not known.
         """
-        unit = route.unit_behind(context.unit)
+        unit = route.upstream_unit(context.unit)
         key = None
         if isinstance(request, _READS):
             if self._width != NARROW and isinstance(request, ReadRegisters) and request.count * self._width > MAX_DATA:
@@ -352,7 +352,7 @@ class Line:
                 self._share(exchange, (context, request, route), deadline)
                 return LATER
         try:
-            sent = behind(request, route, self._width)
+            sent = upstream_requests(request, route, self._width)
         except InvalidRequest:
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_ADDRESS)
         link = self.link_for(context.peer)
@@ -369,7 +369,7 @@ class Line:
     def broadcast(
         self, context: RequestContext, request: Request, route: Route, *, deadline: float | None
     ) -> Message | Deferral:
-        """Send a write to all units of the line; the answer comes when it was sent. Arguments as those of `forward`."""
+        """Send a write to all units of the upstream, and answer when it was sent. Arguments: as those of `forward`."""
         outcome = self.forward(context, request, route, deadline=deadline)
         self.counters.broadcasts += outcome is LATER
         return outcome
@@ -452,7 +452,7 @@ class Line:
         return None
 
     def link_for(self, client: str) -> AsyncLinkDriver | None:
-        """The connection that the requests of a client (``host:port``) use; None while the line is closed."""
+        """The connection that the requests of a client (``host:port``) use; None while the upstream is closed."""
         links = self._links
         if len(links) < 2:
             return links[0] if links else None
@@ -485,7 +485,7 @@ class Line:
                 return
         self.counters.answered += 1
         for context, request, route in exchange.waiters:
-            reply = in_front(request, route, call.requests, replies)
+            reply = client_reply(request, route, call.requests, replies)
             if route.cache is not None and exchange.began:
                 self._remember(exchange, request, route, reply)
             context.reply(reply)
@@ -540,7 +540,7 @@ class Line:
 
 
 def _lamps(links: Sequence[LinkStatus]) -> StatusIndicators:
-    """What the lamps of a line show."""
+    """What the lamps of an upstream show."""
     is_faulty = not links or any(link.reason for link in links)
     return StatusIndicators(
         StatusIndicator.ON if any(link.in_flight for link in links) else StatusIndicator.OFF,
