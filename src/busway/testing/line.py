@@ -191,7 +191,7 @@ class PacedLine:
         return copied
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """The bytes seen on the line, split where there was a silence (seconds; 1.5 characters) or the sender changed."""
+        """The bytes seen on the line, split at silences (seconds; 1.5 characters) or where the sender changed."""
         return gathered(self.tap, self.character_time, silence)
 
     def forget(self) -> None:
