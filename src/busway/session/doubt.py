@@ -1,26 +1,26 @@
-"""Which units of a line owe replies, and what may be sent to them meanwhile.
+"""Outstanding late replies of the units of a serial line, and which requests may be sent before they have come.
 
 Knows requests, units and times; knows no bytes of a frame beyond its PDU, no port and no clock.
 
-Frames of RTU and ASCII have no transaction numbers. That a reply answers a request is known by its unit, function,
-length and echo; a late reply to an earlier request may have all of them. What can be relied on is order: a unit answers
-what it received at most once, and in the order in which it received it.
+Frames of RTU and ASCII have no transaction numbers. A reply is matched to its request by unit, function, length and
+echo; a late reply to an earlier request may have all of them in common. The order is reliable: a unit answers each
+request at most once, and in the order in which it received them.
 
-1. A request that got no answer is owed one (`OwedReply`), until the answer comes or order excludes that it comes. This
+1. A request without a reply is *owed* one (`OwedReply`), until the reply comes or the order excludes it. This
    outlives connections; no clock ends it.
-2. A reply belongs to the earliest request of its unit that it could answer. What was sent before that request is not
-   answered any more.
+2. A reply belongs to the earliest request of its unit that it could answer. Requests sent before that one get no reply
+   any more.
 3. A unit is *in doubt* for a request while another call is owed a reply that could be taken for the reply to it. A
-   read is known by function and length; its exception decides nothing then. A write is known by its function alone: it
-   cannot be asked again to make sure.
-4. Such a request goes out only behind a *marker*: a harmless request whose answer cannot be taken for an owed one. Its
-   answer ends the doubt (rule 2).
-5. A unit may not keep the order. So a request under a function that is owed an answer waits until twice the timeout has
-   passed since the last attempt, or until as many answers have come as are owed. ``trust_reply_order`` skips that.
-6. A unit that is silent to every marker is asked the read itself: what comes is counted against what is owed (rule 2),
-   so a read may have to be repeated, and is never wrong. A write is not sent.
-7. A unit that spoke unasked, or too early, is in doubt for that function. Answers nobody asked for may look like good
-   ones at the moment: after `CHECK_EVERY` replies of one shape in a row a marker is sent, and shows a shift.
+   read is recognised by function and length, and its exception decides nothing then. A write is recognised by its
+   function alone: it cannot be repeated to make sure.
+4. Such a request is sent only after a *marker*: a harmless request whose reply cannot be taken for an owed one. The
+   reply to the marker ends the doubt (rule 2).
+5. A unit may break the order. So a request with a function that is owed a reply waits until twice the timeout has
+   passed since the last attempt, or until as many replies have come as are owed. ``trust_reply_order`` skips that.
+6. If a unit answers no marker, the read itself is sent: replies are counted against the owed ones (rule 2), so
+   a read may have to be repeated, but its result is never wrong. A write is not sent.
+7. A unit that sent a frame unasked, or too early, is in doubt for that function. Unasked replies may look like good
+   ones: after `CHECK_EVERY` replies of one shape in a row a marker is sent, which reveals a shift.
 """
 
 from collections.abc import Iterable
@@ -33,14 +33,14 @@ from ..pdu.message import UNKNOWN_LENGTH, Request
 from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 
 CHECK_EVERY: Final = 128
-"""Replies of one shape in a row after which a marker is sent: below a hundredth of the requests of a line."""
+"""Replies of one shape in a row after which a marker is sent: costs less than a hundredth of a line's requests."""
 OWED_LIMIT: Final = 256
-"""Owed replies of a unit that are told apart. A unit that is dead for an hour is probed about 400 times."""
+"""Owed replies of a unit that are kept one by one. A unit that is dead for an hour is probed about 400 times."""
 _EXCEPTION: Final = 0x80
 
 
 class MarkerKind(Enum):
-    """The harmless requests whose answer ends a doubt, in the order in which they are tried."""
+    """Kinds of markers: harmless requests whose reply ends a doubt, in the order in which they are tried."""
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
     OTHER_LENGTH = "a read that was answered before, with another length"
@@ -53,11 +53,11 @@ _OF_CHECKS: Final = (MarkerKind.OTHER_LENGTH, MarkerKind.RETURN_QUERY_DATA)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """A request of our own.
+    """A harmless request that the session itself sends to end a doubt (rule 4).
 
     Attributes:
-        kind: what it is.
-        request: prepared to be sent.
+        kind: the kind of request.
+        request: the request, prepared to be sent.
     """
 
     kind: MarkerKind
@@ -66,14 +66,14 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwedReply:
-    """A request that was sent and got no answer.
+    """A request that was sent and got no reply, which may still come.
 
     Attributes:
-        request: what was asked, prepared.
+        request: the request, prepared.
         function: its function code.
         sent: when its last byte left, in seconds.
-        until: when its answer has come even from a unit that keeps no order (rule 5).
-        call, position: whose request it was; None of a marker, or of a call that nobody waits for.
+        until: when its reply must have come even from a unit that breaks the order (rule 5).
+        call, position: the call that made the request; None for a marker, or for a cancelled call.
     """
 
     request: Request
@@ -84,7 +84,7 @@ class OwedReply:
     position: int = 0
 
     def may_be(self, pdu: bytes) -> bool:
-        """Whether this PDU may be its answer."""
+        """Whether this PDU may be the reply to this request."""
         if pdu[0] & ~_EXCEPTION != self.function:
             return False
         if pdu[0] & _EXCEPTION:
@@ -94,24 +94,24 @@ class OwedReply:
         return (size in (UNKNOWN_LENGTH, len(pdu))) and pdu.startswith(request.expected_prefix)
 
     def is_of(self, call: object, position: int) -> bool:
-        """Whether it is an earlier attempt of this very request."""
+        """Whether this is an earlier attempt of the request at ``position`` of ``call``."""
         return self.call is call and self.position == position and call is not None
 
 
 @dataclass(slots=True)
 class UnitDoubt:
-    """What is known of one unit.
+    """Owed replies and markers of one unit.
 
     Attributes:
-        owed: the answers that may still come, in the order in which they were asked for.
-        older: how many more are owed by function, asked for before all of ``owed``.
-        pending: the same by count alone, for units that keep no order (rule 5).
-        unasked: the function under which it spoke unasked; None where it did not.
+        owed: the replies that may still come, in the order of their requests.
+        older: number of further owed replies by function code, requested before all of ``owed``.
+        pending: owed replies whose function code still has to wait, for units that break the order (rule 5).
+        unasked: the function code of a frame that the unit sent unasked; None without one.
         delay: seconds that its last late reply had taken; None before the first, and after a reply in time.
         last: the request that it answered last; None before the first.
-        alike: replies in a row that could not be told from the one before by their shape (rule 7).
+        alike: replies in a row with the same shape as the one before (rule 7).
         silent: kinds of markers that it did not answer.
-        works: the kind that it answered last.
+        works: the kind of marker that it answered last.
         good: a read that it answered.
     """
 
@@ -126,10 +126,10 @@ class UnitDoubt:
     works: MarkerKind | None = None
     good: Request | None = None
 
-    # What is owed.
+    # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
-        """A request got no answer in time, or the connection ended before it."""
+        """Note a request that got no reply in time, or before the connection ended."""
         if len(self.owed) >= OWED_LIMIT:
             first = self.owed.pop(0)
             self.older[first.function] = self.older.get(first.function, 0) + 1
@@ -137,48 +137,48 @@ class UnitDoubt:
         self.pending.append(reply)
 
     def is_older(self, pdu: bytes) -> bool:
-        """Whether this PDU must be taken for an answer of which only the function is known any more.
+        """Whether this PDU must be taken for one of the replies counted in ``older``.
 
-        What 08/00 brings back tells its number.
+        A reply to 08/00 is not: its number identifies its request.
         """
         function = pdu[0] & ~_EXCEPTION
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """One of those has come; counting the earliest makes a doubt longer, never shorter."""
+        """Note that a reply counted in ``older`` has come; taking the earliest makes a doubt longer, never shorter."""
         function = pdu[0] & ~_EXCEPTION
         self.older[function] -= 1
         if not self.older[function]:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """The owed replies that this PDU may be, the earliest first: that is what it must be taken for (rule 2)."""
+        """The owed replies that this PDU may be, the earliest first: it must be taken for that one (rule 2)."""
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
-        """An owed reply has come; what was asked before it is not answered any more."""
+        """Note that an owed reply has come; requests sent before it get no reply any more."""
         del self.owed[: self.owed.index(reply) + 1]
         self.older.clear()
         self._count(reply.function)
 
     def _count(self, function: int) -> None:
-        """One answer under this function has come, whichever it was."""
+        """Count a reply with this function code, whichever request it answers (rule 5)."""
         for index, owed in enumerate(self.pending):
             if owed.function == function:
                 del self.pending[index]
                 return
 
     def answered(self, request: Request) -> None:
-        """The request in flight was answered by what no owed reply could be: nothing sent before it comes any more."""
+        """Forget ``owed`` and ``older``: the request in flight got a reply that none of them could be (rule 2)."""
         self.owed.clear()
         self.older.clear()
         if request.wire[0] != self.unasked:
             self.unasked = None
 
-    # What may be sent.
+    # Requests that may be sent.
 
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
-        """Whether the answer to a prepared request could be taken for an owed one (rule 3); of its own call it may."""
+        """Whether an owed reply of another call could be taken for the reply to this prepared request (rule 3)."""
         function = request.wire[0]
         if self.unasked == function or function in self.older:
             return True
@@ -186,7 +186,7 @@ class UnitDoubt:
         return any(request.is_write or _same_shape(owed.request, request) for owed in others)
 
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
-        """When a request may be sent as far as the order of replies is not relied on (rule 5); ``now`` if it may."""
+        """The earliest time to send a request without relying on the order of replies (rule 5); ``now`` for at once."""
         if not self.pending:
             return now
         self.pending = [owed for owed in self.pending if owed.until > now]
@@ -195,7 +195,7 @@ class UnitDoubt:
 
     @property
     def is_owed(self) -> bool:
-        """Whether replies are owed, or it spoke unasked."""
+        """Whether replies are owed, or the unit sent a frame unasked."""
         return bool(self.owed or self.older or self.unasked is not None)
 
     @property
@@ -206,9 +206,9 @@ class UnitDoubt:
     # Markers.
 
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
-        """The next request that may end the doubt, or None where the unit was silent to all of them.
+        """The next marker to try, or None if the unit answered no kind of marker.
 
-        ``number``, 0…65535, is one that no marker used that is still owed an answer.
+        ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it.
         """
         kinds: Iterable[MarkerKind] = _OF_CHECKS if is_check else MarkerKind
         if self.works is not None and not is_check:
@@ -232,7 +232,7 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """A part of a read that was answered, of a length that no owed reply and no last one has."""
+        """A part of a read that was answered before, with a length that no owed reply and not the last reply has."""
         good = self.good
         if good is None or good.wire[0] in self.older:
             return None
@@ -246,28 +246,28 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """A marker was answered."""
+        """Note that a marker was answered."""
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
         self.alike = 0
 
     def not_marked(self, kind: MarkerKind) -> None:
-        """A marker was not answered."""
+        """Note that a marker was not answered."""
         self.silent.add(kind)
 
     def revived(self) -> None:
-        """It answers after it had been given up: that it was silent to markers says nothing any more."""
+        """Try all kinds of markers again: the unit answers after it had been given up."""
         self.silent.clear()
 
-    # What it answers in time.
+    # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """It answered a request in time; follow how often its replies looked alike."""
+        """Note a reply in time, and count replies of the same shape in a row (rule 7)."""
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
-        ):  # as a rule
+        ):  # the usual case
             self.alike += 1
         else:
             self.alike = 0
@@ -295,10 +295,10 @@ def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
 
 
 class Doubts:
-    """The units of one link. It outlives connections, and the link too (`busway.client.doubts`).
+    """Owed replies of all units of one link; kept across connections, and after the link (`busway.client.doubts`).
 
     Attributes:
-        units: what is known of each unit that was asked.
+        units: the state of each unit that a request was sent to.
     """
 
     __slots__ = ("_number", "units")
@@ -308,28 +308,28 @@ class Doubts:
         self._number = 0
 
     def of(self, unit: int) -> UnitDoubt:
-        """What is known of a unit, from the first time on."""
+        """The state of a unit, created at the first use."""
         found = self.units.get(unit)
         if found is None:
             found = self.units[unit] = UnitDoubt()
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """The next request that may end the doubt of a unit, or None (`UnitDoubt.marker`)."""
+        """The next marker to try for a unit, or None (`UnitDoubt.marker`)."""
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
 
     def in_doubt(self) -> list[int]:
-        """The units that owe something, in their order."""
+        """The units that owe replies, in ascending order."""
         return sorted(unit for unit, doubt in self.units.items() if doubt.owed or doubt.unasked is not None)
 
     @property
     def is_owed(self) -> bool:
-        """Whether there is something that another link to the same endpoint must know."""
+        """Whether a later link to the same endpoint must know of owed replies."""
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:
-        """Take over what another link to the same endpoint was owed, in the order in which it was asked."""
+        """Add the owed replies of an earlier link to the same endpoint, in the order of their requests."""
         for unit, theirs in other.units.items():
             ours = self.of(unit)
             ours.owed = sorted((*ours.owed, *theirs.owed), key=lambda owed: owed.sent)

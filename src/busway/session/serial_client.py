@@ -1,17 +1,17 @@
-"""The master of a serial line: one transaction at a time, with the turnaround, gaps and doubts of a shared wire.
+"""The master of a serial line: one transaction at a time, with turnaround, gaps and safe handling of late replies.
 
-Knows the master's state diagram (Serial Line V1.02 §2.4.1) and how to come back in step; knows no port and no clock.
-RTU and ASCII differ only in the framing that is handed in.
+Knows the master's state diagram (Serial Line V1.02 §2.4.1) and how to recover after errors; knows no port and no clock.
+RTU and ASCII differ only in the framing that is passed in.
 
 1. States: idle → waiting for a reply (unicast) or for the turnaround (broadcast) → idle. One request is in flight.
 2. A reply of another unit keeps the timer running. A damaged frame counts, and may be repeated like a timeout.
 3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
-   the same unit before that much time has passed since the timeout. Whatever comes until then is late and dropped.
-4. A unit that owes a reply is in doubt (`doubt`): what could be confused with the owed reply goes out only behind a
-   marker, a request of our own. A late reply belongs to the call that asked for it, or to nobody. Other units are
-   asked meanwhile.
-5. Nothing is sent before t3.5 after the last byte of anybody, ``request_gap`` after a reply and ``unit_switch_gap``
-   where the unit changes. A unit that has a gap of its own is left alone for it; others are asked meanwhile.
+   the same unit before that much time has passed since the timeout. Frames that come until then are late and dropped.
+4. A unit that owes a reply is in doubt (`doubt`): a request whose reply could be confused with the owed one is sent
+   only after a marker, a harmless request of the session. A late reply is given to the call that asked for it or dropped.
+   Other units are served meanwhile.
+5. Nothing is sent before t3.5 after the last byte on the line, ``request_gap`` after a reply and ``unit_switch_gap``
+   before a request to another unit. A unit with a gap of its own is left alone for it; others are served meanwhile.
 6. Dead units cost the line no more than a probe (`breaker`); their requests fail with `UnitSuspended`.
 7. A request that was cancelled, or whose deadline is over, stays in flight until its reply comes or its time is over.
 8. A frame that began before the request had left and t3.5 had passed is no reply to it.
@@ -47,25 +47,25 @@ from .line_framing import LineFraming
 from .parameters import ClientParameters
 
 OWED_FOR: Final = 2.0
-"""Timeouts after which an answer has come even from a unit that does not keep the order (rule 5 of `doubt`)."""
+"""Multiple of the timeout after which a reply has come even from a unit that breaks the order (`doubt` rule 5)."""
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""The usual delay of a unit is its slowest lately: each faster reply takes a tenth off."""
+"""Decay of a unit's usual delay, which is its slowest lately: each faster reply takes a tenth off."""
 
 
 @dataclass(frozen=True, slots=True)
 class SerialClientParameters:
-    """What a master on a serial line has besides `ClientParameters`.
+    """Options of a serial line's master in addition to `ClientParameters`.
 
     Attributes:
         turnaround_delay: seconds after a broadcast before the next request (§2.4.1: 100…200 ms typical), 0…10.
-        unit_switch_gap: seconds of silence where the next request goes to another unit, at least t3.5; 0…10.
+        unit_switch_gap: seconds of silence before a request to another unit than the last, at least t3.5; 0…10.
         quiet_window: seconds of silence that end a drain after a timeout, 0…10.
         drain_limit: seconds after which a drain ends although the line never fell silent, 0…60.
-        trust_reply_order: whether units are known to answer in the order in which they were asked. Then a unit that
-            did not answer is asked again as soon as it has answered a marker; otherwise not before twice the timeout
-            has passed since the request that it did not answer.
-        early_replies: whether replies are taken that begin before t3.5 has passed since the request (§2.5.1.1).
+        trust_reply_order: whether units are known to answer requests in their order. Then a unit that did not answer
+            gets the next request as soon as it has answered a marker; otherwise not before twice the timeout has
+            passed since the request that it did not answer.
+        early_replies: whether to accept replies that begin before t3.5 has passed since the request (§2.5.1.1).
     """
 
     turnaround_delay: float = 0.1
@@ -87,7 +87,7 @@ class SerialClientParameters:
 
 
 class MasterState(Enum):
-    """The states of the master (§2.4.1), and the one that brings it back in step."""
+    """The states of the master (§2.4.1), and DRAINING, which follows a timeout (rule 3)."""
 
     IDLE = "idle"
     WAITING_FOR_REPLY = "waiting for reply"
@@ -97,7 +97,7 @@ class MasterState(Enum):
 
 @dataclass(slots=True)
 class _RequestInFlight:
-    """The request on the line. ``call`` None: nobody waits for it any more, or it is a ``marker``."""
+    """The request on the line. ``call`` is None if it was cancelled, or is a ``marker``."""
 
     call: Call | None
     request: Request
@@ -114,21 +114,21 @@ class _RequestInFlight:
 
     @property
     def deadline(self) -> float | None:
-        """When the call must have ended."""
+        """Deadline of the call; None without one."""
         return None if self.call is None else self.call.deadline
 
 
 class SerialClientSession:
-    """One line's conversation, across reopenings of its port.
+    """Client session of one serial line; it survives reopening the port.
 
     Attributes:
         counters, finished, recycle, valid_reply: as in `TcpClientSession`.
-        state: where the master stands.
-        breakers: which units are not asked.
-        doubts: which units owe replies.
-        notes: what a trace tells of late replies and of requests of the session's own; the driver empties the list.
-        characters_take_time: whether the port takes the times of its characters, as a wire does. A pseudo-terminal
-            does not: there a reply may be there before its request has left by arithmetic.
+        state: state of the master.
+        breakers: the circuit breakers of the units.
+        doubts: the outstanding late replies of the units.
+        notes: texts for a trace about late replies and markers; the driver empties the list.
+        characters_take_time: whether sending takes the computed time of the characters, as on a wire. On a
+            pseudo-terminal it does not: a reply may come before the computed end of its request.
     """
 
     __slots__ = (
@@ -174,12 +174,12 @@ class SerialClientSession:
 
         Args:
             parameters: timeout, retries, gaps, queue.
-            framing: in the role of a master.
-            jitter: gives a number 0…1 per call, for the pauses of `breaker`.
+            framing: the framing, in the role of a master.
+            jitter: returns a number 0…1, for the pauses of `breaker`.
             serial: turnaround, gaps and drain.
-            breaker: when units are given up.
+            breaker: when units are suspended.
             endpoint: URL of the link, for errors.
-            doubts: what an earlier link to the same endpoint was owed.
+            doubts: outstanding replies of an earlier link to the same endpoint.
         """
         self.parameters = parameters
         self.recycle = ""
@@ -207,17 +207,17 @@ class SerialClientSession:
         self._timeouts_in_row = 0
         self._unit_gaps: Mapping[int, float] = {}
 
-    # What the application asks.
+    # Calls of the application.
 
     def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
-        """Leave these units alone for so many seconds after each of their replies."""
+        """Set the seconds that each of these units is left alone after its replies."""
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
-        """Take a call.
+        """Queue a call.
 
         Raises:
-            InvalidRequest: a unit above 247, or a broadcast of something that is no write.
+            InvalidRequest: a unit above 247, or a broadcast of a request that is no write.
             Overloaded: the queue is full.
             UnitSuspended: the unit's breaker is open.
             In all cases nothing was sent.
@@ -255,10 +255,10 @@ class SerialClientSession:
         return self._tracker.suspended(call, pause, self.breakers.parameters.open_after)
 
     def cancel(self, call: Call) -> bool:
-        """The caller has gone: nothing more of the call is sent, and what is in flight finishes unseen.
+        """Cancel a call: nothing more of it is sent, and the reply to its request in flight is dropped.
 
         Returns:
-            Whether something of it is in flight.
+            Whether one of its requests is in flight.
         """
         awaited = self._awaited
         is_flying = awaited is not None and awaited.call is call
@@ -268,22 +268,22 @@ class SerialClientSession:
         return is_flying
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units of each caller in turn: for callers that stand for many, as a client of a gateway does."""
+        """Serve the units of each caller in turn: for callers that act for many, such as a client of a gateway."""
         self._tracker.queue.units_in_turn = True
 
     @property
     def has_calls(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether calls wait to be sent."""
         return self._tracker.queue.size > 0
 
     @property
     def has_gap(self) -> bool:
-        """Whether what waits may be sent only later; on a serial line that is so after every frame."""
+        """Whether waiting calls may be sent only later; always so on a serial line, after every frame."""
         return self._connected
 
     @property
     def queued(self) -> int:
-        """Calls with something left to send."""
+        """Number of calls with something left to send."""
         return self._tracker.queue.size
 
     @property
@@ -291,10 +291,10 @@ class SerialClientSession:
         """1 while a reply, or the end of the turnaround, is awaited."""
         return 0 if self._awaited is None else 1
 
-    # What the port reports.
+    # Events of the port.
 
     def connected(self, now: float) -> None:
-        """The port is open. Whether the line is idle is known t3.5 later."""
+        """Report that the port is open. Whether the line is idle is known t3.5 later."""
         self._connected = True
         self._receiver.flush(now)
         self._receiver.expect_nothing()
@@ -310,9 +310,9 @@ class SerialClientSession:
         self.counters.connections += 1
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """The port has gone; what was in flight is repeated or fails, what waits stays in the queue.
+        """Report the loss of the port: the request in flight is repeated or fails, queued calls stay.
 
-        ``lost`` says that it went by itself.
+        ``lost`` is False if the client itself closed an unused port.
         """
         if self._connected and lost:
             self.counters.lost_connections += 1
@@ -329,21 +329,21 @@ class SerialClientSession:
             )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """The port cannot be opened: everything that waits fails, at once and with the same reason.
+        """The port could not be opened: fail every waiting call at once with the same reason.
 
         With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     def written(self, until: float) -> None:
-        """The frame that `transmit` gave was handed over; its last character leaves at ``until``."""
+        """Report that the frame from `transmit` was passed to the port; its last character leaves at ``until``."""
         awaited = self._awaited
         if awaited is not None and until > awaited.sent:
             self._leaves_later(awaited, until)
             self._receiver.sent(awaited.frame, until)
 
     def still_sending(self, until: float) -> None:
-        """The port still holds characters of the frame; the last one leaves at ``until`` at the earliest."""
+        """Report that the port still holds characters of the frame; the last leaves at ``until`` or later."""
         if self._awaited is not None and until > self._awaited.sent:
             self._leaves_later(self._awaited, until)
 
@@ -352,7 +352,7 @@ class SerialClientSession:
         awaited.sent = until
         self._last_byte = max(self._last_byte, until)
 
-    # What goes out.
+    # Sending.
 
     def transmit(self, now: float) -> list[bytes]:
         """The frame to send now, or nothing; it counts as sent when its last character has left."""
@@ -368,7 +368,7 @@ class SerialClientSession:
         call = queue.peek(lambda one: self._may_ask(one, now))
         if call is None:
             self._fail_suspended(now)
-            # What could be asked now stands behind something that cannot: that time counts.
+            # A request that could be sent now is queued after one that cannot: the time of that one counts.
             times = [self._askable_at(one, now) for one in queue]
             self._try_at = min((time for time in times if time > now), default=0.0)
             return []
@@ -388,7 +388,7 @@ class SerialClientSession:
         return self.breakers.suspended_for(call.unit, now) is None and self._askable_at(call, now) <= now
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """When the unit may be asked, as far as a reply of it may still be on its way."""
+        """The earliest time to send to the call's unit, because a reply of it may still be on its way."""
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -400,9 +400,9 @@ class SerialClientSession:
         return max(at, doubt.waits_until(function_of(request), call, position, now))
 
     def _marker_before(self, call: Call) -> Marker | None:
-        """What has to be asked before the next request of a call; None where it may go out as it is.
+        """The marker to send before the next request of a call; None if the request may be sent at once.
 
-        A restart may: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
+        A restart needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
         unit = call.unit
         doubt = self.doubts.units.get(unit)
@@ -413,7 +413,7 @@ class SerialClientSession:
                 return None
             marker = self.doubts.marker(unit, is_check=True)
             if marker is None:
-                doubt.alike = 0  # it answers no request of ours: a shift cannot be seen
+                doubt.alike = 0  # it answers no marker: a shift cannot be detected
             return marker
         request = call.requests[call.next_position]
         if isinstance(request, RestartCommunications):
@@ -425,7 +425,7 @@ class SerialClientSession:
         return marker
 
     def _is_in_doubt(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether the reply to the next request of a call could be taken for another one."""
+        """Whether the reply to the next request of a call could be confused with an owed one."""
         position = call.next_position
         request = call.requests[position]
         if not hasattr(request, "wire"):
@@ -433,7 +433,7 @@ class SerialClientSession:
         return doubt.in_doubt(request, call, position)
 
     def _fail_suspended(self, now: float) -> None:
-        """What waits for a unit whose breaker has opened meanwhile does not wait for its probe."""
+        """Fail the queued calls of units whose breaker has opened, instead of letting them wait for the probe."""
         for call in list(self._tracker.queue):
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
@@ -458,7 +458,7 @@ class SerialClientSession:
         return frame
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
-        """Send a request of our own to the unit of a call, which stays where it is in the queue."""
+        """Send a marker to the unit of a call, which keeps its position in the queue."""
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
         doubt = self.doubts.of(call.unit)
@@ -485,16 +485,16 @@ class SerialClientSession:
         self._last_byte = max(self._last_byte, leaves)
         self.counters.requests += 1
 
-    # What comes in.
+    # Receiving.
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Work through the first ``size`` bytes of ``buffer``, read at ``now``."""
+        """Process the first ``size`` bytes of ``buffer``, read at ``now``."""
         self._last_byte = max(self._last_byte, now)
         for found in self._receiver.receive(bytes(memoryview(buffer)[:size]), now):
             self._found(found, now)
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
-        """Bytes among which the port marks a parity or framing error, or after which it lost some (S14).
+        """Process bytes with a parity or framing error that the port marked, or after which it lost some (S14).
 
         The frame in progress is discarded, and so is one that these bytes complete.
         """
@@ -513,9 +513,9 @@ class SerialClientSession:
             return
         self._timeouts_in_row = 0
         if awaited is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != awaited.unit:
-            self._not_awaited(found)  # late, or of somebody else; in a turnaround somebody answers a broadcast
+            self._not_awaited(found)  # late, or of another device; in a turnaround, an answer to a broadcast
         elif found.direction is Direction.REQUEST and found.raw == awaited.frame:
-            self.counters.foreign_replies += 1  # our own frame, on a line that is not known to echo
+            self.counters.foreign_replies += 1  # our own frame, on a line not known to echo
         elif found.began < awaited.sent + self._framing.send_gap and self._is_early(awaited, found):
             awaited.early = True
             self._not_awaited(found)
@@ -529,13 +529,13 @@ class SerialClientSession:
         if self._serial.early_replies:
             return frame.began < awaited.begun
         framing = self._framing
-        # What is read late seems to begin late. A tenth of a character is what sums of times differ by.
+        # Bytes that are read late seem to begin late. A tenth of a character allows for rounding of times.
         return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10
 
     def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
-        """The unit that was asked speaks: in reply to the request in flight, or to an earlier one (see `doubt`)."""
+        """Handle a frame of the unit that was asked: the reply to the request in flight, or an owed one (`doubt`)."""
         doubt = self.doubts.of(awaited.unit)
-        if not doubt.owed and not doubt.older:  # as a rule
+        if not doubt.owed and not doubt.older:  # the usual case
             if frame.pdu[0] & 0x7F == awaited.request.wire[0]:
                 self._reply(awaited, frame, now, doubt)
             else:
@@ -546,7 +546,7 @@ class SerialClientSession:
             self._late(doubt, owed, frame)
             self._ask_at_once(awaited, frame)
         elif owed:
-            # As far as can be known it answers an earlier attempt of the call: the one in flight is owed its own reply.
+            # It may answer an earlier attempt of the call; then the one in flight is still owed its own reply.
             doubt.came(owed[0])
             self._owe(awaited)
             self._reply(awaited, frame, now, doubt, owes_own=True)
@@ -558,7 +558,7 @@ class SerialClientSession:
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
         """Whether a PDU of the right function that does not fit the request in flight is taken for an older reply.
 
-        Otherwise it is a broken one.
+        Otherwise it is a broken reply.
         """
         last = doubt.last
         return (
@@ -568,7 +568,7 @@ class SerialClientSession:
         )
 
     def _not_awaited(self, frame: SerialFrame) -> None:
-        """A frame that answers nothing asked now: of a unit that is slow, or of somebody else."""
+        """Handle a frame that does not answer the request in flight: a late reply, or traffic of another device."""
         doubt = self.doubts.units.get(frame.unit)
         if doubt is None or frame.direction is Direction.REQUEST:
             self.counters.foreign_replies += 1
@@ -581,7 +581,7 @@ class SerialClientSession:
         doubt.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
-        """What came may have been the reply to the read in flight, and was taken for an older one: ask it again now."""
+        """Repeat the read in flight at once: its reply may be the one that was just taken for an older one."""
         call = awaited.call
         if call is None or awaited.request.is_write or frame.pdu[0] & 0x7F != awaited.request.wire[0]:
             return
@@ -590,7 +590,7 @@ class SerialClientSession:
         self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
-        """A reply that was owed has come, the earliest of these, or an older one; nobody waits for it any more."""
+        """Drop and count a late reply: one of ``doubt.older`` if it must be, else the earliest of ``owed``."""
         if doubt.is_older(frame.pdu):
             doubt.older_came(frame.pdu)
         else:
@@ -611,7 +611,7 @@ class SerialClientSession:
             self.notes.append(text)
 
     def _owe(self, awaited: _RequestInFlight) -> None:
-        """The request in flight gets no answer now; it may still come."""
+        """Note that the request in flight is owed a reply, which may still come."""
         if awaited.unit == BROADCAST_UNIT:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
@@ -623,7 +623,7 @@ class SerialClientSession:
     def _reply(
         self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
     ) -> None:
-        """End the request in flight; ``owes_own``: by what may answer an earlier attempt of it."""
+        """End the request in flight with a reply; ``owes_own``: it may be the reply to an earlier attempt."""
         pdu = frame.pdu
         outcome: Message | ModbusError
         try:
@@ -635,7 +635,7 @@ class SerialClientSession:
             if self._is_of_another(awaited, doubt, pdu):
                 self._not_awaited(frame)
                 return
-            # The unit speaks, but breaks the protocol: no reason to ask it again, and none to give it up.
+            # The unit answers, but breaks the protocol: no reason to repeat the request, and none to suspend the unit.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, raw=frame.raw)
         if not owes_own and (doubt.owed or doubt.unasked is not None):
@@ -659,7 +659,7 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """A request of our own was answered: what it was sent for is in order again."""
+        """Handle the reply to a marker: it ends the doubt of the unit."""
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -679,7 +679,7 @@ class SerialClientSession:
             self._tracker.conclude(call, position, self._tracker.placed(outcome, call, position, now))
 
     def _learn_pace(self, awaited: _RequestInFlight, frame: SerialFrame, doubt: UnitDoubt) -> None:
-        """How long the unit takes; where an earlier attempt may be what was answered, nothing is learnt."""
+        """Update the usual delay of a unit, unless the reply may belong to an earlier attempt."""
         unit = frame.unit
         if self._not_asked_before:
             self._not_asked_before.pop(unit, None)
@@ -689,14 +689,14 @@ class SerialClientSession:
         self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
-        """The unit misses what comes too soon after its reply."""
+        """Start the gap that the unit needs after its reply."""
         gap = self._unit_gaps.get(frame.unit)
         if gap:
             before = self._not_asked_before.get(frame.unit, 0.0)
             self._not_asked_before[frame.unit] = max(before, frame.ended + gap)
 
     def _idle(self, last_byte: float) -> None:
-        """The transaction is over; gaps count from the end of the last frame."""
+        """End the transaction; gaps count from the end of the last frame."""
         self.state = MasterState.IDLE
         self._awaited = None
         self._try_at = 0.0
@@ -704,10 +704,10 @@ class SerialClientSession:
         if self.parameters.request_gap:
             self._not_before = max(self._not_before, last_byte + self.parameters.request_gap)
 
-    # What time brings.
+    # Timeouts.
 
     def deadline(self) -> float | None:
-        """When `tick` or `transmit` has something to do; None for never."""
+        """When `tick` or `transmit` has something to do, in the clock of ``now``; None for never."""
         times = [time for time in (self._tracker.next_deadline(), self._receiver.deadline()) if time is not None]
         awaited = self._awaited
         if awaited is not None:
@@ -724,7 +724,7 @@ class SerialClientSession:
         return min(self._last_byte + self._serial.quiet_window, self._drain_until)
 
     def tick(self, now: float) -> None:
-        """Let silences take effect, and end what has run out of time."""
+        """Handle silences, timeouts and deadlines up to ``now``."""
         for found in self._receiver.tick(now):
             self._found(found, now)
         awaited = self._awaited
@@ -746,7 +746,7 @@ class SerialClientSession:
         self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
     def _why_not_sent(self, call: Call) -> NoReply | None:
-        """Why a call was not sent before its deadline, where its unit is in doubt."""
+        """The error of a call whose deadline passed because its unit is in doubt, or None."""
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not self._is_in_doubt(doubt, call):
             return None
@@ -768,7 +768,7 @@ class SerialClientSession:
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
-        """A call that has run out of time ends; its request stays in flight (rule 7)."""
+        """End a call whose deadline has passed; its request stays in flight (rule 7)."""
         call = awaited.call
         if call is not None and call.deadline is not None and now >= call.deadline:
             awaited.call = None
@@ -776,7 +776,7 @@ class SerialClientSession:
             self._tracker.failed(call, awaited.position, error, now, again=False)
 
     def _turned_around(self, awaited: _RequestInFlight, now: float) -> None:
-        """A broadcast has been sent and every server had its time: it is done."""
+        """End a broadcast after the turnaround delay, in which every server executes it."""
         self._idle(now)
         if awaited.call is not None:
             self._tracker.conclude(awaited.call, awaited.position, awaited.request)
@@ -785,7 +785,7 @@ class SerialClientSession:
         for found in self._receiver.flush(now):
             self._found(found, now)
         if self._awaited is None:
-            return  # the reply was there, held back until it was clear that nothing follows
+            return  # the reply had been held back until it was clear that nothing follows
         self._awaited = None
         self.counters.timeouts += 1
         unit = awaited.unit
@@ -808,7 +808,7 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """A marker was not answered: whoever waited for it and has had enough of them is told."""
+        """Handle a marker without a reply: the waiting call fails once it has used up its attempts."""
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0
@@ -844,14 +844,14 @@ class SerialClientSession:
         return NoReply(f"no reply within {waited:.3g} s")
 
     def _failed(self, awaited: _RequestInFlight, error: ModbusError, now: float, *, again: bool) -> None:
-        """End what was in flight with an error, or repeat it."""
+        """End the request in flight with an error, or repeat it."""
         self._try_at = 0.0
         if awaited.call is not None:
             self._tracker.failed(awaited.call, awaited.position, error, now, again=again)
 
 
 def _fits(request: Request, pdu: bytes) -> bool:
-    """Whether a PDU of the function of a request answers it."""
+    """Whether a PDU with the function code of a request fits as its reply."""
     try:
         request.accept(pdu)
     except MalformedPdu:
@@ -860,5 +860,5 @@ def _fits(request: Request, pdu: bytes) -> bool:
 
 
 def _exception_code(outcome: ModbusError) -> int | None:
-    """The exception code of an outcome that is an exception."""
+    """The exception code of an exception reply; None for other errors."""
     return outcome.code if isinstance(outcome, ExceptionReply) else None
