@@ -8,7 +8,7 @@ RTU and ASCII differ only in the framing that is passed in.
 3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
    the same unit before that much time has passed since the timeout. Frames that come until then are late and dropped.
 4. A unit that owes a reply is in doubt (`doubt`): a request whose reply could be confused with the owed one is sent
-   only after a marker, a harmless request of the session. A late reply is given to the call that asked for it or dropped.
+   only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.
 5. Nothing is sent before t3.5 after the last byte on the line, ``request_gap`` after a reply and ``unit_switch_gap``
    before a request to another unit. A unit with a gap of its own is left alone for it; others are served meanwhile.
