@@ -86,7 +86,7 @@ class LinkSettings:
     security: TlsParameters | None = None
 
     def differs(self, other: "LinkSettings") -> str:
-        """The first setting of the connection that differs, or an empty string."""
+        """Name of the first connection setting that differs from ``other``; empty if none does."""
         for mine, theirs in zip(self._parts(), other._parts(), strict=False):
             for name in option_names(type(mine)):
                 if name not in CALL_DEFAULTS and getattr(mine, name) != getattr(theirs, name):

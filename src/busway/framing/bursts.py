@@ -34,26 +34,26 @@ class Bursts:
 
     @property
     def latest(self) -> float:
-        """When the last burst began."""
+        """When the first byte of the latest read began."""
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
-        """Bytes were read, the first of them at ``place``, sent from ``began`` on in ``each`` seconds."""
+        """Note a read whose first byte is at ``place`` and began at ``began``, with ``each`` seconds per byte."""
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 
     def forget(self, count: int) -> None:
-        """The first ``count`` bytes are not asked for any more."""
+        """Forget the first ``count`` bytes; places count from the byte after them."""
         self._forgotten += count
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 
     def began(self, place: int) -> float:
-        """When the byte at ``place`` began."""
+        """When the byte at ``place`` began on the line, in seconds."""
         place += self._forgotten
         burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each
 
     def ended(self, place: int) -> float:
-        """When the byte ahead of ``place`` ended."""
+        """When the byte before ``place`` ended on the line, in seconds."""
         place += self._forgotten
         burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each

@@ -1,4 +1,4 @@
-"""Who is speaking: which direction the next frame on a shared line has.
+"""Direction of the next frame on a shared line: request or reply.
 
 Knows units, functions and the request that was seen last; knows no bytes of a frame beyond its first two.
 

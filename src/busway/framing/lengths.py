@@ -1,4 +1,4 @@
-"""Length rules of a function table, flattened: one look gives the length of an RTU frame.
+"""Length rules of a function table, flattened: one look-up gives the length of an RTU frame.
 
 Knows the table; knows no stream. The functions say themselves how long their messages are (`busway.pdu`); what they
 say is turned here into one number per function code, because a receiver asks for every byte of a noisy line.
@@ -36,7 +36,7 @@ LengthRule = Callable[[bytes, int, int], int]
 
 @cache
 def lengths_of(functions: FunctionTable) -> "FrameLengths":
-    """The rules of a table, flattened once for all receivers that work with it."""
+    """The flattened length rules of a function table, computed once for all receivers that use it."""
     return FrameLengths(functions)
 
 

@@ -1,4 +1,4 @@
-"""A disturbance while it lasts: what it held, when, and why it is no frame.
+"""Collects one disturbance of a serial line while it lasts: its bytes, times, and why it is no frame.
 
 Knows bytes and times; knows no framing. However long it lasts, it keeps no more bytes than a frame has, and it is
 reported once.
@@ -17,7 +17,7 @@ class LostBytes:
     """One disturbance, while it lasts.
 
     Attributes:
-        reason: why the bytes are no frame, as soon as somebody knows better than that no CRC fits.
+        reason: why the bytes are no frame; that no CRC fits, until a better reason is known.
         size: how many bytes there were.
     """
 
@@ -32,7 +32,7 @@ class LostBytes:
         self.size = 0
 
     def add(self, data: bytes | bytearray, began: float, ended: float) -> None:
-        """These bytes belong to it too."""
+        """Add bytes to the disturbance."""
         if self._began == _NEVER:
             self._began = began
         self._ended = ended
@@ -42,7 +42,7 @@ class LostBytes:
             self._raw += data[:room]
 
     def mark(self, reason: Damage, now: float) -> None:
-        """The port marked an error in it."""
+        """Add an error that the port marked."""
         if self._began == _NEVER:
             self._began = now
         self._ended = now
@@ -51,7 +51,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """What it was."""
+        """The disturbance as one damaged chunk."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

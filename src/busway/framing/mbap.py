@@ -23,7 +23,7 @@ MAX_LENGTH = 1 + PDU_LIMIT
 HEAD = struct.Struct(">HHHB")
 """Transaction, protocol, length, unit."""
 HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
-"""The same and the first byte of the PDU, for those who want all in one step."""
+"""The header and the function code, unpacked in one step."""
 
 
 class FrameKind(Enum):
@@ -36,7 +36,7 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MbapFrame:
-    """One ADU. For ``BROKEN``, ``pdu`` holds what is left of the stream and ``reason`` says what cannot be."""
+    """One ADU. For ``BROKEN``, ``pdu`` holds the rest of the stream and ``reason`` says what is invalid."""
 
     kind: FrameKind
     transaction: int
@@ -52,7 +52,7 @@ def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 def impossible_length(length: int) -> str:
-    """The sentence for a length that cannot be."""
+    """The message for an invalid length field."""
     return f"length field {length}, where {MIN_LENGTH}…{MAX_LENGTH} can be"
 
 
@@ -120,7 +120,7 @@ class MbapReceiver:
         return frames
 
     def tick(self, now: float) -> list[MbapFrame]:
-        """Nothing: silence decides nothing on a stream."""
+        """Always empty: silence decides nothing on a stream."""
         return []
 
     def deadline(self) -> float | None:

@@ -1,4 +1,4 @@
-"""What the receivers of a serial line give, and what all receivers have in common.
+"""Results of the receivers of a serial line, and the interfaces of all receivers.
 
 Knows values; knows no framing.
 
@@ -44,7 +44,7 @@ class SerialFrame:
         unit: address byte, 0…255.
         pdu: function code and data, 1…253 bytes and, where a peer breaks the limit of 253, never more than 254.
         raw: the bytes as they came: address to CRC, or ``:`` to the delimiter (without parity bits).
-        direction: what the conversation makes of it; a hint, not a fact.
+        direction: request or reply, judged from the frames before it; a hint, not a fact.
         began, ended: when its first byte began and its last one ended, as far as the reads tell.
         recovered: whether it was found inside a damaged chunk. Servers never get such a frame.
     """
@@ -84,20 +84,20 @@ Found = TypeVar("Found")
 
 
 class Receiver(Protocol[Found]):
-    """What a driver feeds, whatever the framing: MBAP, RTU or ASCII."""
+    """Interface of the receivers of all framings: bytes and times in, complete frames out."""
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Found]:
-        """What ``data``, read at ``now``, completes, in order."""
+        """The frames that ``data``, read at ``now``, completes, in order."""
 
     def tick(self, now: float) -> list[Found]:
-        """What the silence until ``now`` decides."""
+        """The frames that the silence until ``now`` completes."""
 
     def deadline(self) -> float | None:
         """When `tick` will have something to decide; None while only bytes can change anything."""
 
 
 class SerialReceiver(Receiver[Received], Protocol):
-    """What masters, servers and observers of a serial line need besides: RTU, strict RTU and ASCII alike."""
+    """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
         """A master's request went to ``unit``; a reply of ``size`` bytes of PDU (or `UNKNOWN_LENGTH`) is due."""
@@ -112,7 +112,7 @@ class SerialReceiver(Receiver[Received], Protocol):
         """The port marks an error at this place of the stream (S14)."""
 
     def flush(self, now: float) -> list[Received]:
-        """Decide about everything now, as a long silence would."""
+        """Decide about all pending bytes now, as after a long silence."""
 
     def clear_at(self) -> float:
         """The earliest time at which a frame may be sent."""

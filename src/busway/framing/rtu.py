@@ -1,8 +1,8 @@
-"""RTU: frames without marks, found by their length and CRC (Serial Line V1.02 §2.5.1).
+"""RTU receiver: finds frames, which have no start and end marks, by length and CRC (Serial Line V1.02 §2.5.1).
 
 Knows bytes and the times at which they were read; knows no port, no request table and no device.
 
-1. Length and CRC together make a frame of a known function, at once: nobody waits for a silence that only confirms.
+1. Length and CRC together complete a frame of a known function at once, without waiting for a silence to confirm it.
 2. Silence alone makes no frame. Where the function is unknown, or the byte count contradicts the frame, the chunk
    between two silences of t3.5 is the frame if its CRC fits. Several frames without a visible silence between them are
    told apart if they fill the chunk without remainder.
@@ -17,7 +17,7 @@ Knows bytes and the times at which they were read; knows no port, no request tab
 5. A master and an observer look for the next frame inside a damaged chunk; a master only for the reply that is due.
    A server never does: it takes up again at a silence of t3.5, and until it is in step it believes a frame only if
    it stands between two such silences.
-6. Each byte is looked at a bounded number of times, whatever it is: running CRC states, one comparison per candidate,
+6. Each byte is examined a bounded number of times: running CRC states, one comparison per candidate,
    at most 256 bytes of an undecided chunk, rejected places are not tried again, and at most one pass per silence.
 
 A silence before a burst is measured to the moment at which its first byte began, taken that its bytes came without
@@ -172,7 +172,7 @@ class RtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """A master's request went to ``unit`` 0…255; the reply to ``function`` 1…127 is due.
+        """Tell that a master's request went to ``unit`` 0…255 and a reply with ``function`` 1…127 is expected.
 
         ``size`` is the length of its PDU in bytes where the request tells it (`Request.reply_shape`), which is also
         what makes replies of functions with unknown length end at once; otherwise `UNKNOWN_LENGTH`.
@@ -207,7 +207,7 @@ class RtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Decide about everything now, as a silence of ``gap_limit`` would: at a response timeout, or at the end."""
+        """Decide about all pending bytes now, as after a silence of ``gap_limit``: at a timeout, or at the end."""
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -219,7 +219,7 @@ class RtuReceiver:
         return found
 
     def clear_at(self) -> float:
-        """The earliest time at which a frame may be sent: t3.5 after the last byte of anybody (S8, S10)."""
+        """The earliest time at which a frame may be sent: t3.5 after the last byte on the line (S8, S10)."""
         return max(self._last, self._sent_until) + self.timing.t3_5
 
     # Time and bytes.
@@ -229,7 +229,7 @@ class RtuReceiver:
         return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
 
     def _pass_time(self, until: float, found: list[Received]) -> None:
-        """Let the silences that end before ``until`` take effect."""
+        """Process the silences that end before ``until``."""
         if self._undecided:
             if not self._quiet and until >= self._last + self.timing.t3_5:
                 self._quiet = True
@@ -240,7 +240,7 @@ class RtuReceiver:
             self._in_step = True
 
     def _due_has_begun(self) -> bool:
-        """Whether what is undecided is the beginning of the reply that a master waits for (rule 3)."""
+        """Whether the undecided bytes are the beginning of the reply that a master waits for (rule 3)."""
         due = self.conversation.due
         at, size = self._at, len(self._buffer)
         if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
@@ -341,7 +341,7 @@ class RtuReceiver:
     # Decisions at a silence (rules 2, 4 and 5).
 
     def _after_silence(self, found: list[Received]) -> None:
-        """t3.5 has passed since the last byte."""
+        """Decide what t3.5 of silence decides (rules 2, 4 and 5)."""
         self._skipping = False
         while self._at < len(self._buffer):
             self._follow(found)
@@ -352,7 +352,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _after_limit(self, found: list[Received]) -> None:
-        """Nothing that is unfinished will be finished."""
+        """Give up unfinished frames: ``gap_limit`` has passed."""
         while self._at < len(self._buffer):
             self._follow(found)
             if not self._take_divided(self._at, found) and not self._take_inner(found, at_limit=True):
@@ -362,7 +362,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _take_divided(self, at: int, found: list[Received]) -> bool:
-        """Take the chunk from ``at`` on as one frame, or as several that fill it; otherwise leave all as it is."""
+        """Report the chunk from ``at`` on as frames, if one or several fill it exactly. Returns whether they do."""
         pieces = self._divide(at)
         if not pieces:
             return False

@@ -1,4 +1,4 @@
-"""Looking for the next frame inside a damaged chunk of RTU: the only work that grows with the noise on a line.
+"""Search for the next frame inside a damaged chunk of RTU: the only work that grows with the noise on a line.
 
 Knows bytes, running CRC states and length rules; knows no time and no conversation. A place is rejected once and for
 all, and costs one comparison: the caller begins behind it the next time.
@@ -15,9 +15,9 @@ from .crc import span_check
 from .lengths import AROUND_PDU, SHORTEST, FrameLengths, shape_of
 
 DEAD: Final = 0
-"""Instead of the position behind a frame: none begins here."""
+"""Result instead of the position after a frame: no frame begins here."""
 WAITS: Final = -1
-"""Instead of the position behind a frame: one may begin here, and is unfinished."""
+"""Result instead of the position after a frame: a frame may begin here, but is unfinished."""
 
 _IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
 """Stands for every length that no frame has."""
@@ -29,14 +29,14 @@ Place = tuple[int, int]
 def find_reply(
     buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
 ) -> Place:
-    """The first place from ``start`` on where the reply that is due begins or may begin, its exception included.
+    """Find the first place from ``start`` on where the expected reply, or its exception, begins or may begin.
 
     Args:
-        buffer: bytes of the line.
-        states: the running CRC ahead of each of them, and behind the last one.
+        buffer: bytes received from the line.
+        states: the running CRC (`running_states`) before each byte, and after the last one.
         start: the first place that is not rejected yet.
         lengths: the length rules.
-        due: the reply; None: there is none.
+        due: the expected reply; None if there is none.
         at_limit: whether what is unfinished is rejected too.
     """
     size = len(buffer)
@@ -73,7 +73,7 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """As `find_reply`, for a frame of either direction whose length one look tells: the others need a silence."""
+    """As `find_reply`, for any request or reply whose length one look-up gives; all others need a silence."""
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
     for at, code in enumerate(buffer[start + 1 : size - SHORTEST + 2], start):

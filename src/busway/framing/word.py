@@ -5,7 +5,7 @@ from typing import Self
 
 
 class Word(Enum):
-    """An option's value; its text is the member's value."""
+    """Base of enums for options whose values are words; the member's value is the text of the option."""
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:

@@ -1,4 +1,4 @@
-"""A PDU taken apart for a person: every field with its place, its value and what is wrong with it.
+"""Description of a PDU for a person: every field with its place, its value and its fault, if any.
 
 Knows the declarations of functions and how to show them; sends and executes nothing. Unlike ``decode`` it never gives
 up: of a broken PDU it shows all fields that are there, and says of each rule which is broken.
@@ -66,7 +66,7 @@ class Description:
 
 
 def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Description:
-    """A PDU as a request."""
+    """Describe a PDU as a request, field by field; never raises."""
     if not pdu:
         return _empty("request")
     kind = functions.find(pdu, 0, len(pdu))
@@ -79,7 +79,7 @@ def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Descrip
 
 
 def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: Message | None = None) -> Description:
-    """A PDU as a reply; ``request``, if it is known, tells how many bits and which registers there are."""
+    """Describe a PDU as a reply; never raises. ``request``, if known, tells the number of bits and the addresses."""
     if not pdu:
         return _empty("reply")
     problem = "a reply has a function code 1…127, or an exception, not 0" if pdu[0] == 0 else ""
@@ -145,7 +145,7 @@ def _finished(title: str, parts: list[Part], problem: str, message: Message | No
 
 
 def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator[Part]:
-    """Sub-code, head and tail of a declared message, as far as the bytes go."""
+    """The parts of a PDU by the declared fields of its class, as far as its bytes go."""
     at = 1
     if kind.sub_code is not None:
         data = pdu[at : at + kind.sub_width]

@@ -1,4 +1,4 @@
-"""Functions 07, 08, 11, 12 and 17: what a server says of itself and of its communication.
+"""Functions 07, 08, 11, 12 and 17: status and identification of a server, and diagnostics of its communication.
 
 08 keys on its sub-function: one class each, all alike but for their code (Application Protocol V1.1b3 §6.7–§6.10,
 §6.13).

@@ -1,4 +1,4 @@
-"""What the fields of a message can be: the vocabulary in which every function is declared.
+"""Kinds of message fields: the vocabulary in which every function is declared.
 
 Knows widths, limits and positions on the wire; knows no function and no byte of a particular message.
 

@@ -1,4 +1,4 @@
-"""What a function needs of a device: the protocols that `Request.apply` is written against.
+"""Interface of a device to the functions: the protocols that `Request.apply` uses.
 
 Knows the shape of a device; knows no device, store, session or transport.
 
@@ -43,7 +43,7 @@ class Diagnostics(Protocol):
 
 
 class Context(Protocol):
-    """Who asks, and by which way."""
+    """Client, unit and diagnostics of a request."""
 
     @property
     def peer(self) -> str:
@@ -64,11 +64,11 @@ class Tables(Protocol):
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
         """`Refusal` 02 unless all the items exist, and may be written if ``writes``.
 
-        With a ``context``, whoever may veto a read is asked too: function 23 has to know before it writes.
+        With a ``context``, hooks that may veto a read are called too: function 23 has to know before it writes.
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """The items in wire order."""
+        """The bytes of ``count`` items from ``address`` on, in wire order."""
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
         """Replace the items, all or none."""
@@ -88,7 +88,7 @@ class Records(Protocol):
 
 
 class Identity(Protocol):
-    """What a device says of itself (functions 07, 17, 43/14)."""
+    """A device's status and identification (functions 07, 17, 43/13, 43/14)."""
 
     def exception_status(self) -> int:
         """Eight status bits."""

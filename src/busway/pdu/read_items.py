@@ -12,7 +12,7 @@ from .model import Context, DataModel, Refusal
 
 
 class ReadBits(Request):
-    """What 01 and 02 share; a subclass names its code and its table."""
+    """Base of 01 and 02; a subclass names its code and its table."""
 
     address: int = u16()
     count: int = u16(1, MAX_READ_BITS)
@@ -55,7 +55,7 @@ class ReadDiscreteInputs(ReadBits):
 
 
 class ReadRegisters(Request):
-    """What 03 and 04 share; a subclass names its code and its table."""
+    """Base of 03 and 04; a subclass names its code and its table."""
 
     address: int = u16()
     count: int = u16(1, MAX_READ_REGISTERS)

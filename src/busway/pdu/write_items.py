@@ -184,8 +184,8 @@ class WriteMultipleRegisters(Request):
 class MaskWriteRegister(Request):
     """22 Mask Write Register: (current AND and_mask) OR (or_mask AND NOT and_mask).
 
-    MODBUS Application Protocol V1.1b3 §6.16. Executing it twice gives what executing it once gives, yet it is a
-    write like any other: between the two somebody else may have written.
+    MODBUS Application Protocol V1.1b3 §6.16. Executing it twice has the same result as once, yet it is a write like
+    any other: another client may have written in between.
     """
 
     code = FunctionCode.MASK_WRITE_REGISTER

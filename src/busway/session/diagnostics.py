@@ -1,4 +1,4 @@
-"""What functions 08, 11 and 12 tell: counters, event log and listen-only mode, of each unit of a line or listener.
+"""Diagnostics for functions 08, 11 and 12: counters, event log and listen-only mode of each unit of a listener.
 
 Knows when something is counted; knows no bytes and no port (Application Protocol V1.1b3 §6.8–§6.10, Serial Line
 V1.02 appendix A).
@@ -106,7 +106,7 @@ _COUNTER_OF = {
 
 @dataclass(slots=True)
 class HeardCounters:
-    """What every device on a line hears, whatever its unit: whole messages, damaged frames, and of these overruns."""
+    """Counts of what every device on a line hears, whatever its unit: messages, damaged frames, and overruns."""
 
     messages: int = 0
     damaged: int = 0
@@ -122,11 +122,11 @@ class LineDiagnostics:
             both have the same state. Left out, every number is a unit of its own.
 
     Attributes:
-        exchanged: by unit, requests that came in and were answered, all well, and are not in counters and log yet.
-            A caller that answers many at once adds here, which is quicker by far than `CommunicationState.received` and
-            `answered`; every reading of the counters takes it in.
-        arrived, departed: likewise, where the answers come later: requests that came in, and answers that went out,
-            all well.
+        exchanged: by unit, number of requests that were received and answered without an exception, and are not in
+            counters and log yet. A session that answers many at once adds here, which is much quicker than
+            `CommunicationState.received` and `answered`; every reading of the counters includes it.
+        arrived, departed: likewise for answers that come later: requests received, and answers sent, without an
+            exception.
         heard: what was heard since the start; call `fold` before you read it.
         requests: requests for own units since the start, a broadcast once; nothing clears them.
         listen_only_units: the units that answer nothing until they are restarted.
@@ -218,7 +218,7 @@ class LineDiagnostics:
             state.log_received(event)
 
     def fold(self) -> None:
-        """Take what `exchanged`, `arrived` and `departed` say into the counters and the logs."""
+        """Add `exchanged`, `arrived` and `departed` to the counters and the logs."""
         if not (self.exchanged or self.arrived or self.departed):
             return
         exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
@@ -307,7 +307,7 @@ class CommunicationState:
     # What functions 08, 11 and 12 ask for.
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Do a sub-function of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
+        """Execute a sub-function of 08 and return the data of its reply. Raises `Refusal` 01 if it is not offered."""
         self.line.fold()
         if sub_code in _CHANGES and not self.line.changes_allowed:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "this listener does not take diagnostics that change it")
@@ -371,7 +371,7 @@ class CommunicationState:
         self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
     def log_received(self, event: int) -> None:
-        """Log what every unit hears."""
+        """Log a receive event that every unit hears."""
         self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
@@ -420,13 +420,13 @@ class CommunicationState:
         log.extendleft(_PLAIN_EXCHANGE[:1] * min(departed, EVENT_LOG_SIZE))
 
     def _finish(self, event: int) -> None:
-        """A message is done with: log it, and do the restart that it may have asked for."""
+        """Log the end of a message, and do the restart that it may have requested."""
         self._log.appendleft(event | _SENT_MUTED if self.unit in self.line.listen_only_units else event)
         if self._restart_clears_log is not None:
             self.restart(clear_log=self._restart_clears_log)
 
     def _clear(self) -> None:
-        """Begin to count anew. The counts of 11 and 12 do too (§6.9, §6.10)."""
+        """Clear the counters, also those of 11 and 12 (§6.9, §6.10)."""
         self.line.fold()
         self._heard_before = replace(self.line.heard)
         self.own = Counters()

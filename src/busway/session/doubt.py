@@ -282,7 +282,7 @@ _READS: Final = (ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputR
 
 
 def _same_shape(request: Request, other: Request) -> bool:
-    """Whether a normal reply to one may be taken for a reply to the other."""
+    """Whether a normal reply to one request may be taken for a reply to the other."""
     return (
         request is other
         or UNKNOWN_LENGTH in (request.expected_size, other.expected_size)

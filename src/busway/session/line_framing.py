@@ -1,9 +1,9 @@
-"""What a conversation on a serial line needs of its framing: a receiver, an encoder, and the silence before sending.
+"""The framing of a serial session: a receiver, an encoder, and the silence before sending.
 
-Knows which receiver goes with which framing and what can be set about it; knows no port and no conversation.
+Knows which receiver goes with which framing and its options; knows no port and no session.
 
-1. On a wire, RTU sends after t3.5 of silence. ASCII needs none, its frames have marks; over a network the silence on
-   the wire is the business of whoever stands at it.
+1. On a wire, RTU sends after t3.5 of silence. ASCII needs none, its frames have start and end characters; over
+   a network the converter at the wire keeps the silence.
 2. The end delimiter of ASCII may change at any time (function 08/03); what is sent follows what is received.
 """
 
@@ -26,16 +26,16 @@ LONGEST_CHARACTER_TIMEOUT = 60.0
 
 @dataclass(frozen=True, slots=True)
 class FramingParameters:
-    """How the frames of a serial line are found.
+    """Options of the framing of a serial line.
 
     Attributes:
         strict_timing: RTU to the letter (Serial Line V1.02 §2.5.1.1): a gap above t1.5 spoils a frame, silence ends
             it. Only for ports that deliver each character at once.
         gap_limit: RTU: seconds that an unfinished frame waits for its rest, t3.5…10; None for 50 ms or t3.5,
-            whichever is longer; the reply that a master waits for may, once it has begun, take until its timeout.
+            whichever is longer, except that an expected reply that has begun may take until its timeout.
         character_timeout: ASCII: seconds that may pass between two characters, above 0…60.
         delimiter: ASCII: the character that ends a frame behind CR, 0…127 (function 08/03); 10 is LF.
-        upper_case_only: ASCII: whether hexadecimal digits in lower case are refused.
+        upper_case_only: ASCII: whether frames with hexadecimal digits in lower case are refused.
     """
 
     strict_timing: bool = False
@@ -76,7 +76,7 @@ class LineFraming:
 
     @property
     def is_network(self) -> bool:
-        """Whether the frames travel over a network, where characters have no duration."""
+        """Whether the frames travel over a network, so that characters have no duration."""
         return not self.timing.character
 
     def encode(self, unit: int, pdu: bytes) -> bytes:
@@ -86,7 +86,7 @@ class LineFraming:
         return encode_rtu(unit, pdu)
 
     def delimit_by(self, character: int) -> None:
-        """End ASCII frames by another character, 0…127, from now on; RTU has none and stays as it is."""
+        """Set the end delimiter of ASCII frames, 0…127, from now on; no effect with RTU."""
         if self._ascii is not None:
             self._ascii.delimiter = character
 
@@ -103,16 +103,16 @@ def line_framing(
     strip_parity: bool = False,
     started: float | None = None,
 ) -> LineFraming:
-    """The framing of one end of a line.
+    """Create the framing of one end of a line.
 
     Args:
         framing: ``rtu`` or ``ascii``.
         role: master, server or observer.
-        timing: of a wire or of a network.
-        parameters: how frames are found.
+        timing: character times of a wire or of a network.
+        parameters: options of the framing.
         functions: the functions whose lengths are known.
-        units: the own units of a server; a live view is welcome.
-        echo: whether the port gives back what is sent.
+        units: the own units of a server; may be a live view.
+        echo: whether the port echoes the bytes that are sent.
         strip_parity: ASCII: whether the eighth bit is ignored.
         started: when the port was opened; None where the line is known to be idle.
 

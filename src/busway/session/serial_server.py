@@ -1,18 +1,18 @@
-"""The servers of a serial line: any number of units on one wire, which never speak unasked.
+"""The server session of a serial line: any number of units on one line, which only answer requests.
 
-Knows the server's state diagram (Serial Line V1.02 §2.4.2) and what is counted when (appendix A); knows no port.
-RTU and ASCII differ only in the framing that is handed in.
+Knows the server's state diagram (Serial Line V1.02 §2.4.2) and when to count what (appendix A); knows no port.
+RTU and ASCII differ only in the framing that is passed in.
 
-1. Only a request for an own unit is answered; what passes by for others, request or reply, is counted as a message of
+1. Only a request for an own unit is answered; frames for others, requests or replies, are counted as messages of
    the line and nothing else.
 2. A damaged frame is never answered and never executed; an error of content is answered.
 3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. One that
    asks for a read, or fails, is only counted: it is one message of the line, and one for each unit.
-4. The answer leaves t3.5 after the last byte on the line at the earliest. If somebody else has spoken before, or before
-   a slow handler is ready, it is not sent: the master has given up and the line is not ours. So of two requests back to
-   back both are executed, and the last one is answered. An answer counts when it has left.
+4. The answer leaves t3.5 after the last byte on the line at the earliest. If another frame comes before that, or before
+   a slow handler is ready, it is not sent: the master has given up and may be using the line. So of two requests back
+   to back both are executed, and the last one is answered. An answer counts when it has left.
 5. A unit in listen-only mode answers and executes nothing, until a restart that is not answered either. The other
-   units of the line are not concerned.
+   units of the line are not affected.
 6. Function 08/03 changes the delimiter of what comes after its own answer.
 """
 
@@ -47,17 +47,17 @@ class FrameToSend:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """An answer that was given and has not left yet."""
+    """An answer that is ready and has not left yet."""
 
     context: RequestContext
     reply: Message
 
     def left(self) -> None:
-        """Count it."""
+        """Count the answer: it has left."""
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count its request as one without an answer; an exception is counted all the same, as that of a broadcast."""
+        """Count its request as one without an answer; an exception is counted as well, as with a broadcast."""
         diagnostics = self.context.diagnostics
         if isinstance(self.reply, ExceptionResponse):
             diagnostics.failed(self.reply.exception)
@@ -72,14 +72,14 @@ def _count_answer(context: RequestContext, reply: Message) -> None:
 
 
 class SerialServerSession:
-    """One line's conversation, seen by the servers on it.
+    """Server session of one serial line, for all own units.
 
     Attributes:
         deferred, failures: as in `TcpServerSession`; the driver empties them.
         requests: requests for own units so far, broadcasts included.
         foreign: frames of others that passed by.
-        damaged_frames: disturbances so far.
-        abandoned: answers that did not leave because somebody else had spoken.
+        damaged_frames: damaged frames so far.
+        abandoned: answers that did not leave because another frame came first (rule 4).
     """
 
     __slots__ = (
@@ -118,18 +118,18 @@ class SerialServerSession:
         sends_at_once: bool = False,
         is_priority: bool = False,
     ) -> None:
-        """A session that has heard nothing yet.
+        """Create the session of a line.
 
         Args:
-            handler: what answers.
-            units: the own units, 1…247; a live view is welcome.
-            framing: in the role of a server with the same units.
+            handler: answers the requests.
+            units: the own units, 1…247; may be a live view.
+            framing: the framing, in the role of a server with the same units.
             diagnostics: counters and modes of the units of the line.
-            deliver: takes late answers.
+            deliver: sends late answers.
             line: name of the line or of the peer, for contexts.
             listener: URL of the listener, for contexts.
-            sends_at_once: whether every answer leaves when it is given, as over a network: then it counts at once, and
-                `answer_left` is not called.
+            sends_at_once: whether every answer leaves as soon as it is ready, as over a network: then it counts at
+                once, and `answer_left` is not called.
             is_priority: whether the master is a priority host.
         """
         self._handler = handler
@@ -158,15 +158,15 @@ class SerialServerSession:
         """1 while an answer is still to come."""
         return 0 if self._waiting is None else 1
 
-    # What the port reports.
+    # Events of the port.
 
     def receive(self, data: bytes, now: float) -> list[FrameToSend]:
-        """Work through bytes read at ``now``; the answers to send, at most one on a line where masters keep order."""
+        """Process bytes read at ``now``. Returns the answers to send; at most one if there is a single master."""
         self._last_byte = max(self._last_byte, now)
         return self._work(self._receiver.receive(data, now))
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
-        """Bytes among which the port marks a parity or framing error, or after which it lost some (S14).
+        """Process bytes with a parity or framing error that the port marked, or after which it lost some (S14).
 
         The frame in progress is discarded, and so is one that these bytes complete.
         """
@@ -179,7 +179,7 @@ class SerialServerSession:
         return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[FrameToSend]:
-        """Let the silence until ``now`` take effect."""
+        """Process the silence until ``now``. Returns the answers to send."""
         return self._work(self._receiver.tick(now))
 
     def deadline(self) -> float | None:
@@ -187,28 +187,28 @@ class SerialServerSession:
         return self._receiver.deadline()
 
     def sent(self, frame: bytes, ends: float) -> None:
-        """A frame of ours is on the line until ``ends``."""
+        """Report that a frame of ours is on the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
     def answer_left(self) -> None:
-        """The answer that was given last has left."""
+        """Report that the last answer has left."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.left()
 
     def answer_lost(self) -> None:
-        """The port did not take the answer that was given last."""
+        """Report that the port did not accept the last answer."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.lost(write_failed=True)
 
     def take_no_more(self) -> None:
-        """Take no further request for one's own; the answer that is still to come may leave."""
+        """Ignore further requests; the answer that is still to come may leave."""
         self._takes_more = False
 
     def close(self) -> None:
-        """The port has gone: what is still waiting gets no answer."""
+        """End with the port: waiting requests get no answer."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             leaving.lost()
@@ -261,7 +261,7 @@ class SerialServerSession:
         return None
 
     def _settle(self, context: RequestContext) -> None:
-        """The request has its outcome."""
+        """Forget the request in work: it has its outcome."""
         self._waiting = None
         context._finish = None
 
@@ -279,7 +279,7 @@ class SerialServerSession:
         return outcome
 
     def _broadcast(self, pdu: bytes) -> None:
-        """Execute a write on every unit that is not in listen-only mode; each counts it, and what became of it."""
+        """Execute a broadcast on every unit that is not in listen-only mode; each counts it and its outcome."""
         units = [unit for unit in range(1, LAST_SERIAL_UNIT + 1) if unit in self._units]
         self._diagnostics.received_broadcast(units)
         request = self._handler.functions.decode_request(pdu)
@@ -297,7 +297,7 @@ class SerialServerSession:
             diagnostics.kept_silent(executed=done)
 
     def _broadcast_to(self, unit: int, pdu: bytes, executed: set[int]) -> bool:
-        """Execute a broadcast on one unit; whether that was a success."""
+        """Execute a broadcast on one unit. Returns whether it succeeded."""
         context = self._context(unit, pdu[0])
         context.executed = executed
         outcome = self._ask(context, pdu)
@@ -332,7 +332,7 @@ class SerialServerSession:
         )
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """A late reply has come, by `RequestContext.reply`."""
+        """Send a late reply that was given to `RequestContext.reply`."""
         if self._waiting is not context:
             return  # a broadcast, or given up
         self._waiting = None
@@ -342,7 +342,7 @@ class SerialServerSession:
             context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
-        """Somebody speaks while a request is in work, or its answer has not left: its master has given up."""
+        """Drop the request in work, or its answer: another frame has come, so its master has given up."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self.abandoned += 1

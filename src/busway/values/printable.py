@@ -1,8 +1,8 @@
-"""Text of others, made fit for a line of a terminal, a log or a table.
+"""Makes text from devices and certificates safe to print on one line of a terminal, a log or a table.
 
-Knows characters; knows nobody who prints. Devices name themselves, and certificates name their owners: what they say
-goes to people's terminals and logs. There a line break forges a line, an escape sequence changes what was printed
-before it, and a bidirectional control turns the rest of the line around.
+Knows characters only. Names in devices and certificates are chosen by others and end up on terminals and in logs. There
+a line break forges a line, an escape sequence changes what was printed before it, and a bidirectional control turns the
+rest of the line around.
 """
 
 

@@ -1,4 +1,4 @@
-"""The one sentence with which a value is refused.
+"""The error message for a value that does not fit its type.
 
 Knows how to show any value in a few characters; knows nothing about the types that refuse.
 """
