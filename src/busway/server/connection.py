@@ -327,7 +327,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request is in work or a reply still on its way."""
+        """Whether a request is in progress or a reply unsent."""
         if self.session is None:
             return False
         return bool(self.session.waiting or self.session.rest or self.unsent or self._late)

@@ -87,7 +87,7 @@ class TcpListener:
         return handshake_acceptor(management, self._settings.tls)
 
     def _can_not_accept(self, error: OSError) -> None:
-        """Somebody waits, and the system has nothing left for another connection."""
+        """Log that a client waits but the system has no resources for another connection."""
         listener_context = self.management.listener_context
         listener_context.diagnosis.internal_fault = time.monotonic()
         sentence = "%s: nobody can be accepted for now: %s"

@@ -84,7 +84,7 @@ class CertificateStore:
         return self.client("expired client", role=role, days=_EXPIRED_DAYS)
 
     def self_signed(self, name: str = "self-signed", *, hosts: Sequence[str] = HOSTS) -> CertificateFiles:
-        """One that nobody but itself vouches for."""
+        """A self-signed certificate."""
         return self.write(name, Authority.self_signed(name, hosts))
 
     def client_with_role_value(self, value: bytes, *, name: str = "odd role") -> CertificateFiles:

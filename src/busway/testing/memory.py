@@ -135,7 +135,7 @@ class MemoryTransport(asyncio.Transport):
         return data
 
     def take(self, data: bytes) -> None:
-        """Something has arrived."""
+        """Deliver received bytes to the protocol."""
         protocol = self._protocol
         if isinstance(protocol, asyncio.BufferedProtocol):
             while data and not self._closing:

@@ -356,7 +356,7 @@ def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
-    """The keys of a point for a value: what type it has."""
+    """The type keys of a simulated point, derived from its value."""
     if isinstance(value, tuple) and 2 <= len(value) <= 3:
         return dict(zip(("value", "type", "order"), value, strict=False))
     if isinstance(value, bool):

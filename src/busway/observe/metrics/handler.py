@@ -186,7 +186,7 @@ class _Waiting:
         self._began = metered._clock()
 
     def finished(self, reply: Message | Deferral) -> None:
-        """The outcome is there."""
+        """Count the request, now that its outcome is known."""
         if not isinstance(reply, Message):
             self._unanswered(Unanswered.SILENT)
         else:

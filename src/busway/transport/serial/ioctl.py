@@ -1,4 +1,4 @@
-"""The one door to the driver of an open port, so that a test can stand behind it instead of a driver.
+"""The only calls to the driver of an open serial port, in one place so that a test can replace the driver.
 
 Knows numbers of the system's calls; knows not what they are for. Buffers are filled in place.
 """

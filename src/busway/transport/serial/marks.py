@@ -31,7 +31,7 @@ class Received:
 
 
 class MarkDecoder:
-    """Takes the marks out of a stream."""
+    """Decoder that removes the kernel's damage marks from received bytes and counts them."""
 
     __slots__ = ("_within",)
 

@@ -65,7 +65,7 @@ class Issued:
 
 
 class Authority:
-    """What signs certificates.
+    """A certificate authority: a certificate and the private key that signs others.
 
     Args:
         issued: its own certificate and key.
