@@ -742,3 +742,28 @@ def test_what_was_answered_or_refused_leaves_no_work_to_the_collector_of_garbage
     finally:
         gc.enable()
     assert plant.line.counters.no_path == 120
+
+
+@pytest.mark.parametrize("bunches", [True, False])
+def test_shared_reads_leave_no_work_to_the_collector_of_garbage(bunches: bool) -> None:
+    plant = Plant(bunches=bunches)
+    plant.listener.deadline = 2.5
+    clients = [plant.client(f"client {number}") for number in range(3)]
+
+    def some() -> None:
+        for _ in range(20):
+            for client in clients:
+                client.ask(read(1))
+            plant.link.answer()
+            assert all(len(client.got()) == 1 for client in clients)
+        plant.link.timers.clear()
+
+    some()
+    gc.collect()
+    gc.disable()
+    try:
+        some()
+        assert gc.collect() < 20  # there were hundreds of objects
+    finally:
+        gc.enable()
+    assert plant.line.counters.shared == 80

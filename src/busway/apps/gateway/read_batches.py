@@ -366,6 +366,7 @@ class ReadBatches:
         self.upstream.add_open(-batch.left)
         if batch.deadlines is not None:
             batch.deadlines.close()
+            batch.deadlines = None  # its timer's callback holds the batch
         shared = batch.shared
         if shared is not None:
             for key in batch.keys:

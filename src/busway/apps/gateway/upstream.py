@@ -529,6 +529,7 @@ class Upstream:
         self.add_open(-1)
         if exchange.deadlines is not None:
             exchange.deadlines.close()
+            exchange.deadlines = None  # its timer's callback holds the exchange
         if exchange.is_write:
             self.memory.write_ended(exchange.unit)
         elif exchange.key is not None:
