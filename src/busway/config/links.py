@@ -84,7 +84,7 @@ def named_link(
     at: Path,
     judge: Judge,
 ) -> NamedLink | None:
-    """A link as its section declares it; None, and a word to the judge, where it can not be.
+    """A link as its section declares it; None, and a word to the judge, where it cannot be.
 
     Args:
         section: its own options.

@@ -1,4 +1,4 @@
-"""What can be said about a configuration before it runs: rules that can never fit, files that can not be used.
+"""What can be said about a configuration before it runs: rules that can never fit, files that cannot be used.
 
 Knows what goes together; opens files, and no connection.
 """
@@ -27,7 +27,7 @@ def judge_roles(file: SystemFile, judge: Judge) -> None:
 
 
 def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], judge: Judge) -> None:
-    """Open what the file names, and tell the judge what can not be used."""
+    """Open what the file names, and tell the judge what cannot be used."""
     wrong = len(judge.problems)
     for place, path in _named_files(file):
         readable(place, within(name, path), judge)
@@ -65,7 +65,7 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
 
 
 def readable(place: Place, path: str, judge: Judge) -> None:
-    """Open a file, or a folder of authorities, and tell the judge where it can not be read."""
+    """Open a file, or a folder of authorities, and tell the judge where it cannot be read."""
     if Path(path).is_dir() and place[-1] == "authority":
         return
     try:

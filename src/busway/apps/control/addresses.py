@@ -85,7 +85,7 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
         environment: instead of that of the process.
 
     Raises:
-        ConfigError: it can not be made, is somebody else's, or is open to others.
+        ConfigError: it cannot be made, is somebody else's, or is open to others.
     """
     path = _candidates(environment)[0]
     try:

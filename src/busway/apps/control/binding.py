@@ -78,7 +78,7 @@ def bind_unix(address: UnixAddress) -> Bound:
 
     Raises:
         ConfigError: something else stands there, or the path is too long.
-        LinkDown: it can not be bound, or a living program answers there.
+        LinkDown: it cannot be bound, or a living program answers there.
     """
     path = address.path.absolute()
     if not HAS_UNIX_SOCKETS:

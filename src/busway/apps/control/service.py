@@ -86,7 +86,7 @@ class Control:
         address: where it answers; None while it does not.
 
     Raises:
-        ConfigError: ``at`` can not be.
+        ConfigError: ``at`` cannot be.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Control:
 
         Raises:
             ConfigError: something else stands at the path, or the directory is not the user's own.
-            LinkDown: it can not be listened on, or another program answers there.
+            LinkDown: it cannot be listened on, or another program answers there.
         """
         if self._service is not None:
             return
@@ -249,14 +249,14 @@ async def open_control(
     reload: Reload | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
-    """A `Control` for commands: ``off`` gives None, and a default socket that can not be had is said and lived without.
+    """A `Control` for commands: ``off`` gives None, and a default socket that cannot be had is said and lived without.
 
     Args:
         subject, name, reload, metrics: as of `Control`.
         at: as of `Control`, or ``off``.
 
     Raises:
-        ConfigError, LinkDown: an address that was asked for can not be had.
+        ConfigError, LinkDown: an address that was asked for cannot be had.
     """
     if at == OFF:
         yield None

@@ -104,7 +104,7 @@ class GatewayConfiguration:
             options: ``authorise``, ``policy`` and ``audit`` as of `Gateway`; ``standard_port`` as of `busway.serve`.
 
         Raises:
-            ConfigError: an option that can not be.
+            ConfigError: an option that cannot be.
         """
         plan = self._plan(listen)
         beside = options.pop(STANDARD_PORT, None)
@@ -121,7 +121,7 @@ class GatewayConfiguration:
             policy: what holds at new listeners until the policy is replaced.
 
         Raises:
-            LinkDown, ConfigError: a new listener or upstream can not be had; everything is as before.
+            LinkDown, ConfigError: a new listener or upstream cannot be had; everything is as before.
         """
         assert isinstance(running, Gateway)
         old = running.plan
@@ -155,7 +155,7 @@ def load_gateway(
         changes: options of listeners that go before those of the file.
 
     Raises:
-        ConfigError: the file can not be read, or something in it can not be; then it has all ``problems``, each with
+        ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
             file, upstream and key.
     """
     name = os.fspath(path)
@@ -195,7 +195,7 @@ def simple_gateway(
         client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
 
     Raises:
-        ConfigError: a URL or an option in it that can not be.
+        ConfigError: a URL or an option in it that cannot be.
     """
     for url in listeners:
         listener_settings(Listener(url), limits=ListenerParameters())

@@ -370,7 +370,7 @@ class Gateway:
             policy: what holds at new listeners until `replace_policy`; None: what holds at the others.
 
         Raises:
-            LinkDown, ConfigError: a new listener or upstream can not be had.
+            LinkDown, ConfigError: a new listener or upstream cannot be had.
         """
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(

@@ -269,7 +269,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """What can not be: position of the route, and a sentence."""
+        """What cannot be: position of the route, and a sentence."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:

@@ -1,4 +1,4 @@
-"""The routes of a gateway file, and what of them can not work, said before anything runs.
+"""The routes of a gateway file, and what of them cannot work, said before anything runs.
 
 Knows what the sections say and what upstreams and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2,
 T32).
@@ -134,7 +134,7 @@ def _upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
     return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 
-# What can not work.
+# What cannot work.
 
 
 def judge_routes(

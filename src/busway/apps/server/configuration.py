@@ -82,7 +82,7 @@ class Configuration:
             options: of `busway.serve`, instead of those of the file.
 
         Raises:
-            ConfigError: an endpoint or option that can not be; the file has no unit.
+            ConfigError: an endpoint or option that cannot be; the file has no unit.
         """
         from ...config.devices import build_units
         from ...server.serving import serve
@@ -144,7 +144,7 @@ def load_configuration(
         changes: options of listeners that go before those of the file.
 
     Raises:
-        ConfigError: the file can not be read, or something in it can not be; then it has all ``problems``, each with
+        ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
             file, line and key.
     """
     name = os.fspath(path)

@@ -62,7 +62,7 @@ class RunningServer(Protocol):
         """End connections of hosts that may no longer connect; how many there were."""
 
     def reload_security(self) -> None:
-        """Read certificates anew. Raises `ConfigError`; what can not be used leaves its listener as it was."""
+        """Read certificates anew. Raises `ConfigError`; what cannot be used leaves its listener as it was."""
 
     async def __aenter__(self) -> object:
         """Start."""
@@ -180,7 +180,7 @@ class Service:
         metrics: where the metrics are scraped; empty without any.
 
     Raises:
-        ConfigError, LinkDown: something can not be, or can not be had; then nothing runs.
+        ConfigError, LinkDown: something cannot be, or cannot be had; then nothing runs.
     """
 
     server: RunningServer
@@ -255,7 +255,7 @@ class Service:
         """Read again what can change while it runs: what was done, a sentence each.
 
         Raises:
-            ConfigError, LinkDown: something is wrong with what was read, or can not be had; nothing has changed.
+            ConfigError, LinkDown: something is wrong with what was read, or cannot be had; nothing has changed.
         """
         async with self._reloading:
             with collecting_paused():

@@ -178,7 +178,7 @@ class Engine:
         Args:
             until: the time, in seconds of the simulation.
             skip: whether moments that lie further back are left out where a later one of the same points is due too:
-                for a program that was stopped for a while, or can not keep up.
+                for a program that was stopped for a while, or cannot keep up.
             pause: asked after each unit whether to leave the rest for later.
 
         Returns:

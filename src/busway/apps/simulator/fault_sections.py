@@ -20,7 +20,7 @@ from ...faults.switchboard import FaultSwitchboard
 def fault_problems(
     sections: Iterable[FaultSection], source: Source, personalities: FaultyTable = FAULT_PROFILES
 ) -> list[ConfigError]:
-    """What the schema can not know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
+    """What the schema cannot know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
 
     Args:
         sections: as they stand in the file, under ``fault``.
@@ -61,7 +61,7 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
         Their names.
 
     Raises:
-        ConfigError: one of them can not be; nothing that `fault_problems` would not have said.
+        ConfigError: one of them cannot be; nothing that `fault_problems` would not have said.
     """
     ordered = list(sections)
     named = [one.name for one in ordered if one.name]
@@ -101,7 +101,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
         The fault's name.
 
     Raises:
-        ConfigError: there is no such fault and no such personality, or a word can not be.
+        ConfigError: there is no such fault and no such personality, or a word cannot be.
     """
     if any(one.label == text for one in board.faults):
         board.switch(text, on=True)

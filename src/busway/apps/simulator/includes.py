@@ -9,7 +9,7 @@ Knows files by their names, includes and parameters; what stands in a file is kn
    them. ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
 3. With ``units`` an include makes units of the one ``[[unit]]`` of its file, each with a memory of its own; without,
    it takes the file's units as they are.
-4. A file can not include itself, nor another that does.
+4. A file cannot include itself, nor another that does.
 5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
    ones, and not reached by a link of another user (`busway.safe_files`).
 6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and `LONGEST_TEXT` of what is put into a text.
@@ -103,7 +103,7 @@ def load_declaration(
         changes: options of listeners that go before those of the file.
 
     Raises:
-        ConfigError: a file can not be read, or something in it can not be; then it has all ``problems``, each with
+        ConfigError: a file cannot be read, or something in it cannot be; then it has all ``problems``, each with
             file, line and key.
     """
     name = os.fspath(path)

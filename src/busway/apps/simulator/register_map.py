@@ -16,7 +16,7 @@ Rules:
    a byte order mark, UTF-16 with one, or else Latin-1.
 3. A file is read as a whole; each thing that is wrong is said with file, line and column.
 4. Where commas do not separate, a number may have a decimal comma.
-5. Nothing is guessed: an empty cell is the default of its key, and what can not be read is refused.
+5. Nothing is guessed: an empty cell is the default of its key, and what cannot be read is refused.
 """
 
 import csv
@@ -106,7 +106,7 @@ def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSectio
 
     Raises:
         FileError: all that is wrong with it, each with file, line and column.
-        ConfigError: it can not be read.
+        ConfigError: it cannot be read.
     """
     name = os.fspath(path)
     try:
@@ -262,7 +262,7 @@ def _column_of(key: str | None) -> str | None:
 
 
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """The keys of the point in a row, and what its cells can not be: column and sentence."""
+    """The keys of the point in a row, and what its cells cannot be: column and sentence."""
     cells = row.cells
     keys: dict[str, Any] = {}
     faults = [(needed, "is empty") for needed in ("name", "address") if needed not in cells]

@@ -23,7 +23,7 @@ from ...values import ValueType
 Put = Callable[[bytearray, int, Any], object]
 """Puts what the registers hold, a number of the type or ``bool``, into bytes, at an offset in bytes (bits: in bits)."""
 Quantise = Callable[[float], Any]
-"""What the registers hold for a value in the unit of measure; None where it is no number and they can not say so."""
+"""What the registers hold for a value in the unit of measure; None where it is no number and they cannot say so."""
 
 _LETTERS: Final = {
     "int16": "h",

@@ -86,7 +86,7 @@ class Simulation:
         speed: seconds of the simulation in one second of the clock, above 0.
 
     Raises:
-        ConfigError: a file can not be read, or something in it can not be; then it has all ``problems``, each with
+        ConfigError: a file cannot be read, or something in it cannot be; then it has all ``problems``, each with
             file, line and key.
 
     Attributes:
@@ -96,7 +96,7 @@ class Simulation:
         board: the faults by name, those of the file and more; played by every server that `serve` makes.
         speed: as given, or changed since.
         is_paused: whether time stands still.
-        warnings: what is odd, a sentence each: values that were kept and can not be taken up again.
+        warnings: what is odd, a sentence each: values that were kept and cannot be taken up again.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class Simulation:
 
         Args:
             key: ``UNIT/NAME``.
-            value: in the unit of measure; or the name of a number; what Modbus can not write can be set, too.
+            value: in the unit of measure; or the name of a number; what Modbus cannot write can be set, too.
             who: what `SimulatedPoint.last_writer` says from then on.
 
         Raises:
@@ -236,7 +236,7 @@ class Simulation:
             speed: seconds of the simulation in one second of the clock, above 0.
 
         Raises:
-            ConfigError: it can not be.
+            ConfigError: it cannot be.
         """
         _check_speed(speed)
         self._count_from_here()

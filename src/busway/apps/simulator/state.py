@@ -57,7 +57,7 @@ class KeptState:
 
 
 def save_state(path: str, state: KeptState) -> None:
-    """Put a state into a file. Raises `ConfigError` where that can not be; then the one before still stands."""
+    """Put a state into a file. Raises `ConfigError` where that cannot be; then the one before still stands."""
     document = {
         "kind": _KIND,
         "version": _VERSION,

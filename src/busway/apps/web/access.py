@@ -5,7 +5,7 @@ Knows headers and sizes; knows no resource. It stands around the whole applicati
 1. On loopback no token is needed, but the ``Host`` must be one of loopback: a name that somebody has pointed at
    127.0.0.1 (DNS rebinding) is not.
 2. A page of another origin is refused, by ``Origin`` and by ``Sec-Fetch-Site``; and what changes something must be
-   JSON, which such a page can not send unasked.
+   JSON, which such a page cannot send unasked.
 3. Elsewhere each request to the API carries the token, in ``Authorization: Bearer …``; a WebSocket, for which a browser
    sets no such header, as its subprotocol ``bearer.…``. It is never part of an address, which would end in logs.
    The page itself holds no secret and needs none.

@@ -29,7 +29,7 @@ def fault_named(board: Board, name: str) -> FaultAnswer:
 
 
 def put_on(board: Board, wanted: NewFault) -> FaultAnswer:
-    """Put one on. Raises `ConfigError` for a name, a parameter or an address range that can not be."""
+    """Put one on. Raises `ConfigError` for a name, a parameter or an address range that cannot be."""
     name = board.add(
         wanted.personality,
         name=wanted.name,

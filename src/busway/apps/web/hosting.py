@@ -109,7 +109,7 @@ class ControlPage:
         streams: the WebSockets.
 
     Raises:
-        ConfigError: the address can not be, or the token is too short.
+        ConfigError: the address cannot be, or the token is too short.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class ControlPage:
         return self.url if self._given is not None else self.page_url
 
     async def start(self) -> None:
-        """Answer from now on. Raises `LinkDown` if the address can not be had, `ConfigError` for a page elsewhere."""
+        """Answer from now on. Raises `LinkDown` if the address cannot be had, `ConfigError` for a page elsewhere."""
         if self._task is not None:
             return
         bound = await asyncio.to_thread(bind_tcp, *self._address)

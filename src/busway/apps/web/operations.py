@@ -32,7 +32,7 @@ _MOST_FAULTS: Final = 5
 
 
 class Problem(Exception):
-    """It can not be done: a status and a sentence."""
+    """It cannot be done: a status and a sentence."""
 
     def __init__(self, status: HTTPStatus, sentence: str) -> None:
         super().__init__(sentence)

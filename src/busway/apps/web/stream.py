@@ -77,7 +77,7 @@ class Client:
         self.skipped = 0
 
     def wish(self, wish: Wish) -> str:
-        """Take a wish; what can not be is said."""
+        """Take a wish; what cannot be is said."""
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:

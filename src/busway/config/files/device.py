@@ -152,7 +152,7 @@ class TableSection(Section):
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
-        """What can not be, with its place in this table."""
+        """What cannot be, with its place in this table."""
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
         if self.values is not None and len(self.values) > self.size:

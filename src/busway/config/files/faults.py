@@ -126,7 +126,7 @@ def parse_fault_words(text: str) -> FaultSection:
         text: the personality; behind a colon, keys of the section and of its schedule, and parameters.
 
     Raises:
-        ConfigError: a word can not be; its key is the key at fault.
+        ConfigError: a word cannot be; its key is the key at fault.
     """
     personality, _, rest = text.partition(":")
     section: dict[str, Any] = {"personality": personality.strip()}  # Any: values of several types

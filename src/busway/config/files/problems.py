@@ -6,7 +6,7 @@ from ...errors import ConfigError
 
 
 class FileError(ConfigError):
-    """A file that can not be used.
+    """A file that cannot be used.
 
     Attributes:
         problems: what is wrong, each with file, line and key, in the order of the lines. The fields of the error itself

@@ -27,7 +27,7 @@ Rules:
 1. A point's first value lies in its range and has a name, if it has a range or names; so does what Modbus writes (03).
 2. Names stand for numbers: ``value = "auto"`` where ``enumeration = { auto = 1 }``.
 3. A hole is an address between the first and the last item of a table that no point takes. It is refused (02), or is
-   read as a value and can not be written. A table that is declared has no holes.
+   read as a value and cannot be written. A table that is declared has no holes.
 4. A behaviour that begins somewhere (counter, random-walk, lag) goes on from ``value``; with the others, ``value``
    would never be seen and is refused.
 """

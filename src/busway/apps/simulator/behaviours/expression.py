@@ -5,7 +5,7 @@ Knows numbers, names and a few functions; knows no point: whoever binds an expre
 1. There are: numbers; ``+ - * / // % **``; comparisons, ``and or not``, ``a if b else c``; the functions below; ``t``,
    seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name, such as
    ``point("3/voltage L1")``, which is a point of unit 3.
-2. What can not be computed (a division by zero, the root of -1) is NaN. Truth is 1 and 0.
+2. What cannot be computed (a division by zero, the root of -1) is NaN. Truth is 1 and 0.
 3. An expression is short and flat: a bounded number of characters and levels, so it costs a bounded time. Whatever
    numbers come in, those in between are bounded too: powers are computed with fractions, rounding beyond `_MOST_DIGITS`
    is none, and whole numbers that come from outside have at most `WHOLE_BITS` bits.

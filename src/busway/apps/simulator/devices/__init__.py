@@ -51,7 +51,7 @@ def read_profile(name: str) -> str:
     """The text of a simulation file by its path, or of ``device:NAME``.
 
     Raises:
-        ConfigError: there is no such device, or the file can not be read; names the file.
+        ConfigError: there is no such device, or the file cannot be read; names the file.
     """
     return _ready_made_text(name) if name.startswith(PREFIX) else read_text(name)
 
