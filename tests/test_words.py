@@ -23,7 +23,6 @@ STILL_RETIRED: frozenset[str] = frozenset(
         "making",
         "personalities",
         "personality_lines",
-        "takes_bunches",
         "wiring",
         "with_personalities",
     }

@@ -1,4 +1,4 @@
-"""Reads that clients ask together go behind as bunches: the answers of the long road, each as soon as it is there."""
+"""Reads that clients ask together go behind as batches: the answers of the long road, each as soon as it is there."""
 
 import gc
 import struct
@@ -150,7 +150,7 @@ class WireLink:
         self.session.finished.clear()
         for call in finished:
             call.owner.set_result(None)
-        self._line.bunches.look(self.session)
+        self._line.batches.look(self.session)
 
 
 class LongRoad:
@@ -211,7 +211,7 @@ class Plant:
     def __init__(
         self,
         *routes: Route,
-        bunches: bool = True,
+        batches: bool = True,
         share_reads: bool = True,
         policy: busway.Policy | None = None,
         **options: Any,
@@ -221,7 +221,7 @@ class Plant:
         self.link = WireLink(self.line)
         self.listener = ListenerHandler("office", busway.STANDARD)
         self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.line})
-        self.handler: Any = self.listener if bunches else LongRoad(self.listener)
+        self.handler: Any = self.listener if batches else LongRoad(self.listener)
         if policy is not None:
             self.handler = PolicyHandler(self.handler, policy)
 
@@ -265,8 +265,8 @@ def test_whoever_asks_gets_the_answers_of_the_long_road(
     steps: list[tuple[Any, Any, Any, Any]], share_reads: bool, room: int, policy: busway.Policy | None
 ) -> None:
     found = []
-    for bunches in (True, False):
-        plant = Plant(*ROUTES, bunches=bunches, share_reads=share_reads, max_transactions=room, policy=policy)
+    for batches in (True, False):
+        plant = Plant(*ROUTES, batches=batches, share_reads=share_reads, max_transactions=room, policy=policy)
         clients = [plant.client(f"10.0.0.{number}:500", slots=200) for number in range(3)]
         for action, who, unit, pdus in steps:
             if action == "ask":
@@ -367,9 +367,9 @@ def test_what_comes_together_goes_behind_in_one_segment_and_comes_back_in_one() 
     assert client.session.requests == client.diagnostics.counters.server_message_count == 10
 
 
-@pytest.mark.parametrize("bunches", [True, False])
-def test_what_waits_for_its_answer_has_been_counted_as_received_and_the_log_says_when_what_was(bunches: bool) -> None:
-    plant = Plant(bunches=bunches)
+@pytest.mark.parametrize("batches", [True, False])
+def test_what_waits_for_its_answer_has_been_counted_as_received_and_the_log_says_when_what_was(batches: bool) -> None:
+    plant = Plant(batches=batches)
     client = plant.client("client")
     state = client.diagnostics.of(1)
     for _ in range(2):
@@ -432,9 +432,9 @@ class ReadKnownValues(ReadRegisters):
         return "no value" if 7 in reply.registers else None
 
 
-@pytest.mark.parametrize("bunches", [True, False])
-def test_a_reply_that_its_function_does_not_take_is_not_handed_on(bunches: bool) -> None:
-    plant = Plant(bunches=bunches)
+@pytest.mark.parametrize("batches", [True, False])
+def test_a_reply_that_its_function_does_not_take_is_not_handed_on(batches: bool) -> None:
+    plant = Plant(batches=batches)
     plant.listener.functions = FunctionTable(*(one for one in busway.STANDARD if one.code != 3), ReadKnownValues)
     plant.handler.functions = plant.listener.functions
     client = plant.client("client")
@@ -683,9 +683,9 @@ def test_where_replies_come_one_by_one_clients_take_turns_one_by_one() -> None:
     assert order == [0, 1, 100, 2, 101, 3, 102, 4, 103, 5]  # the first one found the line free
 
 
-@pytest.mark.parametrize("bunches", [True, False])
-def test_priority_host_waits_for_what_is_on_the_wire_and_no_place_is_taken_from_it(bunches: bool) -> None:
-    plant = Plant(bunches=bunches, share_reads=False, max_transactions=1, queue=10)
+@pytest.mark.parametrize("batches", [True, False])
+def test_priority_host_waits_for_what_is_on_the_wire_and_no_place_is_taken_from_it(batches: bool) -> None:
+    plant = Plant(batches=batches, share_reads=False, max_transactions=1, queue=10)
     host = plant.client("host", is_priority=True)
     floods = [plant.client(f"flood {number}") for number in range(5)]
     for _ in range(4):
@@ -700,9 +700,9 @@ def test_priority_host_waits_for_what_is_on_the_wire_and_no_place_is_taken_from_
         assert list(host.got().values()) == [answer_of(read(400))]
 
 
-@pytest.mark.parametrize("bunches", [True, False])
-def test_priority_host_shares_what_was_sent_and_not_what_waits_for_others(bunches: bool) -> None:
-    plant = Plant(bunches=bunches, max_transactions=1)
+@pytest.mark.parametrize("batches", [True, False])
+def test_priority_host_shares_what_was_sent_and_not_what_waits_for_others(batches: bool) -> None:
+    plant = Plant(batches=batches, max_transactions=1)
     one, host, other = plant.client("one"), plant.client("host", is_priority=True), plant.client("other")
     one.ask(read(0))
     one.ask(read(1))
@@ -721,9 +721,9 @@ def test_priority_host_shares_what_was_sent_and_not_what_waits_for_others(bunche
     assert plant.line.open_requests == 0
 
 
-@pytest.mark.parametrize("bunches", [True, False])
-def test_what_was_answered_or_refused_leaves_no_work_to_the_collector_of_garbage(bunches: bool) -> None:
-    plant = Plant(bunches=bunches, share_reads=False, max_transactions=1, queue=2)
+@pytest.mark.parametrize("batches", [True, False])
+def test_what_was_answered_or_refused_leaves_no_work_to_the_collector_of_garbage(batches: bool) -> None:
+    plant = Plant(batches=batches, share_reads=False, max_transactions=1, queue=2)
     client = plant.client("client")
 
     def some() -> None:
@@ -744,9 +744,9 @@ def test_what_was_answered_or_refused_leaves_no_work_to_the_collector_of_garbage
     assert plant.line.counters.no_path == 120
 
 
-@pytest.mark.parametrize("bunches", [True, False])
-def test_shared_reads_leave_no_work_to_the_collector_of_garbage(bunches: bool) -> None:
-    plant = Plant(bunches=bunches)
+@pytest.mark.parametrize("batches", [True, False])
+def test_shared_reads_leave_no_work_to_the_collector_of_garbage(batches: bool) -> None:
+    plant = Plant(batches=batches)
     plant.listener.deadline = 2.5
     clients = [plant.client(f"client {number}") for number in range(3)]
 

@@ -137,7 +137,7 @@ class ListenerHandler:
         if not isinstance(found, Route) or found.action is not RouteAction.FORWARD or found.cache is not None:
             return None
         upstream = self._upstreams.get(found.upstream)
-        if upstream is None or not upstream.takes_bunches:
+        if upstream is None or not upstream.takes_batches:
             return None
         try:
             sent = upstream_requests(request, found)

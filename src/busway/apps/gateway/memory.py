@@ -23,7 +23,7 @@ from ...pdu.wide import NARROW
 
 Shared = TypeVar("Shared")
 Key = tuple[int, int, int, int] | bytes
-"""Function, address, count, and the limit it was split by; or, of a read that is asked in a bunch, its PDU. So the two
+"""Function, address, count, and the limit it was split by; or, of a read that is asked in a batch, its PDU. So the two
 never meet."""
 Place = tuple[Table, int, int]
 """Table, address of the first item, count."""

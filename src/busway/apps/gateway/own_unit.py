@@ -70,7 +70,7 @@ Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
 
 
 def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
-    """The device.
+    """Return the device that answers for the gateway itself.
 
     Args:
         numbers: the values of its registers.

@@ -1,13 +1,13 @@
 """Reads of a client that came together, on their way to a server on TCP and back as one demand.
 
-Knows upstreams, demands and who asked; knows no route.
+Knows upstreams, calls and who asked; knows no route.
 
-1. What was asked together, of one unit, is one demand, a bunch: it waits for its turn and leaves as one, and as many of
+1. What was asked together, of one unit, is one call, a batch: it waits for its turn and leaves as one, and as many of
    its reads as the turn allows.
-2. Each read is answered as soon as its own reply is there. None waits for the others of its bunch.
+2. Each read is answered as soon as its own reply is there. None waits for the others of its batch.
 3. A read that is identical to one in flight may share its answer, under the rules of `memory`. Reads in
-   bunches share among themselves; those that take the long road, because they are split or remembered, share too, and
-   the two do not meet.
+   batches share among themselves; those on the generic path, because they are split or remembered, share too, and the
+   two do not meet.
 4. A client that goes away takes those of its reads with it that nobody else waits for.
 """
 
@@ -54,11 +54,11 @@ class ReadTarget:
 
     def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         """Ask reads of one client; each gets its answer, or an exception code."""
-        self.upstream.bunches.ask(self, asker, reads)
+        self.upstream.batches.ask(self, asker, reads)
 
 
 def batch_plan(way: ReadTarget, unit: int, asked: ReadRegisters | ReadBits) -> ForwardPlan:
-    """What becomes of a read that is asked in bunches.
+    """What becomes of a read that is asked in batches.
 
     Args:
         way: where it goes.
@@ -83,21 +83,21 @@ class ReadBatch(Call):
         shared: where they are found.
     """
 
-    # What most never set is shared until it is, as in `Demand`.
+    # What most never set is shared until it is, as in `Call`.
     deadlines: WaiterDeadlines[tuple[ForwardedReads, ForwardedRead | None]] | None = None
     keys: Sequence[Key] = ()
     shared: MutableMapping[Key, Any] | None = None  # Any: see `Memory`
 
     def __init__(
         self,
-        bunches: "ReadBatches",
+        batches: "ReadBatches",
         link: AsyncLinkDriver,
         way: ReadTarget,
         asker: ForwardedReads,
         reads: list[ForwardedRead],
         deadline: float | None,
     ) -> None:
-        upstream = bunches.upstream
+        upstream = batches.upstream
         requests = [plan.request for _, plan in reads]
         super().__init__(
             way.unit, requests, False, way.timeout, upstream.settings.parameters.retries, False, asker.peer, deadline
@@ -106,7 +106,7 @@ class ReadBatch(Call):
         self.places = len(reads)
         if asker.is_priority:
             self.is_priority = True
-        self.bunches = bunches
+        self.batches = batches
         self.link = link
         self.asker: ForwardedReads | None = asker
         self.reads = reads
@@ -119,7 +119,7 @@ class ReadBatch(Call):
 
     def set_result(self, result: None) -> None:
         """All outcomes are there."""
-        self.bunches.tell(self)
+        self.batches.tell(self)
 
     def owed(self, asker: ForwardedReads) -> Iterator[ForwardedRead]:
         """Reads of a client that have not been answered."""
@@ -129,7 +129,7 @@ class ReadBatch(Call):
 
     def asker_gone(self, asker: ForwardedReads) -> None:
         """A client has gone."""
-        self.bunches.gone(self, asker)
+        self.batches.gone(self, asker)
 
     def is_sent(self, key: Key) -> bool:
         """Whether the read that is found by ``key`` was sent."""
@@ -148,7 +148,7 @@ class ReadBatch(Call):
 
 
 class ReadBatches:
-    """The bunches of one upstream."""
+    """The batches of one upstream."""
 
     __slots__ = ("_answered", "upstream")
 
@@ -296,7 +296,7 @@ class ReadBatches:
             asker.send()
 
     def look(self, session: TcpClientSession) -> None:
-        """Something has come: answer what is there of bunches that are not complete."""
+        """Something has come: answer what is there of batches that are not complete."""
         for call in session.in_work():
             if (
                 isinstance(call, ReadBatch)
@@ -355,14 +355,14 @@ class ReadBatches:
         self._forget_if_alone(batch)
 
     def _forget_if_alone(self, batch: ReadBatch) -> None:
-        """Take a bunch back for which nobody waits any more, as far as it can be."""
+        """Take a batch back for which nobody waits any more, as far as it can be."""
         batch.joined = {position: others for position, others in batch.joined.items() if others}
         if batch.asker is None and not batch.ended and batch.joined.keys() <= batch.told:
             self._leave(batch)
             batch.link.give_up(batch)
 
     def _leave(self, batch: ReadBatch) -> None:
-        """Nobody waits for a bunch any more."""
+        """Nobody waits for a batch any more."""
         self.upstream.add_open(-batch.left)
         if batch.deadlines is not None:
             batch.deadlines.close()

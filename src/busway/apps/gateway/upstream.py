@@ -1,6 +1,6 @@
-"""An upstream a gateway: its links, and the requests that wait for them.
+"""An upstream of a gateway: its links, and the requests that wait for them.
 
-Knows links and demands; knows no listener beyond the context of a request.
+Knows links and calls; knows no listener beyond the context of a request.
 
 1. Each request ends exactly once: with the device's answer, with its exception, or with 0A or 0B.
 2. The order on the upstream is that of its scheduler: round robin over the connections in front, see
@@ -218,7 +218,7 @@ class Upstream:
         self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
         self._width = settings.parameters.register_width
         self.memory: Memory[_Exchange | ReadBatch] = Memory(self._width, same_device)
-        self.bunches = ReadBatches(self)
+        self.batches = ReadBatches(self)
         self._open = 0
         self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open
 
@@ -234,7 +234,7 @@ class Upstream:
             connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
             link = AsyncLinkDriver(connector, session, self.settings)
             if isinstance(session, TcpClientSession):
-                link.watch = partial(self.bunches.look, session)
+                link.watch = partial(self.batches.look, session)
             link.told = self._told
             self._links.append(link)
             if self.settings.endpoint.carrier == "serial":
@@ -293,7 +293,7 @@ class Upstream:
             self._answered.set()
 
     @property
-    def takes_bunches(self) -> bool:
+    def takes_batches(self) -> bool:
         """Whether reads that are asked together may go there together."""
         return self.settings.line is None and self._width == NARROW
 
