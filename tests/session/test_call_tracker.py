@@ -148,3 +148,17 @@ def test_a_write_that_was_sent_and_waits_to_be_repeated_ends_as_unknown(end: str
     assert outcome(read).attempt == 1
     assert outcome(fresh).attempt is None
     assert book.queue.size == book.deadlines == 0
+
+
+def test_a_read_that_is_asked_once_more_lets_no_other_request_of_its_call_be_sent_twice() -> None:
+    book = tracker()
+    one = call(ReadHoldingRegisters(0, 1), WriteSingleRegister(0, 1), ReadHoldingRegisters(0, 1), retries=0)
+    book.submit(one, 0.0)
+    one.take(3)
+    book.queue.remove(one)
+    book.repeat(one, 0)
+    book.failed(one, 1, NoReply("no reply"), 1.0, again=True)
+    book.failed(one, 2, NoReply("no reply"), 1.0, again=True)
+    assert isinstance(outcome(one, 1), WriteOutcomeUnknown)
+    assert isinstance(outcome(one, 2), NoReply)
+    assert list(one.again) == [0]

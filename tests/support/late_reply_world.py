@@ -599,7 +599,7 @@ class World:
             raise Breach(self._told_all(f"{question} ends as in doubt, but was sent"))
 
     def _judge_reply(self, question: Question, position: int, pdu: bytes) -> None:
-        since = self.now - (0.25 if self.path == "port" else 0.03)
+        since = self.now - (0.25 if self.path == "port" else 0.1)  # a receiver may wait 50 ms for a silence
         arrived = [
             one
             for one in reversed(self.replies)

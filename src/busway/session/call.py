@@ -36,7 +36,7 @@ class Call:
         owner: an object that the driver stores here to find its caller again.
         attempts: attempts begun, by position; only positions that were tried more than once appear.
         markers: marker requests (`busway.session.doubt`) that its unit did not answer while this call waited.
-        repeated: further attempts that do not count as retries: the reply before them may have been the right one.
+        repeated: by position, further attempts of a read that are no retries: the reply before may have been its own.
         places: how many places of the queue it takes: one for an application's call, whatever its requests; one for
             each request if a gateway makes the call for a client.
     """
@@ -55,7 +55,7 @@ class Call:
     ended: bool = False
     places: int = 1
     markers: int = 0
-    repeated: int = 0
+    repeated: Mapping[int, int] = _NO_ATTEMPTS
 
     def __init__(
         self,

@@ -185,7 +185,7 @@ class CallTracker:
         request = call.requests[position]
         attempt = call.attempts.get(position, 1)
         guarded = request.is_write and not call.idempotent
-        retries = call.repeated + (self.parameters.write_retries if guarded else call.retries)
+        retries = call.repeated.get(position, 0) + (self.parameters.write_retries if guarded else call.retries)
         if again and attempt <= retries and not call.ended:
             self._again(call, position)
             return
@@ -197,7 +197,7 @@ class CallTracker:
 
     def repeat(self, call: Call, position: int) -> None:
         """Repeat a read that may have been answered; this uses up none of its retries."""
-        call.repeated += 1
+        call.repeated = {**call.repeated, position: call.repeated.get(position, 0) + 1}
         self._again(call, position)
 
     def _again(self, call: Call, position: int) -> None:
