@@ -5,10 +5,10 @@ import threading
 import pytest
 
 from busway.server.cells import Cells, lay_out
-from busway.server.stores import Store, bit_store, register_store
+from busway.server.stores import ItemStore, bit_store, register_store
 
 
-def sparse() -> Store:
+def sparse() -> ItemStore:
     """Registers 10…12 and 20…21, of which 11 and 20…21 are read-only."""
     cells = Cells(values={10: [1, 2, 3], 20: [4, 5]}, read_only=[(11, 1), (20, 2)])
     return register_store(lay_out(cells, key="holding_registers"), threading.RLock())
@@ -40,7 +40,7 @@ def test_a_range_is_found_where_all_of_it_exists(address: int, count: int, found
 
 
 def test_nothing_is_found_in_an_absent_table() -> None:
-    assert Store().find(0, 1) is None
+    assert ItemStore().find(0, 1) is None
 
 
 @pytest.mark.parametrize(

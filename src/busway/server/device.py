@@ -33,7 +33,7 @@ from .identity import DEFAULT_SERVER_ID, ExceptionStatus, identification_objects
 from .items import unpacked
 from .records import RecordFile, RegisterQueue, build_files, build_queues
 from .single_block import SingleBlock, as_table, block_stores
-from .stores import Store, bit_store, register_store
+from .stores import ItemStore, bit_store, register_store
 from .typed import TypedAccess
 from .views import TableView
 
@@ -497,8 +497,8 @@ class Device:
 
 def _build_stores(
     declared: Mapping[Table, TableLike], block: SingleBlock | None, lock: threading.RLock
-) -> dict[Table, Store]:
-    served: Mapping[Table, Store] = {} if block is None else block_stores(block, lock)
+) -> dict[Table, ItemStore]:
+    served: Mapping[Table, ItemStore] = {} if block is None else block_stores(block, lock)
     stores = {}
     for table, cells in declared.items():
         if table in served:

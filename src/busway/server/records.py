@@ -15,7 +15,7 @@ from ..values.refusal import shown
 from .blocks import Run
 from .cells import TableLike, lay_out
 from .groups import Groups
-from .stores import Store, register_store
+from .stores import ItemStore, register_store
 from .views import TableView
 
 
@@ -29,7 +29,7 @@ class RecordFile(TableView):
 
     __slots__ = ("is_consistent",)
 
-    def __init__(self, number: int, store: Store, groups: Groups) -> None:
+    def __init__(self, number: int, store: ItemStore, groups: Groups) -> None:
         super().__init__(f"file {number}", store, groups, bits=False)
         self.is_consistent = True
 

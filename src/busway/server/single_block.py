@@ -17,7 +17,7 @@ from ..errors import ConfigError
 from ..values.refusal import shown
 from .blocks import RegisterBits, RegisterRun
 from .cells import TableLike, lay_out
-from .stores import Store, register_store
+from .stores import ItemStore, register_store
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +37,14 @@ class SingleBlock:
     tables: Collection[Table | str] = tuple(Table)
 
 
-def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, Store]:
+def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:
     """The store of each table that the block serves; `ConfigError` where the block cannot be."""
     words = register_store(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")
     memory = words.runs[0].memory
     assert isinstance(memory, RegisterRun)
-    stores: dict[Table, Store] = {}
+    stores: dict[Table, ItemStore] = {}
     for table in map(as_table, block.tables):
         if not table.holds_bits:
             stores[table] = words
@@ -64,8 +64,8 @@ def as_table(table: Table | str) -> Table:
 
 
 def _bits_of(
-    memory: RegisterRun, words: Store, declared: tuple[int, int] | None, key: str, lock: threading.RLock
-) -> Store:
+    memory: RegisterRun, words: ItemStore, declared: tuple[int, int] | None, key: str, lock: threading.RLock
+) -> ItemStore:
     register, count = declared or (memory.first, min(16 * memory.count, TABLE_SIZE))
     start = register - memory.first
     if start < 0 or not 1 <= count <= TABLE_SIZE or start + (count + 15) // 16 > memory.count:
@@ -77,4 +77,4 @@ def _bits_of(
     read_only = tuple(
         (max(0, 16 * (first - register)), 16 * (end - register)) for first, end in words.read_only if end > register
     )
-    return Store((RegisterBits(memory, start, count, lock),), read_only)
+    return ItemStore((RegisterBits(memory, start, count, lock),), read_only)

@@ -15,7 +15,7 @@ from .blocks import BitRun, RegisterRun, Run
 from .cells import CellLayout
 
 
-class Store:
+class ItemStore:
     """The items of one table or file.
 
     Args:
@@ -44,16 +44,16 @@ class Store:
         return any(first < address + count and address < end for first, end in self.read_only)
 
 
-def register_store(layout: CellLayout, lock: threading.RLock) -> Store:
+def register_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
     """A store of registers that hold what ``layout`` says."""
     runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
-    return Store(runs, layout.read_only)
+    return ItemStore(runs, layout.read_only)
 
 
-def bit_store(layout: CellLayout, lock: threading.RLock) -> Store:
+def bit_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
     """A store of bits that hold what ``layout`` says."""
     runs = tuple(
         BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)
         for piece in layout.pieces
     )
-    return Store(runs, layout.read_only)
+    return ItemStore(runs, layout.read_only)

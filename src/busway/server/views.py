@@ -11,7 +11,7 @@ from ..values.refusal import shown
 from .blocks import Run
 from .groups import Groups
 from .items import packed, unpacked
-from .stores import Store
+from .stores import ItemStore
 
 
 class TableView:
@@ -28,7 +28,7 @@ class TableView:
 
     __slots__ = ("_bits", "_groups", "_name", "_store")
 
-    def __init__(self, name: str, store: Store, groups: Groups, *, bits: bool) -> None:
+    def __init__(self, name: str, store: ItemStore, groups: Groups, *, bits: bool) -> None:
         self._name = name
         self._store = store
         self._groups = groups
