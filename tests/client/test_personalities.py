@@ -10,6 +10,7 @@ import pytest
 from client_kinds import CLIENT_KINDS, AnyUnit, ClientKind
 
 import busway
+from busway.session.client import _STEP
 from busway.testing import FAULT_PROFILES, Carrier, FakeClock, Schedule, faulty_server
 
 TIMEOUT = 0.06
@@ -24,8 +25,14 @@ pytestmark = [pytest.mark.clause("A21"), pytest.mark.clause("T25")]
 def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ClientKind:
     # A blocking link looks whether its peer has closed only after a pause: here, always.
     monkeypatch.setattr("busway.client.blocking_link._IDLE_SECONDS", 0.0)
+    _number_from(monkeypatch, 0x1000)  # far from what the fault profiles answer with
     found: ClientKind = request.param
     return found
+
+
+def _number_from(monkeypatch: pytest.MonkeyPatch, first: int) -> None:
+    """Give the links of a test transaction identifiers after ``first``, where each link draws its own otherwise."""
+    monkeypatch.setattr("busway.client.conversation.random.getrandbits", lambda bits: first)
 
 
 def _device() -> busway.Device:
@@ -243,7 +250,37 @@ def test_identifier_that_is_not_echoed_is_never_taken_while_several_requests_are
                 assert outcome.registers == [request.address, request.address + 1]
             else:
                 assert isinstance(outcome, busway.NoReply | busway.LinkDown)
-        assert link.counters.foreign_replies >= 7
+        assert link.counters.foreign_replies == 8
+
+
+def test_identifier_that_equals_another_in_flight_by_chance_cannot_be_told_from_its_reply(
+    via: ClientKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _number_from(monkeypatch, -2 * _STEP & 0xFFFF)  # the second request of the link has the identifier 0
+    requests = [busway.ReadHoldingRegisters(10 * number, 2) for number in range(8)]
+    with (
+        faulty_server(_device(), "transaction=0") as server,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0, max_transactions=8) as link,
+    ):
+        outcomes = link.unit(1).execute_many(requests, return_errors=True)
+        (taken,) = [number for number, outcome in enumerate(outcomes) if not isinstance(outcome, busway.ModbusError)]
+        assert taken == 1
+        assert outcomes[taken].registers == [0, 1]  # of the first request: the limit that the documentation states
+        assert link.counters.foreign_replies == 7
+
+
+def test_identifier_that_equals_another_in_flight_is_a_bad_reply_where_the_lengths_differ(
+    via: ClientKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _number_from(monkeypatch, -2 * _STEP & 0xFFFF)
+    requests = [busway.ReadHoldingRegisters(10 * number, 1 + number) for number in range(8)]
+    with (
+        faulty_server(_device(), "transaction=0") as server,
+        via.link(server.endpoint, timeout=TIMEOUT, retries=0, max_transactions=8) as link,
+    ):
+        outcomes = link.unit(1).execute_many(requests, return_errors=True)
+        assert isinstance(outcomes[1], busway.BadReply)
+        assert all(isinstance(outcome, busway.ModbusError) for outcome in outcomes)
 
 
 def test_timeout_ends_the_connection_where_replies_do_not_name_their_request(via: ClientKind) -> None:
