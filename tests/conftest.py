@@ -6,7 +6,7 @@
 3. It must leave no task behind: a task that outlives its test is a leak of the code under test.
 4. Any other test has the seconds of ``timeout`` in pyproject.toml, and a hang shows the stack of each thread.
 5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder.
-   It runs while nothing else does, and once more if it fails, which the summary names. No other test is repeated.
+   It runs while nothing else does. No test is repeated.
 6. No example of a property has a time limit: what a machine that pauses takes longer is not wrong.
 """
 
@@ -41,12 +41,10 @@ settings.load_profile("no deadline")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what depends on real time, give it its second attempt, and let take minutes what has to."""
+    """Mark the tests of the folders in real time, and let soak tests take minutes."""
     for item in items:
         if str(item.path).startswith(REAL_TIME_FOLDERS):
             item.add_marker(pytest.mark.real_time)
-        if item.get_closest_marker("real_time"):
-            item.add_marker(pytest.mark.flaky(reruns=1))
         if item.get_closest_marker("soak"):
             item.add_marker(pytest.mark.timeout(0))
 

@@ -1,8 +1,8 @@
-"""What the settings of pytest and ``conftest.py`` promise of repetitions and hangs, tried by a pytest of its own.
+"""What the settings of pytest and ``conftest.py`` promise of failures and hangs, tried by a pytest of its own.
 
-1. A test that depends on real time is repeated once and then named; no other test is repeated.
-2. A test that hangs fails by name, and is not repeated either.
-3. Whoever makes a line in real time has the mark.
+1. A test that fails fails the run: none is repeated, in real time or not.
+2. A test that hangs fails by name.
+3. A file that makes a line in real time has the mark ``real_time``.
 """
 
 import os
@@ -56,28 +56,23 @@ def outcome_of(folder: Path, source: str, *options: str, name: str = "test_it.py
 @pytest.mark.parametrize(
     ("mark", "name"),
     [
-        pytest.param("@pytest.mark.real_time", "test_it.py", id="by its own mark"),
-        pytest.param("", "load/test_it.py", id="by its folder"),
+        pytest.param("", "test_it.py", id="unit test"),
+        pytest.param("@pytest.mark.real_time", "test_it.py", id="real time by its own mark"),
+        pytest.param("", "load/test_it.py", id="real time by its folder"),
     ],
 )
-def test_failed_test_in_real_time_is_repeated_and_named_with_its_failure(tmp_path: Path, mark: str, name: str) -> None:
-    status, said = outcome_of(tmp_path, FAILS_AT_FIRST.format(mark=mark), name=name)
-    assert status == 0
-    assert "1 passed, 1 rerun" in said
-    assert f"RERUN {name}::test_it" in said
-    assert "the machine paused" in said
-
-
-def test_test_without_the_mark_is_not_repeated(tmp_path: Path) -> None:
-    status, said = outcome_of(tmp_path, FAILS_AT_FIRST.format(mark=""))
-    assert (status, "1 failed" in said, "RERUN" in said) == (1, True, False)
-
-
-def test_test_that_hangs_fails_by_name_and_is_not_repeated(tmp_path: Path) -> None:
-    status, said = outcome_of(tmp_path, HANGS, "--timeout=0.5")
+def test_failed_test_is_not_repeated(tmp_path: Path, mark: str, name: str) -> None:
+    status, output = outcome_of(tmp_path, FAILS_AT_FIRST.format(mark=mark), name=name)
     assert status == 1
-    assert "FAILED test_it.py::test_it - Failed: Timeout (>0.5s) from pytest-timeout." in said
-    assert "RERUN" not in said
+    assert "1 failed" in output
+    assert "the machine paused" in output
+    assert "RERUN" not in output
+
+
+def test_test_that_hangs_fails_by_name(tmp_path: Path) -> None:
+    status, output = outcome_of(tmp_path, HANGS, "--timeout=0.5")
+    assert status == 1
+    assert "FAILED test_it.py::test_it - Failed: Timeout (>0.5s) from pytest-timeout." in output
 
 
 def test_every_file_that_makes_a_line_in_real_time_has_the_mark_or_is_in_a_folder_that_has() -> None:
