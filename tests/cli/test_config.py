@@ -18,7 +18,7 @@ idle_timeout = 60
 [policy]
 default = "read-only"
 
-[[client.link]]
+[[link]]
 name = "boiler"
 url = "tcp://10.0.0.5"
 timeout = 0.5
@@ -57,7 +57,7 @@ def test_check_says_everything_that_is_wrong_with_line_and_key(run: Callable[...
     result = run("config", "check", str(file))
     assert (result.code, result.out) == (2, "")
     assert [line.removeprefix(f"{file}:").split(": ")[:2] for line in result.err.splitlines()] == [
-        ["12", "client.link[0].timeout"],
+        ["12", "link[0].timeout"],
         ["15", "unit[0].unit"],
     ]
 
@@ -75,7 +75,7 @@ def test_show_prints_every_value_that_holds_in_the_words_of_the_file(run: Callab
     shown = tomllib.loads(result.out)
     assert shown["server"]["idle_timeout"] == 60.0
     assert shown["server"]["backlog"] == 1024
-    assert shown["client"]["link"][0]["timeout"] == 0.5
+    assert shown["link"][0]["timeout"] == 0.5
 
 
 @pytest.mark.clause("T33")

@@ -28,7 +28,7 @@ FILE = """\
 name = "office"
 url = "{listener}"
 
-[[line]]
+[[link]]
 name = "hall"
 url = "{line}"
 timeout = 0.3
@@ -36,7 +36,7 @@ retries = 0
 
 [[route]]
 units = "{units}"
-line = "hall"
+link = "hall"
 """
 
 
@@ -151,17 +151,17 @@ def test_a_port_that_is_taken_ends_with_code_5() -> None:
 
 
 def test_check_prints_the_routing_table_and_what_is_odd(write_file: Callable[..., Path]) -> None:
-    file = write_file("rtu:///dev/not-there", rest='[[line]]\nname = "spare"\nurl = "tcp://10.0.0.5"\n')
+    file = write_file("rtu:///dev/not-there", rest='[[link]]\nname = "spare"\nurl = "tcp://10.0.0.5"\n')
     with Busway("gateway", "check", str(file)) as program:
         out, said = program.end()
     assert program.process.returncode == 0
     assert re.search(r"^all +1 +all +all +hall$", out, re.MULTILINE)
     assert "timeout 0.3 s" in out
-    assert said == f"{file}:15: line[1].name: warning: no route leads to 'spare'\n"
+    assert said == f"{file}:15: link[1].name: warning: no route leads to 'spare'\n"
 
 
 def test_check_refuses_what_can_not_work_with_line_and_key(write_file: Callable[..., Path]) -> None:
-    twice = '[[route]]\nunits = "1"\nline = "hall"\n'
+    twice = '[[route]]\nunits = "1"\nlink = "hall"\n'
     file = write_file("rtu:///dev/not-there", rest=twice)
     file.write_text(file.read_text().replace('name = "office"', 'name = "office"\nclient_deadline = 0.2'))
     for arguments in (["check", str(file)], [str(file)]):
@@ -170,7 +170,7 @@ def test_check_refuses_what_can_not_work_with_line_and_key(write_file: Callable[
         assert (program.process.returncode, out) == (2, "")
         first, second = said.splitlines()
         assert first.startswith(
-            f"{file}:3: listener[0].client_deadline: 0.2 s is less than line 'hall' may take: 0.497 s"
+            f"{file}:3: listener[0].client_deadline: 0.2 s is less than link 'hall' may take: 0.497 s"
         )
         assert second == f"{file}:15: route[1]: is never reached: route[0] before it takes all its requests"
 
@@ -257,7 +257,7 @@ def test_sighup_changes_routes_and_keeps_connections(write_file: Callable[..., P
             program.process.send_signal(signal.SIGHUP)
             assert program.wait_for("read again") == "busway: read again: 1 routes"
             assert link.unit(2).read_holding_registers(0, count=1) == [100]
-            write_file(line, units="1-2", rest='[[route]]\nunits = "2"\nline = "hall"\n')
+            write_file(line, units="1-2", rest='[[route]]\nunits = "2"\nlink = "hall"\n')
             program.process.send_signal(signal.SIGHUP)
             assert program.wait_for("read again") == "busway: read again, nothing was changed:"
             said = program.wait_for("route[1]")

@@ -258,7 +258,7 @@ def test_one_file_serves_over_tls_with_roles_and_certificates_that_can_be_replac
         client.write_text(
             "[security]\n"
             + "".join(f'{name} = "{path}"\n' for name, path in operator.options().items())
-            + f'[[client.link]]\nname = "plant"\nurl = "{url}"\nretries = 0\n'
+            + f'[[link]]\nname = "plant"\nurl = "{url}"\nretries = 0\n'
         )
         with busway.load_configuration(client).connect("plant", shared=False) as link:
             link.unit(1).write_single_register(0, 7)

@@ -10,8 +10,8 @@ from busway.apps.gateway.assembly import parse_gateway
 from busway.cli.systemd_unit import ServiceUnit, program, quoted
 
 LINES = {
-    "tcp": '[[line]]\nname = "x"\nurl = "tcp://10.0.0.5"\n',
-    "rtu": '[[line]]\nname = "x"\nurl = "rtu:///dev/not-there"\n',
+    "tcp": '[[link]]\nname = "x"\nurl = "tcp://10.0.0.5"\n',
+    "rtu": '[[link]]\nname = "x"\nurl = "rtu:///dev/not-there"\n',
 }
 
 

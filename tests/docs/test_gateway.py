@@ -10,7 +10,7 @@ import pytest
 
 from busway.apps.gateway.assembly import parse_gateway
 from busway.apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
-from busway.config.files.gateway import GatewayListenerSection, GatewaySection, LineSection, RouteSection
+from busway.config.files.gateway import GatewayListenerSection, GatewaySection, RouteSection, UpstreamSection
 from busway.config.files.listeners import ListenerSection
 from busway.config.files.system import LinkKeys
 
@@ -64,8 +64,8 @@ def test_what_check_prints_is_what_it_prints(text: str) -> None:
 
 def test_every_key_of_listeners_lines_and_routes_is_explained(text: str) -> None:
     explained = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))))
-    own_of_lines = set(LineSection.model_fields) - set(LinkKeys.model_fields)
-    known = {name for kind in LineSection.kinds for name in kind.__dataclass_fields__}
+    own_of_lines = set(UpstreamSection.model_fields) - set(LinkKeys.model_fields)
+    known = {name for kind in UpstreamSection.kinds for name in kind.__dataclass_fields__}
     for keys in (
         set(GatewayListenerSection.model_fields) - set(ListenerSection.model_fields),
         own_of_lines - known,

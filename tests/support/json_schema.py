@@ -95,6 +95,6 @@ def _object_faults(schema: Mapping[str, Any], data: dict[str, Any], root: Mappin
         if key in properties:
             yield from _faults(properties[key], value, root, f"{at}.{key}")
         elif others is False:
-            yield f"{at}.{key}: there is no such key"
+            yield f"{at}.{key}: unknown key"
         elif isinstance(others, dict):
             yield from _faults(others, value, root, f"{at}.{key}")

@@ -87,13 +87,14 @@ def policy(
 def _access_rules(file: str) -> "AccessRules":
     """The rules of a policy file or of a configuration file. Raises `ConfigError`."""
     text = read_text(file)
+    from ..config.files.gateway import is_gateway
     from ..config.files.policy import parse_policy_file
     from ..config.files.schema import read_source
 
     sections = set(read_source(text, file).data)
     if sections <= {"policy"}:
         return parse_policy_file(text, file)
-    if "line" in sections:
+    if is_gateway(sections):
         from ..apps.gateway.assembly import parse_gateway
 
         access = parse_gateway(text, file).access

@@ -2,20 +2,21 @@
 
 Knows which options go before which; what they mean is known by the client.
 
-1. An option of the link itself goes before one in its URL, and that before one of ``[client]``.
+1. An option of the link itself goes before one in its URL, and that before one of ``[client]``; defaults of the program
+   that uses the links come behind these.
 2. An option of ``[client]`` holds for the links whose scheme has it, and for no other; so do the certificates of
    ``[security]``, behind all.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from ..client.settings import LinkSettings, link_settings, options_of
 from ..options.endpoints import parse_endpoint
 from ..transport.tls.parameters import OF_SERVERS
 from .files.lines import Path
-from .files.system import SystemFile
+from .files.system import LinkSection, SystemFile
 from .report import Judge, nearest
 
 
@@ -36,23 +37,8 @@ class NamedLink:
     settings: LinkSettings
 
 
-class DeclaredLinks(Protocol):
-    """A section that declares a link."""
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-
-    @property
-    def url(self) -> str:
-        """Where it leads."""
-
-    def options(self) -> dict[str, Any]:  # of several types
-        """Its options, by name."""
-
-
 def named_links(
-    file: SystemFile, root: Callable[[Mapping[str, Any]], dict[str, Any]], judge: Judge
+    file: SystemFile, root: Callable[[Mapping[str, Any]], dict[str, Any]], judge: Judge, defaults: Mapping[str, Any]
 ) -> dict[str, NamedLink]:
     """The links of a file by name; what is wrong with one is told to the judge.
 
@@ -60,24 +46,20 @@ def named_links(
         file: the file.
         root: makes paths among options independent of the file's folder.
         judge: collects what is wrong.
+        defaults: options of the program that uses the links, where they differ from those of links.
     """
-    general, security = for_all_links(file)
+    security = {name: value for name, value in file.security.options().items() if name not in OF_SERVERS}
+    general = {**defaults, **file.client.options()}
     links: dict[str, NamedLink] = {}
-    for index, section in enumerate(file.client.link):
-        made = named_link(section, general, security, root, ("client", "link", index), judge)
+    for index, section in enumerate(file.link):
+        made = _named_link(section, general, security, root, ("link", index), judge)
         if made is not None:
             links[made.name] = made
     return links
 
 
-def for_all_links(file: SystemFile) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The options of ``[client]``, and those of ``[security]`` that concern links."""
-    security = {name: value for name, value in file.security.options().items() if name not in OF_SERVERS}
-    return file.client.options(), security
-
-
-def named_link(
-    section: DeclaredLinks,
+def _named_link(
+    section: LinkSection,
     general: Mapping[str, Any],
     security: Mapping[str, Any],
     root: Callable[[Mapping[str, Any]], dict[str, Any]],

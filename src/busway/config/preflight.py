@@ -30,7 +30,7 @@ def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], ju
     """Open what the file names, and tell the judge what cannot be used."""
     wrong = len(judge.problems)
     for place, path in _named_files(file):
-        readable(place, within(name, path), judge)
+        _readable(place, within(name, path), judge)
     if file.audit is not None:
         folder = Path(within(name, file.audit.path)).parent
         if not folder.is_dir() or not os.access(folder, os.W_OK):
@@ -56,7 +56,7 @@ class _Keys:
 def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
     sections: list[tuple[Place, object]] = [(("security",), file.security), (("client",), file.client)]
     sections += [(("listener", index), each) for index, each in enumerate(file.listener)]
-    sections += [(("client", "link", index), each) for index, each in enumerate(file.client.link)]
+    sections += [(("link", index), each) for index, each in enumerate(file.link)]
     for place, section in sections:
         for key in TLS_FILES:
             path = getattr(section, key)
@@ -64,7 +64,7 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
                 yield (*place, key), path
 
 
-def readable(place: Place, path: str, judge: Judge) -> None:
+def _readable(place: Place, path: str, judge: Judge) -> None:
     """Open a file, or a folder of authorities, and tell the judge where it cannot be read."""
     if Path(path).is_dir() and place[-1] == "authority":
         return

@@ -42,7 +42,7 @@ def test_sections_become_listeners_lines_routes_and_options_of_servers() -> None
 
 def test_the_preset_strict_and_the_options_of_servers_hold_at_every_listener() -> None:
     text = f'listen = ["{ANY_PORT}", "rtu:///dev/not-there"]\n[server]\npreset = "strict"\nmax_transactions = 3\n'
-    plan = parse_gateway(text + '[[line]]\nname = "x"\nurl = "tcp://10.0.0.5"\n', "x").plan
+    plan = parse_gateway(text + '[[link]]\nname = "x"\nurl = "tcp://10.0.0.5"\n', "x").plan
     assert plan.server["parameters"].max_transactions == 3
     assert plan.server["parameters"].scope is Scope.SERVER
     assert plan.server["standard_port"] is True
@@ -73,10 +73,10 @@ def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> N
 
 def test_certificates_of_lines_that_can_not_be_read_are_found_where_files_are_examined(tmp_path: Path) -> None:
     file = tmp_path / "gateway.toml"
-    text = f'listen = ["{ANY_PORT}"]\n[[line]]\nname = "x"\nurl = "tls://10.0.0.5"\nauthority = "ca.pem"\n'
+    text = f'listen = ["{ANY_PORT}"]\n[[link]]\nname = "x"\nurl = "tls://10.0.0.5"\nauthority = "ca.pem"\n'
     file.write_text(text)
     assert load_gateway(file).plan.upstreams
-    with pytest.raises(busway.ConfigError, match=r"gateway\.toml:5: line\[0\]\.authority: .*ca\.pem can ?not be read"):
+    with pytest.raises(busway.ConfigError, match=r"gateway\.toml:5: link\[0\]\.authority: .*ca\.pem can ?not be read"):
         load_gateway(file, examine=True)
 
 
@@ -84,7 +84,7 @@ def test_the_overview_names_listeners_lines_and_what_becomes_of_requests() -> No
     configuration = load_gateway(GOOD)
     rows = {(kind, name): text for kind, name, text in gateway_rows(configuration)}
     assert "answers within 8 s" in rows["listener", "scada"]
-    assert "4 connections" in rows["line", "inverter"]
+    assert "4 connections" in rows["link", "inverter"]
     assert rows["own unit", "254"] == "the gateway itself, also by unit 0"
     assert list(routing_rows(configuration)) == [
         ("scada", "1-10", "05, 06, 15, 16, 21, 22, 23", "all", "refused: 01 illegal function", ""),
@@ -103,7 +103,7 @@ class Files:
 
     def read(self) -> GatewayConfiguration:
         lines = "".join(
-            f'[[line]]\nname = "{name}"\nurl = "{url}"\n' for name, url in zip("ab", self.servers, strict=False)
+            f'[[link]]\nname = "{name}"\nurl = "{url}"\n' for name, url in zip("ab", self.servers, strict=False)
         )
         return parse_gateway(self.text + lines, "x.toml")
 
@@ -112,7 +112,7 @@ class Files:
 
 
 LISTENER = '[[listener]]\nname = "office"\nurl = "tcp://127.0.0.1:0"\n'
-ROUTES = '[[route]]\nunits = "1"\nline = "a"\n[[route]]\nunits = "2"\nline = "b"\n'
+ROUTES = '[[route]]\nunits = "1"\nlink = "a"\n[[route]]\nunits = "2"\nlink = "b"\n'
 
 
 def device(first: int) -> busway.Device:
@@ -133,7 +133,7 @@ async def test_new_routes_hold_at_once_and_no_connection_ends() -> None:
         async with files.service() as service, busway.open(service.server.endpoints[0]) as link:
             assert [await read_from(link, unit) for unit in (1, 2)] == [[100], [400]]
             assert await service.reload() == ["nothing has changed"]
-            files.text = LISTENER + ROUTES.replace('line = "b"', 'line = "a"')
+            files.text = LISTENER + ROUTES.replace('link = "b"', 'link = "a"')
             assert await service.reload() == ["2 routes"]
             assert [await read_from(link, unit) for unit in (1, 2)] == [[100], [200]]
             files.text = LISTENER + ROUTES + "[gateway]\ndrain = 7\n[server]\nmax_connections = 3\n"
@@ -188,14 +188,14 @@ async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_r
         near, far = (f"rtu://{path}?baud=115200" for path in wire.paths)
         async with busway.serve(far, units={1: device(100), 2: device(200)}):
             options = ["timeout = 0.3\n"]
-            text = LISTENER + f'[[line]]\nname = "a"\nurl = "{near}"\n'
+            text = LISTENER + f'[[link]]\nname = "a"\nurl = "{near}"\n'
             service = Service(
                 lambda: parse_gateway(text + options[0], "x.toml"), Wishes(control="off", can_reload=True)
             )
             async with service, busway.open(service.server.endpoints[0]) as link:
                 assert await read_from(link, 1) == [100]
                 options[0] = "timeout = 0.4\n"
-                assert await service.reload() == ["line a changed"]
+                assert await service.reload() == ["link a changed"]
                 assert await read_from(link, 2) == [200]
                 # The listener that is added cannot be had: the line has its port, and its options, again.
                 options[0] = "timeout = 0.5\n" + LISTENER.replace("office", "x").replace(

@@ -372,7 +372,7 @@ async def test_a_changed_line_is_dialled_anew_and_the_old_one_closed() -> None:
     ):
         assert await link.unit(1).read_holding_registers(0, count=1) == [0]
         said = await gateway.change(plan(Route(upstream="line"), lines={"line": new.endpoints[0]}))
-        assert said == ["line line changed"]
+        assert said == ["link line changed"]
         assert await link.unit(1).read_holding_registers(0, count=1) == [1000]
         await until(lambda: not old.status().connections)
 

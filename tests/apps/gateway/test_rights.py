@@ -19,7 +19,7 @@ from busway.server.listener import Listener
 ANY_PORT = "tcp://127.0.0.1:0"
 FILE = """
 listen = ["tcp://127.0.0.1:5020"]
-[[line]]
+[[link]]
 name = "hall"
 url = "rtu:///dev/not-there"
 same_device = {groups}
@@ -106,7 +106,7 @@ def test_a_file_says_which_units_are_the_same_device_and_the_check_repeats_it() 
     configuration = parse_gateway(FILE.format(groups="[[1, 2], [5, 6]]"), "x.toml")
     assert configuration.plan.upstreams[0].same_device == (frozenset({1, 2}), frozenset({5, 6}))
     rows = {(kind, name): said for kind, name, said in gateway_rows(configuration)}
-    assert "units 1-2 are the same device; units 5-6 are the same device" in rows["line", "hall"]
+    assert "units 1-2 are the same device; units 5-6 are the same device" in rows["link", "hall"]
 
 
 @pytest.mark.parametrize(
@@ -121,4 +121,4 @@ def test_a_file_says_which_units_are_the_same_device_and_the_check_repeats_it() 
 def test_groups_that_can_not_be_are_refused_by_key(groups: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words) as error:
         parse_gateway(FILE.format(groups=groups), "x.toml")
-    assert "line[0].same_device" in str(error.value)
+    assert "link[0].same_device" in str(error.value)

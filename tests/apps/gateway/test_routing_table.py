@@ -10,13 +10,13 @@ from busway.config.files.problems import FileError
 
 LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'
 SERIAL_LISTENER = '[[listener]]\nname = "plc"\nurl = "rtu:///dev/not-there-1?baud=19200"\n'
-LINE = '[[line]]\nname = "hall"\nurl = "rtu:///dev/not-there-2?baud=19200"\n'
-SERVER = '[[line]]\nname = "server"\nurl = "tcp://10.0.0.5"\n'
+LINE = '[[link]]\nname = "hall"\nurl = "rtu:///dev/not-there-2?baud=19200"\n'
+SERVER = '[[link]]\nname = "server"\nurl = "tcp://10.0.0.5"\n'
 
 
 def route(line: str, **keys: object) -> str:
     said = "".join(f"{name} = {value!r}\n".replace("True", "true") for name, value in keys.items())
-    return f'[[route]]\nline = "{line}"\n{said}'
+    return f'[[route]]\nlink = "{line}"\n{said}'
 
 
 def refused(*parts: str) -> list[str]:
@@ -119,7 +119,7 @@ def test_a_serial_listener_that_no_route_gives_a_unit_is_refused_and_a_network_l
     ]
     other = LISTENER.replace("net", "office").replace("5020", "5021")
     assert warned(LISTENER, other, SERVER, route("server", listeners=["net"])) == [
-        "6: listener[1].url: warning: no route leads from here to a line"
+        "6: listener[1].url: warning: no route leads from here to a link"
     ]
 
 
@@ -127,7 +127,7 @@ def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_wit
     impatient = LISTENER + "client_deadline = 1.0\n"
     (sentence,) = refused(impatient, LINE, "timeout = 0.6\n")
     assert sentence == (
-        "4: listener[0].client_deadline: 1 s is less than line 'hall' may take: "
+        "4: listener[0].client_deadline: 1 s is less than link 'hall' may take: "
         "1.31 s = (1 + 1 retries) × (0.6 s timeout + 0.0546 s for frames and silence)"
     )
     assert warned(impatient, LINE, "timeout = 0.4\n") == []
@@ -150,7 +150,7 @@ def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_wit
 )
 def test_a_refusal_of_which_an_earlier_route_takes_a_part_is_refused(earlier: str, refusal: str, part: str) -> None:
     (sentence,) = refused(
-        LISTENER, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n"
+        LISTENER, LINE, f'[[route]]\nlink = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n"
     )
     assert "route[1]: route[0] before it takes " + part.replace("holding registers", "holding register") in sentence
 
@@ -167,7 +167,7 @@ def test_a_refusal_of_which_an_earlier_route_takes_a_part_is_refused(earlier: st
     ],
 )
 def test_a_refusal_of_what_others_have_left_is_none_that_is_hidden(earlier: str, refusal: str) -> None:
-    assert warned(LISTENER, LINE, f'[[route]]\nline = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n") == []
+    assert warned(LISTENER, LINE, f'[[route]]\nlink = "hall"\n{earlier}\n', f"[[route]]\nrefuse = 2\n{refusal}\n") == []
 
 
 def rules(*each: str, default: str = "allow") -> str:
@@ -225,7 +225,7 @@ def test_a_route_that_calls_the_registers_of_a_rule_by_other_addresses_is_odd() 
 def test_a_line_that_is_slower_than_the_default_deadline_of_a_listener_is_odd_and_told_with_the_figures() -> None:
     (sentence,) = warned(LISTENER, LINE, "timeout = 1.5\n")
     assert sentence == (
-        "4: line[0]: warning: line 'hall' may take 3.11 s = (1 + 1 retries) × (1.5 s timeout + 0.0546 s for frames and "
+        "4: link[0]: warning: link 'hall' may take 3.11 s = (1 + 1 retries) × (1.5 s timeout + 0.0546 s for frames and "
         "silence), and clients are answered 0B after 2.5 s; set client_deadline of the listener to what its clients "
         "wait, or a shorter timeout"
     )
@@ -252,22 +252,22 @@ def test_the_worst_case_of_a_write_has_no_retries_and_the_longest_frame() -> Non
     ("text", "sentence"),
     [
         (
-            LISTENER + '[[line]]\nname = "x"\nurl = "tcp://localhost:5020"\n',
-            "6: line[0].url: leads back to the gateway itself, to listener net",
+            LISTENER + '[[link]]\nname = "x"\nurl = "tcp://localhost:5020"\n',
+            "6: link[0].url: leads back to the gateway itself, to listener net",
         ),
         (
-            LISTENER.replace("127.0.0.1", "") + '[[line]]\nname = "x"\nurl = "tcp://[::1]:5020"\n',
-            "6: line[0].url: leads back to the gateway itself, to listener net",
+            LISTENER.replace("127.0.0.1", "") + '[[link]]\nname = "x"\nurl = "tcp://[::1]:5020"\n',
+            "6: link[0].url: leads back to the gateway itself, to listener net",
         ),
         (
-            SERIAL_LISTENER + '[[line]]\nname = "x"\nurl = "ascii:///dev/not-there-1"\n',
-            "6: line[0].url: /dev/not-there-1 is taken by listener plc",
+            SERIAL_LISTENER + '[[link]]\nname = "x"\nurl = "ascii:///dev/not-there-1"\n',
+            "6: link[0].url: /dev/not-there-1 is taken by listener plc",
         ),
         (
             LISTENER + LINE + LINE.replace("hall", "yard") + route("hall", units="1") + route("yard", units="2"),
-            "9: line[1].url: /dev/not-there-2 is taken by line 'hall'",
+            "9: link[1].url: /dev/not-there-2 is taken by link 'hall'",
         ),
-        (LISTENER + LINE + "connections = 2\n", "7: line[0].connections: a serial port is opened once"),
+        (LISTENER + LINE + "connections = 2\n", "7: link[0].connections: a serial port is opened once"),
     ],
 )
 def test_a_line_that_leads_back_or_wants_a_port_that_is_taken_is_refused(text: str, sentence: str) -> None:
@@ -275,11 +275,11 @@ def test_a_line_that_leads_back_or_wants_a_port_that_is_taken_is_refused(text: s
 
 
 def test_a_line_without_a_route_and_two_lines_to_one_server_are_odd() -> None:
-    assert warned(LISTENER, LINE, SERVER, route("hall")) == ["8: line[1].name: warning: no route leads to 'server'"]
+    assert warned(LISTENER, LINE, SERVER, route("hall")) == ["8: link[1].name: warning: no route leads to 'server'"]
     again = SERVER.replace("server", "again")
     routes = route("server", units="1") + route("again", units="2")
     assert warned(LISTENER, SERVER, again, routes) == [
-        "9: line[1].url: warning: tcp://10.0.0.5:502 is the server of line 'server' too: "
+        "9: link[1].url: warning: tcp://10.0.0.5:502 is the server of link 'server' too: "
         "each has connections of its own"
     ]
 
@@ -290,7 +290,7 @@ def test_a_route_that_hides_the_own_unit_is_odd_where_one_of_them_was_written() 
         "9: route[0].units: warning: takes unit 255, by which the gateway itself could be asked"
     ]
     assert warned(LISTENER, SERVER, "[gateway]\nown_unit = 17\n") == [
-        "4: line[0]: warning: takes unit 17, by which the gateway itself could be asked"
+        "4: link[0]: warning: takes unit 17, by which the gateway itself could be asked"
     ]
     assert warned(LISTENER, SERVER, "[gateway]\nown_unit = 'none'\n") == []
 
@@ -309,7 +309,7 @@ def test_gaps_of_routes_are_those_of_the_units_behind_on_serial_lines_only() -> 
     plan = parse_gateway(LISTENER + LINE + slow + route("hall", units="2", request_gap=0.7), "x").plan
     assert plan.upstreams[0].unit_gaps == {1: 0.5, 2: 0.7}
     assert refused(LISTENER, SERVER, route("server", units="1", request_gap=0.5)) == [
-        "10: route[0].request_gap: is an option of the line where that is no serial one"
+        "10: route[0].request_gap: is an option of the link where that is no serial line"
     ]
     impatient = LISTENER + "client_deadline = 1.5\n"
     assert "+ 0.505 s for frames" in refused(impatient, LINE, "timeout = 0.4\n", route("hall", request_gap=0.5))[0]

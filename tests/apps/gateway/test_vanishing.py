@@ -333,7 +333,7 @@ def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
     opening = UpstreamSettings.of("line", url, **options).link.line.opening  # type: ignore[union-attr]
     assert opening.port_wait == seconds
     told = "".join(f"{key} = {value}\n" for key, value in options.items())
-    text = f'listen = ["{ANY_PORT}"]\n[[line]]\nname = "line"\nurl = "{url}"\n{told}'
+    text = f'listen = ["{ANY_PORT}"]\n[[link]]\nname = "line"\nurl = "{url}"\n{told}'
     read = parse_gateway(text, "gateway.toml").plan.upstreams[0].link.line
     assert read is not None
     assert read.opening.port_wait == seconds

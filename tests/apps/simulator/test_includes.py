@@ -111,8 +111,8 @@ def test_parameters_keep_their_type_where_nothing_stands_around_them() -> None:
         (including(), METER.replace("${kind}", "${kind +}"), "meter.toml:8: unit[0].name: 'kind +' is no expression"),
         (including(), METER.replace("scale = 1", "scale = 1\nunit = 5"), "'unit' can not be a name of a parameter"),
         (including(), METER + "[[unit]]\n", "plant.toml:3: include[0].units: needs a file with one [[unit]]"),
-        (including(), "nothing = 1\n" + METER, "meter.toml:1: nothing: there is no such key"),
-        (including(), "listen = []\n" + METER, "meter.toml:1: listen: there is no such key"),
+        (including(), "nothing = 1\n" + METER, "meter.toml:1: nothing: unknown key"),
+        (including(), "listen = []\n" + METER, "meter.toml:1: listen: unknown key"),
         (including(), "[[", "meter.toml:1:"),
         (including('"1-3, 3"'), METER, "plant.toml:3: include[0].units: unit 3 is there twice"),
         (

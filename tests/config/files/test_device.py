@@ -77,7 +77,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
         (UNIT + "[server]\nbacklog = 0\n", "x.toml:4: server.backlog: must be at least 1, not 0"),
         (UNIT + '[server]\nscope = "all"\n', "x.toml:4: server.scope: must be 'connection' or 'server', not 'all'"),
         (UNIT + "[server]\nkeepalive = 1\n", "x.toml:4: server.keepalive: must be true or false, not 1"),
-        (UNIT + "[sever]\n", "x.toml:3: sever: there is no such key; is it server?"),
+        (UNIT + "[sever]\n", "x.toml:3: sever: unknown key; is it server?"),
         (UNIT + "[[unit]]\nunit = 1\n", "x.toml:4: unit[1].unit: unit 1 is there already: unit[0]"),
         ('[server]\nunit_policy = "any"\n' + UNIT + "[[unit]]\nunit = 2\n", "x.toml:2: server.unit_policy: any needs"),
         ("[[unit]]\n", "x.toml:1: unit[0].unit: is missing"),
@@ -93,7 +93,10 @@ def test_a_file_of_one_unit_is_enough() -> None:
         (UNIT + "coils = { count = 1, values = [1, 1] }\n", "x.toml:3: unit[0].coils.values: 2 values for 1 items"),
         (UNIT + "coils = { count = 9, read_only = [[8, 2]] }\n", "x.toml:3: unit[0].coils.read_only[0]: "),
         (UNIT + "coils = { count = 9, read_only = [[8]] }\n", "x.toml:3: unit[0].coils.read_only[0]: "),
-        (UNIT + "coils = { size = 9 }\n", "x.toml:3: unit[0].coils.size: there is no such key; there are first, count"),
+        (
+            UNIT + "coils = { size = 9 }\n",
+            "x.toml:3: unit[0].coils.size: unknown key; the keys allowed here are first, count",
+        ),
         (UNIT + "exception_status = 256\n", "x.toml:3: unit[0].exception_status: must be at most 255, not 256"),
         (UNIT + "functions = [0]\n", "x.toml:3: unit[0].functions[0]: must be at least 1, not 0"),
         (UNIT + "server_id = 5\n", 'x.toml:3: unit[0].server_id: must be a text or { hex = "…" }, not 5'),
@@ -145,7 +148,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
             POINT + 'address = "4x65536"\ntype = "int32"\n',
             "x.toml:5: unit[0].point[0].address: 2 registers from 4x65536",
         ),
-        (POINT + 'address = "4x1"\nunits = "m"\n', "x.toml:6: unit[0].point[0].units: there is no such key"),
+        (POINT + 'address = "4x1"\nunits = "m"\n', "x.toml:6: unit[0].point[0].units: unknown key"),
     ],
 )
 def test_what_is_wrong_is_said_with_line_and_key(text: str, sentence: str) -> None:

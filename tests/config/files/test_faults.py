@@ -59,7 +59,7 @@ def test_section_says_which_requests_are_meant_and_when() -> None:
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
-        ("personalty = 1", "fault[0].personalty: there is no such key; is it personality?"),
+        ("personalty = 1", "fault[0].personalty: unknown key; is it personality?"),
         ('units = "1-300"', "fault[0].units: a unit is 0…255, not 300"),
         ('functions = ["8/1"]', "fault[0].functions: a fault is for a whole function, not for sub-function 8/1"),
         ("functions = [128]", "fault[0].functions: a function code is 1…127, not 128"),
@@ -67,7 +67,7 @@ def test_section_says_which_requests_are_meant_and_when() -> None:
         ('addresses = "somewhere"', "fault[0].addresses: "),
         ("probability = 1.5", "fault[0].probability: must be at most 1.0, not 1.5"),
         ('on = "yes"', "fault[0].on: must be true or false, not 'yes'"),
-        ("schedule = { until = 1 }", "fault[0].schedule.until: there is no such key"),
+        ("schedule = { until = 1 }", "fault[0].schedule.until: unknown key"),
         ("schedule = { from = -1 }", "fault[0].schedule.from: must be at least 0"),
         ("schedule = { every = 5 }", "fault[0].schedule.every: must be at least as long as for, which it needs"),
         ('parameters = { delay = "2" }', "fault[0].parameters.delay: must be a number, true or false, not '2'"),
@@ -134,7 +134,7 @@ def test_words_of_a_command_line_stand_for_a_section() -> None:
     [
         ("late:delay", "delay: must be NAME=VALUE, not 'delay'"),
         ("late:delay=soon", "delay: must be a number, true or false, not 'soon'"),
-        ("late:unit=3", "unit: there is no such key; is it units?"),
+        ("late:unit=3", "unit: unknown key; is it units?"),
         ("late:units=999", "units: a unit is 0…255, not 999"),
         ("late:times=-1", "schedule.times: must be at least 0, not -1"),
         ("late:every=3", "schedule.every: must be at least as long as for, which it needs"),

@@ -16,7 +16,7 @@ GOOD = (Path(__file__).parent / "gateway.toml").read_text(encoding="utf-8")
 MUTATIONS = 150
 
 LISTENER = '[[listener]]\nurl = "tcp://127.0.0.1:5020"\n'
-LINE = '[[line]]\nname = "hall"\nurl = "tcp://10.0.0.5"\n'
+LINE = '[[link]]\nname = "hall"\nurl = "tcp://10.0.0.5"\n'
 ROUTE = "[[route]]\n"
 
 
@@ -30,8 +30,8 @@ def problems_of(text: str) -> list[str]:
 def test_listeners_lines_and_routes_are_read() -> None:
     file, _ = read_gateway_file(GOOD, "gateway.toml")
     assert [listener.title for listener in file.listener] == ["scada", "plc"]
-    assert [line.name for line in file.line] == ["hall", "inverter"]
-    assert file.line[0].options() == {"timeout": 0.5, "unit_switch_gap": 0.01}
+    assert [line.name for line in file.link] == ["hall", "inverter"]
+    assert file.link[0].options() == {"timeout": 0.5, "unit_switch_gap": 0.01}
     assert file.route[1].asked_units() == {1, 2, 4, 5, 6, 7, 8, 9, 10}
     assert file.route[0].asked_functions() == {5, 6, 15, 16, 21, 22, 23}
     assert file.route[2].asked_addresses() == (Table.HOLDING_REGISTERS, 0, 100)
@@ -57,42 +57,50 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
 @pytest.mark.parametrize(
     ("text", "sentences"),
     [
-        ("", ["x.toml:1: line: is missing", "x.toml:1: listener: is missing"]),
-        (LISTENER, ["x.toml:1: line: is missing"]),
-        (LISTENER + LINE + LINE.replace("hall", "other"), ["x.toml:1: route: is missing: there are 2 lines"]),
+        ("", ["x.toml:1: link: is missing", "x.toml:1: listener: is missing"]),
+        (LISTENER, ["x.toml:1: link: is missing"]),
+        (LISTENER + LINE + LINE.replace("hall", "other"), ["x.toml:1: route: is missing: there are 2 links"]),
         (
-            LISTENER + LINE + ROUTE + 'line = "yard"\n',
-            ["x.toml:7: route[0].line: there is no line 'yard', but hall"],
+            LISTENER + LINE + ROUTE + 'link = "yard"\n',
+            ["x.toml:7: route[0].link: there is no link 'yard', but hall"],
         ),
         (
-            LISTENER + LINE + ROUTE + 'line = "hall"\nlisteners = ["office"]\n',
+            LISTENER + LINE + ROUTE + 'link = "hall"\nlisteners = ["office"]\n',
             ["x.toml:8: route[0].listeners[0]: there is no listener 'office', but tcp://127.0.0.1:5020"],
         ),
         (
             LISTENER + LINE + LINE,
-            ["x.toml:1: route: is missing: there are 2 lines", "x.toml:7: line[1].name: 'hall' is there"],
+            ["x.toml:1: route: is missing: there are 2 links", "x.toml:7: link[1].name: 'hall' is there"],
         ),
         (
-            LISTENER + LINE + ROUTE + 'line = "hall"\nrefuse = 3\n',
-            ["x.toml:6: route[0]: needs exactly one of line, refuse and drop, and has line and refuse"],
+            LISTENER + LINE + ROUTE + 'link = "hall"\nrefuse = 3\n',
+            ["x.toml:6: route[0]: needs exactly one of link, refuse and drop, and has link and refuse"],
         ),
         (
             LISTENER + LINE + ROUTE + "drop = true\nshift = 5\n",
             ["x.toml:8: route[0].shift: has no effect where nothing is forwarded"],
         ),
         (
-            LISTENER + LINE + ROUTE + 'line = "hall"\nunits = "5-3"\n',
+            LISTENER + LINE + ROUTE + 'link = "hall"\nunits = "5-3"\n',
             ["x.toml:8: route[0].units: "],
         ),
         (
-            LISTENER + LINE + ROUTE + 'line = "hall"\ntable = "holding"\n',
+            LISTENER + LINE + ROUTE + 'link = "hall"\ntable = "holding"\n',
             ["x.toml:6: route[0].addresses: is missing: a table is named, and no addresses of it"],
         ),
         (
             LISTENER + LISTENER + LINE,
             ["x.toml:3: listener[1].name: ", "x.toml:4: listener[1].url: tcp://127.0.0.1:5020 is taken by"],
         ),
-        (LISTENER + LINE + "deadline = 3\n", ["x.toml:6: line[0].deadline: has no effect on a line of a gateway"]),
+        (
+            LISTENER + LINE.replace("link", "line"),
+            ["x.toml:3: line: this key has another name now; write [[link]]"],
+        ),
+        (
+            LISTENER + LINE + ROUTE + 'line = "hall"\n',
+            ["x.toml:7: route[0].line: this key has another name now; write link"],
+        ),
+        (LISTENER + LINE + "deadline = 3\n", ["x.toml:6: link[0].deadline: has no effect on a link of a gateway"]),
         (
             LISTENER + LINE + "[server]\nunlisted = 'silence'\n",
             ["x.toml:7: server.unlisted: has no effect: a gateway has"],

@@ -56,7 +56,7 @@ def test_device_and_configuration_files_are_simulation_files(name: str) -> None:
         ('behaviour = { kind = "sine", period = 3 }', "unit[0].point[0].behaviour.amplitude: is missing"),
         (
             'behaviour = { kind = "sine", amplitude = 1, periode = 3 }',
-            "unit[0].point[0].behaviour.periode: there is no such key; is it period?",
+            "unit[0].point[0].behaviour.periode: unknown key; is it period?",
         ),
         ('behaviour = { kind = "counter", rate = true }', "behaviour.rate: must be a number, or an expression"),
         ('behaviour = { kind = "square", period = 0 }', "unit[0].point[0].behaviour.period: must be at least 0.001"),
@@ -88,11 +88,11 @@ def test_a_point_that_can_not_be_is_refused_with_line_and_key(keys: str, sentenc
         ('[[include]]\nfile = "a"\nunits = "1, 1-2"\n', "include[0].units: unit 1 is there twice"),
         ('[[include]]\nfile = "a"\nunits = "256"\n', "include[0].units: units are 0…255"),
         ('[[include]]\nfile = "a"\nwith = { a = [] }\n', "x.toml:3: include[0].with.a"),
-        ('[[include]]\nfile = "a"\nwit = { a = 1 }\n', "include[0].wit: there is no such key; is it with?"),
+        ('[[include]]\nfile = "a"\nwit = { a = 1 }\n', "include[0].wit: unknown key; is it with?"),
         ("[simulation]\nkeep_every = 0\n" + POINT, "simulation.keep_every: must be at least 0.1, not 0"),
-        ("[simulation]\nseeds = 0\n" + POINT, "simulation.seeds: there is no such key; is it seed?"),
+        ("[simulation]\nseeds = 0\n" + POINT, "simulation.seeds: unknown key; is it seed?"),
         ('[[unit]]\nunit = 1\nholes = "zero"\n', 'must be "refuse", or the value that is read, 0…65535'),
-        ("[[unit]]\nunit = 1\nholes = { coil = 0 }\n", "holes.coil: there is no such key; is it coils?"),
+        ("[[unit]]\nunit = 1\nholes = { coil = 0 }\n", "holes.coil: unknown key; is it coils?"),
         ("", "x.toml:1: unit: is missing"),
     ],
 )

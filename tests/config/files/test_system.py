@@ -58,7 +58,7 @@ def test_one_file_says_everything_about_server_client_and_security() -> None:
     assert file.server.options()["priority"] == ["10.0.0.1", "10.1.0.0/16"]
     assert file.security.options()["minimum_version"] == "1.3"
     assert file.client.options()["hold"] == "request"
-    assert [link.name for link in file.client.link] == ["boiler", "vault", "line"]
+    assert [link.name for link in file.link] == ["boiler", "vault", "line"]
     assert file.policy is not None
     assert file.policy.default == "read-only"
     assert (file.audit, file.metrics) == (
@@ -76,7 +76,7 @@ def test_every_device_file_is_a_configuration_file() -> None:
 
 def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_unit() -> None:
     assert [url for _, url in parse_configuration(UNIT, "x").file.places()] == ["tcp://127.0.0.1:5020"]
-    links = parse_configuration('[[client.link]]\nname = "a"\nurl = "tcp://h"\n', "x")
+    links = parse_configuration('[[link]]\nname = "a"\nurl = "tcp://h"\n', "x")
     assert (links.listeners, list(links.links)) == ((), ["a"])
 
 
@@ -85,12 +85,12 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
     ("text", "sentence"),
     [
         ("", "x.toml:1: unit: is missing"),
-        ('listen = ["tcp://:0"]\n[[client.link]]\nname = "a"\nurl = "tcp://h"\n', "x.toml:1: unit: is missing"),
+        ('listen = ["tcp://:0"]\n[[link]]\nname = "a"\nurl = "tcp://h"\n', "x.toml:1: unit: is missing"),
         (UNIT + '[[listener]]\nurl = "nowhere"\n', "x.toml:4: listener[0].url: 'nowhere' is no endpoint"),
         (UNIT + "[[listener]]\n", "x.toml:3: listener[0].url: is missing"),
         (
             UNIT + '[[listener]]\nurl = "tcp://h"\nalow = []\n',
-            "x.toml:5: listener[0].alow: there is no such key; is it",
+            "x.toml:5: listener[0].alow: unknown key; is it",
         ),
         (
             UNIT + '[[listener]]\nurl = "tcp://h"\nallow = ["10.0.0.1/8"]\n',
@@ -123,21 +123,24 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         ("[client]\ntimeout = 0\n" + UNIT, "x.toml:2: client.timeout: must be 0.001…3600, not 0"),
         ('[client]\nhold = "long"\n' + UNIT, "x.toml:2: client.hold: must be seconds, forever or request, not 'long'"),
         (
-            '[[client.link]]\nname = "a"\nurl = "tcp://h"\nbaud = 1\n',
-            "x.toml:4: client.link[0].baud: unknown option of",
+            '[[link]]\nname = "a"\nurl = "tcp://h"\nbaud = 1\n',
+            "x.toml:4: link[0].baud: unknown option of",
         ),
-        ('[[client.link]]\nname = "a"\nurl = "tcp://h?retries=-1"\n', "x.toml:3: client.link[0].url: must be 0…100"),
+        ('[[link]]\nname = "a"\nurl = "tcp://h?retries=-1"\n', "x.toml:3: link[0].url: must be 0…100"),
         (
-            '[client]\nmax_transactions = 4\n[[client.link]]\nname = "a"\nurl = "tcp://h"\n'
-            'transaction_policy = "ignore"\n',
-            "x.toml:6: client.link[0].transaction_policy: ignore goes with max_transactions 1 only",
+            '[client]\nmax_transactions = 4\n[[link]]\nname = "a"\nurl = "tcp://h"\ntransaction_policy = "ignore"\n',
+            "x.toml:6: link[0].transaction_policy: ignore goes with max_transactions 1 only",
         ),
         (
-            '[[client.link]]\nname = "a"\nurl = "tcp://h"\n' * 2,
-            "x.toml:5: client.link[1].name: 'a' is there already: link[0]",
+            '[[link]]\nname = "a"\nurl = "tcp://h"\n' * 2,
+            "x.toml:5: link[1].name: 'a' is there already: link[0]",
         ),
-        ('[[client.link]]\nname = ""\nurl = "tcp://h"\n', "x.toml:2: client.link[0].name: "),
-        ('[[client.link]]\nname = "a"\nurl = "tls://h"\n', "x.toml:1: client.link[0]: the authority that the server's"),
+        (
+            '[[client.link]]\nname = "a"\nurl = "tcp://h"\n',
+            "x.toml:1: client.link: this key has another name now; write [[link]]",
+        ),
+        ('[[link]]\nname = ""\nurl = "tcp://h"\n', "x.toml:2: link[0].name: "),
+        ('[[link]]\nname = "a"\nurl = "tls://h"\n', "x.toml:1: link[0]: the authority that the server's"),
         (UNIT + '[policy]\ndefault = "some"\n', "x.toml:4: policy.default: must be 'allow', 'deny' or 'read-only'"),
         (UNIT + '[policy]\ndefault = "deny"\n[[policy.rule]]\nunits = 300\n', "x.toml:6: policy.rule[0].units: "),
         (UNIT + "[audit]\n", "x.toml:3: audit.path: is missing"),
@@ -153,7 +156,7 @@ def test_what_can_not_be_is_said_with_its_line_and_key(text: str, sentence: str)
 @pytest.mark.clause("T33")
 def test_all_that_components_refuse_is_said_at_once_in_the_order_of_the_lines() -> None:
     text = (
-        '[[listener]]\nurl = "tls://h"\nallow = ["x"]\n[[client.link]]\nname = "a"\nurl = "tcp://h?queue=0"\n'
+        '[[listener]]\nurl = "tls://h"\nallow = ["x"]\n[[link]]\nname = "a"\nurl = "tcp://h?queue=0"\n'
         "[server]\nrequest_rate = 0\n" + UNIT
     )
     assert [sentence.split(": ")[0] for sentence in problems_of(text)] == [f"x.toml:{n}" for n in (1, 3, 6, 8)]

@@ -14,13 +14,11 @@ from typing import Any
 
 from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
-from ...config.files.gateway import GatewayFile, GatewayListenerSection, LineSection, read_gateway_file
+from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection, read_gateway_file
 from ...config.files.lines import Path as Place
 from ...config.files.problems import FileError
 from ...config.files.schema import Source
-from ...config.links import for_all_links, named_link
-from ...config.paths import TLS_FILES, rooted, within
-from ...config.preflight import readable
+from ...config.links import NamedLink
 from ...config.reading import read_text
 from ...config.report import Judge
 from ...errors import ConfigError
@@ -64,7 +62,7 @@ class GatewayConfiguration:
     file: GatewayFile
     plan: GatewayPlan
     routes: tuple[PlacedRoute, ...]
-    at_once: frozenset[str] = frozenset({"policy", "listen", "listener", "line", "route", "client", "security"})
+    at_once: frozenset[str] = frozenset({"policy", "listen", "listener", "link", "route", "client", "security"})
 
     @property
     def name(self) -> str:
@@ -156,7 +154,7 @@ def load_gateway(
 
     Raises:
         ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
-            file, upstream and key.
+            file, line and key.
     """
     name = os.fspath(path)
     return parse_gateway(read_text(name), name, examine=examine, changes=changes)
@@ -173,7 +171,7 @@ def parse_gateway(
         examine, changes: as of `load_gateway`.
 
     Raises:
-        FileError: all that is wrong, each with file, upstream and key.
+        FileError: all that is wrong, each with file, line and key.
     """
     file, source = read_gateway_file(text, name)
     return _put_together(file, source, examine=examine, changes=changes)
@@ -190,7 +188,7 @@ def simple_gateway(
 
     Args:
         listeners: URLs to listen on.
-        upstream: URL of the upstream, or server, behind.
+        upstream: URL of the line or server that requests are forwarded to.
         changes: as of `load_gateway`.
         client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
 
@@ -200,11 +198,11 @@ def simple_gateway(
     for url in listeners:
         listener_settings(Listener(url), limits=ListenerParameters())
     link_settings(upstream, {})
-    source = Source(COMMAND, {"listen": list(listeners), "line": [{"name": "line", "url": upstream}]}, {})
+    source = Source(COMMAND, {"listen": list(listeners), "link": [{"name": "line", "url": upstream}]}, {})
     try:
         return _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
     except FileError as error:
-        # There is no file whose upstream could be named.
+        # There is no file whose line could be named.
         raise ConfigError("; ".join(each.message for each in error.problems)) from error
 
 
@@ -219,17 +217,16 @@ def _put_together(
     """``client_deadline`` is that of listeners without a section."""
     name = source.name
     judge = Judge(source)
-    common = put_together(file, name, judge, examine=examine, changes=changes)
+    common = put_together(file, name, judge, examine=examine, changes=changes, link_defaults=UPSTREAM_DEFAULTS)
     listeners = _named_apart(
         [_placed_listener(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
     )
     upstreams = {}
-    for index, section in enumerate(file.line):
-        upstream = _upstream(file, section, name, ("line", index), judge)
+    for index, section in enumerate(file.link):
+        link = common.links.get(section.name)
+        upstream = None if link is None else _upstream(section, link, ("link", index), judge)
         if upstream is not None:
             upstreams[upstream.name] = upstream
-        if examine:
-            _examine_upstream(section, name, ("line", index), judge)
     routes = placed_routes(file, upstreams, judge)
     judge_routes(file, routes, listeners, upstreams, None if common.access is None else common.access.policy, judge)
     served, server = _as_served(common)
@@ -277,13 +274,7 @@ def _is_silent(file: GatewayFile, place: Place) -> bool:
     return section is not None and section.silent_broadcasts
 
 
-def _upstream(file: GatewayFile, section: LineSection, name: str, at: Place, judge: Judge) -> UpstreamSettings | None:
-    general, security = for_all_links(file)
-    link = named_link(
-        section, {**UPSTREAM_DEFAULTS, **general}, security, lambda options: rooted(options, name), at, judge
-    )
-    if link is None:
-        return None
+def _upstream(section: UpstreamSection, link: NamedLink, at: Place, judge: Judge) -> UpstreamSettings | None:
     return judge.make(
         lambda: UpstreamSettings(
             section.name,
@@ -295,13 +286,6 @@ def _upstream(file: GatewayFile, section: LineSection, name: str, at: Place, jud
         ),
         lambda key: at if key is None else (*at, key),
     )
-
-
-def _examine_upstream(section: LineSection, name: str, at: Place, judge: Judge) -> None:
-    for key in TLS_FILES:
-        path = getattr(section, key)
-        if path is not None:
-            readable((*at, key), within(name, path), judge)
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them

@@ -248,7 +248,7 @@ class GatewayPlan:
             raise ConfigError("a gateway needs at least one listener to listen on", key="listener")
         for key, names in (
             ("listener", [one.name for one in self.listeners]),
-            ("line", [one.name for one in self.upstreams]),
+            ("link", [one.name for one in self.upstreams]),
         ):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
@@ -413,7 +413,7 @@ class Gateway:
             for each in going:
                 await each.server.start()
             raise
-        said = [*_changes("listener", old_listeners, plan.listeners), *_changes("line", old_upstreams, plan.upstreams)]
+        said = [*_changes("listener", old_listeners, plan.listeners), *_changes("link", old_upstreams, plan.upstreams)]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
         self.plan = plan

@@ -27,7 +27,7 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
     for listener, row in zip(plan.listeners, known["listener"], strict=True):
         yield "listener", listener.name, "; ".join(_listener(listener, row))
     for upstream in plan.upstreams:
-        yield "line", upstream.name, "; ".join(_upstream(upstream, configuration.routes))
+        yield "link", upstream.name, "; ".join(_upstream(upstream, configuration.routes))
     yield "own unit", "none" if plan.own_unit is None else str(plan.own_unit), _own_unit(plan)
     yield from known["policy"]
     yield from known["server"]

@@ -74,13 +74,13 @@ def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], 
     """The routes of a file, without those that the judge refuses."""
     if not file.route:
         return [
-            PlacedRoute(Route(upstream=name, units=_upstream_units(upstream)), ("line", 0), None)
+            PlacedRoute(Route(upstream=name, units=_upstream_units(upstream)), ("link", 0), None)
             for name, upstream in upstreams.items()
         ]
     found = []
     for index, section in enumerate(file.route):
         at: Place = ("route", index)
-        if section.line is not None and section.line not in upstreams:
+        if section.link is not None and section.link not in upstreams:
             continue  # the judge has been told of the upstream
         made = judge.make(partial(_route, section, upstreams), partial(_key_of, section, at))
         if made is not None:
@@ -93,12 +93,12 @@ def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
 
 
 def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> Route:
-    upstream = None if section.line is None else upstreams[section.line]
+    upstream = None if section.link is None else upstreams[section.link]
     asked = section.asked_units()
     addresses = section.asked_addresses()
     action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
     return Route(
-        upstream=section.line or "",
+        upstream=section.link or "",
         listeners=frozenset(section.listeners or ()),
         units=_default_units(section, upstream) if asked is None else asked,
         functions=section.asked_functions(),
@@ -126,7 +126,7 @@ def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> 
         return behind
     units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
     if not units:
-        raise ConfigError(f"leaves no unit that {section.line!r} has", key="unit_offset")
+        raise ConfigError(f"leaves no unit that {section.link!r} has", key="unit_offset")
     return units
 
 
@@ -297,7 +297,7 @@ def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
 def _gaps_on_networks(routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
     for placed in routes:
         if placed.gap and placed.route.upstream and upstreams[placed.route.upstream].link.line is None:
-            yield placed.key("request_gap"), "is an option of the line where that is no serial one"
+            yield placed.key("request_gap"), "is an option of the link where that is no serial line"
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
@@ -334,7 +334,7 @@ def _impatient_clients(
         if listener.deadline < case.seconds:
             yield (
                 (*listener.place[:2], "client_deadline"),
-                f"{listener.deadline:g} s is less than line {upstream!r} may take: {case.seconds:.3g} s = {case.sum}",
+                f"{listener.deadline:g} s is less than link {upstream!r} may take: {case.seconds:.3g} s = {case.sum}",
             )
 
 
@@ -359,7 +359,7 @@ def _upstreams_slower_than_the_default(
             told.add(route.upstream)
             yield (
                 one.key("timeout"),
-                f"line {route.upstream!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B "
+                f"link {route.upstream!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B "
                 f"after {deadline:g} s; set client_deadline of the listener to what its clients wait, or a "
                 "shorter timeout",
             )
@@ -411,7 +411,7 @@ def _listeners_without_units(
 def _idle_listeners(routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]) -> Faults:
     for listener in listeners:
         if not listener.is_serial and not any(one.route.upstream for one in _of_listener(routes, listener)):
-            yield listener.place, "no route leads from here to a line"
+            yield listener.place, "no route leads from here to a link"
 
 
 def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> list[PlacedRoute]:
@@ -424,17 +424,17 @@ def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Ma
     for listener in listeners:
         if listener.endpoint.carrier == "serial":
             owners[os.path.realpath(listener.endpoint.path)] = f"listener {listener.name}"
-    for index, section in enumerate(file.line):
+    for index, section in enumerate(file.link):
         upstream = upstreams.get(section.name)
         if upstream is None:
             continue
         endpoint = upstream.link.endpoint
-        place: Place = ("line", index, "url")
+        place: Place = ("link", index, "url")
         if endpoint.carrier == "serial":
             port = os.path.realpath(endpoint.path)
             if port in owners:
                 yield place, f"{endpoint.path} is taken by {owners[port]}"
-            owners.setdefault(port, f"line {section.name!r}")
+            owners.setdefault(port, f"link {section.name!r}")
             continue
         own = next((listener for listener in listeners if _is_same(listener.endpoint, endpoint)), None)
         if own is not None:
@@ -460,14 +460,14 @@ def _idle_upstreams(
     file: GatewayFile, routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
     used = {one.route.upstream for one in routes}
-    for index, section in enumerate(file.line):
+    for index, section in enumerate(file.link):
         if section.name in upstreams and section.name not in used:
-            yield ("line", index, "name"), f"no route leads to {section.name!r}"
+            yield ("link", index, "name"), f"no route leads to {section.name!r}"
 
 
 def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) -> Faults:
     seen: dict[tuple[str, str, int | None], str] = {}
-    for index, section in enumerate(file.line):
+    for index, section in enumerate(file.link):
         upstream = upstreams.get(section.name)
         if upstream is None or upstream.link.endpoint.carrier == "serial":
             continue
@@ -475,8 +475,8 @@ def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) 
         server = ("udp" if endpoint.carrier == "udp" else "tcp", endpoint.host, endpoint.port)
         if server in seen:
             yield (
-                ("line", index, "url"),
-                f"{endpoint.url} is the server of line {seen[server]!r} too: each has connections of its own",
+                ("link", index, "url"),
+                f"{endpoint.url} is the server of link {seen[server]!r} too: each has connections of its own",
             )
         seen.setdefault(server, section.name)
 

@@ -11,6 +11,7 @@ the file names (certificates, the audit log) is opened by the component that it 
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from ...access.addresses import AddressList
@@ -129,7 +130,7 @@ class Configuration:
         link = self.links.get(name)
         if link is None:
             there = f"there are {', '.join(self.links)}" if self.links else "there is none"
-            raise ConfigError(f"there is no link {name!r}; {there}", file=self.name, key="client.link")
+            raise ConfigError(f"there is no link {name!r}; {there}", file=self.name, key="link")
         return link
 
 
@@ -185,7 +186,13 @@ def _what_reads_it(error: FileError) -> FileError:
 
 
 def put_together(
-    file: SystemFile, name: str, judge: Judge, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+    file: SystemFile,
+    name: str,
+    judge: Judge,
+    *,
+    examine: bool = False,
+    changes: Mapping[str, Any] | None = None,
+    link_defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> Configuration:
     """What a file declares, as far as the judge lets it: of use only after `Judge.end`.
 
@@ -194,11 +201,12 @@ def put_together(
         name: its name; paths in it are relative to its folder.
         judge: collects what is wrong, and what is odd.
         examine, changes: as of `load_configuration`.
+        link_defaults: options of the links, where the program that uses them has other defaults.
     """
     makers = _Makers(file, name, judge, changes or {})
     limits = makers.limits()
     listeners = [makers.listener(place, parse_endpoint(url)) for place, url in file.places()]
-    links = named_links(file, lambda options: rooted(options, name), judge)
+    links = named_links(file, lambda options: rooted(options, name), judge, link_defaults)
     judge_roles(file, judge)
     if examine:
         examine_files(file, name, listeners, judge)

@@ -31,7 +31,7 @@ def effective(configuration: Configuration) -> Iterator[str]:
     for listener in configuration.listeners:
         yield from ["", "[[listener]]", *_listener(listener)]
     for link in configuration.links.values():
-        yield from ["", "[[client.link]]", *_link(link)]
+        yield from ["", "[[link]]", *_link(link)]
 
 
 def _listener(listener: Listener) -> Iterator[str]:

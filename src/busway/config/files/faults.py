@@ -151,7 +151,7 @@ def _put(section: dict[str, Any], key: str, value: str) -> None:
     elif key in ("probability", "on"):
         section[key] = _plain(key, value)
     elif f"{key}s" in _SEVERAL:
-        raise ConfigError(f"there is no such key; is it {key}s?", key=key)
+        raise ConfigError(f"unknown key; is it {key}s?", key=key)
     else:
         section.setdefault("parameters", {})[key] = _plain(key, value)
 

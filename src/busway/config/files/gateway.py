@@ -1,4 +1,4 @@
-"""The schema of gateway files: listeners, lines behind, and routes between them.
+"""The schema of gateway files: listeners, links to what is behind the gateway, and routes between them.
 
 Knows what can be written; what goes together is judged by `busway.apps.gateway.assembly`.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
@@ -11,23 +11,23 @@ are the same here.
     url = "tcp://:502"
     client_deadline = 3.0
 
-    [[line]]
+    [[link]]
     name = "hall"
     url = "rtu:///dev/ttyUSB0?baud=19200"
     timeout = 0.5
 
     [[route]]
     units = "1-10"
-    line = "hall"
+    link = "hall"
 
 Rules:
 
-1. The first route that fits a request decides. A route without ``units`` is for all units its line can have.
-2. A route has exactly one of ``line``, ``refuse`` and ``drop``.
-3. A file without routes sends everything to its one line.
+1. The first route that fits a request decides. A route without ``units`` is for all units its link can have.
+2. A route has exactly one of ``link``, ``refuse`` and ``drop``.
+3. A file without routes sends everything to its one link.
 """
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -36,19 +36,18 @@ from ...access.notation import parse_functions, parse_items, parse_table, parse_
 from ...codes import Table
 from ...errors import ConfigError
 from ...session.parameters import CLIENT_DEADLINE
-from ...transport.tls.parameters import OF_SERVERS
 from .device import UnitSection
 from .lines import Path
-from .listeners import ListenerSection, Url, clashes
-from .options import CountOrNone, SecondsOrNone, with_options_of
+from .listeners import ListenerSection, clashes
+from .options import CountOrNone, SecondsOrNone
 from .schema import FileProblems, Section, Source, read_source
-from .system import LINK_KINDS, LinkKeys, SystemFile
+from .system import LinkSection, SystemFile, twice
 
-NOT_OF_LINES: Final = {
+NOT_OF_GATEWAYS: Final = {
     "deadline": "client_deadline of a listener says when its clients have given up",
     "max_connections": "connections says how many there are",
 }
-"""Options of links that a line has not, and what there is instead."""
+"""Options of links that have no effect in a gateway, and what there is instead."""
 
 Numbers = int | str | list[int | str]
 
@@ -67,6 +66,12 @@ def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
     return source.checked(GatewayFile), source
 
 
+def is_gateway(sections: Container[str]) -> bool:
+    """Whether a file with these sections is one of a gateway: it has routes, or listeners and no units."""
+    listens = "listen" in sections or "listener" in sections
+    return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
+
+
 class GatewayListenerSection(ListenerSection):
     """``[[listener]]``: where clients reach the gateway."""
 
@@ -82,14 +87,9 @@ class GatewayListenerSection(ListenerSection):
         return self.name or self.url
 
 
-@with_options_of(*LINK_KINDS, without=OF_SERVERS)
-class LineSection(LinkKeys):
-    """``[[line]]``: a serial line or a server, under a name, with the options of links."""
+class UpstreamSection(LinkSection):
+    """``[[link]]`` of a gateway: a serial line or a server that requests are forwarded to."""
 
-    judged: ClassVar = False  # together with its scheme, where the line is put together
-
-    name: str = Field(min_length=1)
-    url: Url
     connections: int = Field(default=1, ge=1, le=16)
     share_reads: bool = True
     broadcast: bool | None = None
@@ -99,13 +99,15 @@ class LineSection(LinkKeys):
 class RouteSection(Section):
     """``[[route]]``: which requests, and what becomes of them."""
 
+    retired: ClassVar = {"line": "link"}
+
     name: str = ""
     listeners: list[str] | None = Field(default=None, min_length=1)
     units: Numbers | None = None
     functions: Numbers | None = None
     table: str | None = None
     addresses: Numbers | None = None
-    line: str | None = None
+    link: str | None = None
     refuse: int | None = Field(default=None, ge=1, le=255)
     drop: Literal[True] | None = None
     unit: int | None = Field(default=None, ge=0, le=255)
@@ -126,10 +128,10 @@ class RouteSection(Section):
         return self
 
     def _faults(self) -> Iterator[tuple[Path, str]]:
-        ways = [name for name in ("line", "refuse", "drop") if getattr(self, name) is not None]
+        ways = [name for name in ("link", "refuse", "drop") if getattr(self, name) is not None]
         if len(ways) != 1:
-            yield (), f"needs exactly one of line, refuse and drop, and has {' and '.join(ways) or 'none of them'}"
-        if self.line is None:
+            yield (), f"needs exactly one of link, refuse and drop, and has {' and '.join(ways) or 'none of them'}"
+        if self.link is None:
             only_forwarded = {"unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache"}
             for name in sorted((only_forwarded | {"timeout", "request_gap"}) & self.model_fields_set):
                 yield (name,), "has no effect where nothing is forwarded"
@@ -186,8 +188,10 @@ def _no_units(value: object) -> object:
 class GatewayFile(SystemFile):
     """A whole gateway file."""
 
+    retired: ClassVar = {"line": "[[link]]"}
+
     listener: list[GatewayListenerSection] = Field(default_factory=list)  # type: ignore[assignment]
-    line: list[LineSection] = Field(default_factory=list)
+    link: list[UpstreamSection] = Field(default_factory=list)  # type: ignore[assignment]
     route: list[RouteSection] = Field(default_factory=list)
     gateway: GatewaySection = GatewaySection()
     unit: Annotated[list[UnitSection], BeforeValidator(_no_units)] = Field(default_factory=list)
@@ -206,8 +210,8 @@ class GatewayFile(SystemFile):
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:
         yield from clashes(self.places())
-        if not self.line:
-            yield ("line",), "is missing"
+        if not self.link:
+            yield ("link",), "is missing"
         if not self.places():
             yield ("listener",), "is missing"
         for name in ("unit_policy", "unlisted"):
@@ -215,19 +219,19 @@ class GatewayFile(SystemFile):
                 yield ("server", name), "has no effect: a gateway has no units of its own"
         if "shared_places" in self.server.model_fields_set:
             yield ("server", "shared_places"), "has no effect: each listener of a gateway has places of its own"
-        if not self.route and len(self.line) > 1:
-            yield ("route",), f"is missing: there are {len(self.line)} lines"
-        for index, line in enumerate(self.line):
-            for name, instead in NOT_OF_LINES.items():
-                if name in line.model_fields_set:
-                    yield ("line", index, name), f"has no effect on a line of a gateway: {instead}"
-        yield from _twice("line", [each.name for each in self.line])
-        yield from _twice("listener", [each.title for each in self.listener])
-        names = [each.name for each in self.line]
+        if not self.route and len(self.link) > 1:
+            yield ("route",), f"is missing: there are {len(self.link)} links"
+        for index, link in enumerate(self.link):
+            for name, instead in NOT_OF_GATEWAYS.items():
+                if name in link.model_fields_set:
+                    yield ("link", index, name), f"has no effect on a link of a gateway: {instead}"
+        yield from twice("link", [each.name for each in self.link])
+        yield from twice("listener", [each.title for each in self.listener])
+        names = [each.name for each in self.link]
         titles = [*self.listen, *(each.title for each in self.listener)]
         for index, route in enumerate(self.route):
-            if route.line is not None and route.line not in names:
-                yield ("route", index, "line"), f"there is no line {route.line!r}, but {', '.join(names)}"
+            if route.link is not None and route.link not in names:
+                yield ("route", index, "link"), f"there is no link {route.link!r}, but {', '.join(names)}"
             for place, wanted in enumerate(route.listeners or ()):
                 if wanted not in titles:
                     yield (
@@ -245,9 +249,3 @@ def _with_urls(rule: Any, urls: dict[str, Any]) -> Any:  # what stands in the fi
     if not isinstance(listeners, list):
         return rule
     return {**rule, "listeners": [urls.get(one, one) if isinstance(one, str) else one for one in listeners]}
-
-
-def _twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, TypeVar, get_args
+from typing import Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -26,6 +26,9 @@ class Section(BaseModel):
     """A table of a file. Keys are exactly the declared ones; values are never converted; frozen once read."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True)
+
+    retired: ClassVar[Mapping[str, str]] = {}
+    """Keys that this table had once, and what is written instead."""
 
 
 class FileProblems(ValueError):
@@ -181,10 +184,7 @@ def _sentence(error: Any, schema: type[Section], path: Path) -> str:
     kind, details = error["type"], error.get("ctx", {})
     got = f", not {shown(error['input'])}"
     if kind == "extra_forbidden":
-        known = _keys_at(schema, path[:-1])
-        near = get_close_matches(str(path[-1]), known, 1)
-        hint = f"; is it {near[0]}?" if near else f"; there are {', '.join(known)}" if known else ""
-        return f"there is no such key{hint}"
+        return _unknown_key(str(path[-1]), _section_at(schema, path[:-1]))
     if kind in ("value_error", "assertion_error"):
         return str(details.get("error", error["msg"]))
     if kind == "literal_error":
@@ -201,17 +201,30 @@ def _sentence(error: Any, schema: type[Section], path: Path) -> str:
     return f"{message[:1].lower()}{message[1:]}{got}"
 
 
-def _keys_at(schema: type[Section], path: Path) -> list[str]:
-    """The keys that the table at a path may have."""
+def _unknown_key(key: str, section: type[Section] | None) -> str:
+    if section is None:
+        return "unknown key"
+    if key in section.retired:
+        return f"this key has another name now; write {section.retired[key]}"
+    known = [field.alias or name for name, field in section.model_fields.items()]
+    near = get_close_matches(key, known, 1)
+    if near:
+        return f"unknown key; is it {near[0]}?"
+    only = "the only key allowed here is" if len(known) == 1 else "the keys allowed here are"
+    return f"unknown key; {only} {', '.join(known)}"
+
+
+def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
+    """The section that the table at a path is; None for a table of another kind."""
     for key in path:
         if isinstance(key, int):
             continue
         field = schema.model_fields.get(key)
         inner = None if field is None else next(_sections_in(field.annotation), None)
         if inner is None:
-            return []
+            return None
         schema = inner
-    return [field.alias or name for name, field in schema.model_fields.items()]
+    return schema
 
 
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:

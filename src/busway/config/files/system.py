@@ -20,7 +20,7 @@ is a configuration file too.
     [policy]
     default = "read-only"
 
-    [[client.link]]
+    [[link]]
     name = "boiler"
     url = "tcp://10.0.0.5"
 
@@ -139,7 +139,7 @@ class LinkKeys(OptionSection):
 
 @with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
 class LinkSection(LinkKeys):
-    """``[[client.link]]``: one endpoint that is asked, under a name, with options of its own."""
+    """``[[link]]``: one endpoint that requests go to, under a name, with options of its own."""
 
     judged: ClassVar = False  # together with those of [client], where the link is put together
 
@@ -149,22 +149,11 @@ class LinkSection(LinkKeys):
 
 @with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
 class ClientSection(LinkKeys):
-    """``[client]``: the links, and options for all of them whose scheme has the option."""
+    """``[client]``: options for all links whose scheme has the option."""
 
-    link: list[LinkSection] = Field(default_factory=list)
+    retired: ClassVar = {"link": "[[link]]"}
+
     supported_connections: int | None = Field(default=None, ge=1, le=65_535)
-
-    @model_validator(mode="after")
-    def _check_names(self) -> "ClientSection":
-        seen: dict[str, int] = {}
-        faults: list[tuple[Path, str]] = []
-        for index, link in enumerate(self.link):
-            if link.name in seen:
-                faults.append((("link", index, "name"), f"{link.name!r} is there already: link[{seen[link.name]}]"))
-            seen.setdefault(link.name, index)
-        if faults:
-            raise FileProblems(faults)
-        return self
 
 
 @with_options_of(TlsParameters, without=frozenset({"server_name"}))
@@ -206,6 +195,7 @@ class SystemFile(DeviceFile):
     listener: list[ListenerSection] = Field(default_factory=list)
     security: SecuritySection = SecuritySection()
     client: ClientSection = ClientSection()
+    link: list[LinkSection] = Field(default_factory=list)
     audit: AuditSection | None = None
     metrics: MetricsSection | None = None
     control: ControlSection = ControlSection()
@@ -226,6 +216,14 @@ class SystemFile(DeviceFile):
         return self
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:
-        if not self.unit and (self.places() or not self.client.link):
+        if not self.unit and (self.places() or not self.link):
             yield ("unit",), "is missing"
         yield from clashes(self.places())
+        yield from twice("link", [each.name for each in self.link])
+
+
+def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
+    """Names that sections of one kind share: the place of the later one, and a sentence."""
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"
