@@ -1,0 +1,445 @@
+"""The read plan: the cheapest set of reads that fetches all wanted values of a device.
+
+Knows items, what a device allows, and what a read costs; knows no clock, no socket and no value.
+
+1. An item is the place of one value. The bits of one register are one item, an atomic group is one item, and an item
+   inside another is free.
+2. A value is never split over two reads.
+3. Reads stop at forbidden registers, at the borders of readable ranges and at those of exact blocks.
+4. A register of no item may clear when it is read. So such holes are read only inside readable ranges, or where the
+   device's rules say ``bridge``.
+5. Within these limits the plan is exact. Items of which none lies inside another have one order, by start and by end,
+   and some cheapest plan reads a run of them at a time. The best run that ends with item j begins where
+   ``best[i] − c · start[i]`` is least, over all i that one read reaches; a monotone queue keeps that minimum, so that
+   the time is linear in the items.
+"""
+
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias
+
+from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
+from .cost import ReadCost
+
+
+class Item(Protocol):
+    """The place of one value; a point is one."""
+
+    @property
+    def table(self) -> Table:
+        """The table it stands in."""
+
+    @property
+    def start(self) -> int:
+        """Its first register or bit, 0-based."""
+
+    @property
+    def width(self) -> int:
+        """Registers or bits that it takes, 1 or more."""
+
+    @property
+    def group(self) -> Hashable | None:
+        """The atomic group that it is read with, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlainItem:
+    """An item without anything else.
+
+    Attributes:
+        table: the table it stands in.
+        start: its first register or bit, 0-based.
+        width: registers or bits that it takes, 1 or more.
+        key: what the caller knows it by.
+        group: the atomic group that it is read with, or None.
+    """
+
+    table: Table
+    start: int
+    width: int = 1
+    key: Hashable = None
+    group: Hashable | None = None
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Span:
+    """Items from ``start`` up to but not including ``end``."""
+
+    start: int
+    end: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start < self.end:
+            raise ValueError(f"a span has at least one item, not {self.start}…{self.end}")
+
+    def __contains__(self, other: "Span") -> bool:
+        return self.start <= other.start and other.end <= self.end
+
+    @property
+    def width(self) -> int:
+        """How many items it has."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRules:
+    """What a device allows.
+
+    Attributes:
+        max_registers: widest read of registers, 1…125.
+        max_bits: widest read of bits, 1…2000.
+        readable: by table, the ranges that exist: a read stays in one of them, and may read any hole in it. Without
+            any, the whole table exists, and nothing is known of its holes.
+        forbidden: by table, what no read may touch.
+        exact: by table, blocks that are read as a whole or not at all.
+        bridge: whether holes outside readable ranges may be read too.
+        one_point: whether each item takes a request of its own.
+    """
+
+    max_registers: int = MAX_READ_REGISTERS
+    max_bits: int = MAX_READ_BITS
+    readable: Mapping[Table, Sequence[Span]] = field(default_factory=dict)
+    forbidden: Mapping[Table, Sequence[Span]] = field(default_factory=dict)
+    exact: Mapping[Table, Sequence[Span]] = field(default_factory=dict)
+    bridge: bool = False
+    one_point: bool = False
+
+    def limit(self, table: Table) -> int:
+        """The widest read of a table."""
+        return self.max_bits if table.holds_bits else self.max_registers
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRead:
+    """One read.
+
+    Attributes:
+        table, start, width: what it asks for.
+        items: the items whose values it brings, wanted or not, by their start.
+        seconds: what it costs.
+    """
+
+    table: Table
+    start: int
+    width: int
+    items: tuple[Any, ...]  # the caller's own kind of Item
+    seconds: float
+
+    @property
+    def end(self) -> int:
+        """The offset after its last item."""
+        return self.start + self.width
+
+
+@dataclass(frozen=True, slots=True)
+class Unreadable:
+    """An item that no read may bring, and why, as a sentence without its name."""
+
+    item: Any  # the caller's own kind of Item
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReadPlan:
+    """The reads of a device.
+
+    Attributes:
+        reads: in the order of tables and places.
+        unreadable: wanted items that are in no read.
+        seconds: what all reads cost together.
+    """
+
+    reads: tuple[PlannedRead, ...]
+    unreadable: tuple[Unreadable, ...]
+    seconds: float
+
+
+def plan_reads(wanted: Iterable[Item], rules: ReadRules, cost: ReadCost, *, others: Iterable[Item] = ()) -> ReadPlan:
+    """The cheapest reads for some items.
+
+    Args:
+        wanted: what is due; in any order.
+        rules: what the device allows.
+        cost: what reads cost.
+        others: items that are not due, but come for nothing where a read covers them.
+
+    Returns:
+        Reads that bring every wanted item, apart from those in ``unreadable``. Each item is in one read, the first that
+        covers it; an atomic group is in one read as a whole.
+    """
+    due = _by_table(wanted)
+    idle = _by_table(others)
+    reads: list[PlannedRead] = []
+    unreadable: list[Unreadable] = []
+    for table in Table:
+        items = due.get(table)
+        if items:
+            _plan_table(table, _blocks(items), _blocks(idle.get(table, [])), rules, cost, reads, unreadable)
+    return ReadPlan(tuple(reads), tuple(unreadable), sum(read.seconds for read in reads))
+
+
+def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
+    """Seconds that reads take at another cost than that of their plan."""
+    return sum(cost.of(read.table, read.width) for read in reads)
+
+
+def undeclared(read: PlannedRead, known: Iterable[Item], rules: ReadRules) -> list[Span]:
+    """What a read touches that belongs to no known item and lies in no readable range."""
+    declared = [Span(each.start, each.start + each.width) for each in known if each.table is read.table]
+    declared += [*rules.readable.get(read.table, ()), *rules.exact.get(read.table, ())]
+    left: list[Span] = []
+    at = read.start
+    for span in sorted(declared):
+        if span.end <= at or span.start >= read.end:
+            continue
+        if span.start > at:
+            left.append(Span(at, span.start))
+        at = span.end
+    if at < read.end:
+        left.append(Span(at, read.end))
+    return left
+
+
+class _Block(NamedTuple):
+    """Items that are read together: one, or an atomic group. A tuple, because a plan makes tens of thousands."""
+
+    start: int
+    end: int
+    items: tuple[Item, ...]
+
+
+_Place: TypeAlias = tuple[int, int]
+"""Start and end of what is read, inside this file."""
+_START: Final = itemgetter(0)
+_END: Final = itemgetter(1)
+
+
+def _by_table(items: Iterable[Item]) -> dict[Table, list[Item]]:
+    found: dict[Table, list[Item]] = {}
+    for item in items:
+        table = item.table
+        if table in found:
+            found[table].append(item)
+        else:
+            found[table] = [item]
+    return found
+
+
+def _blocks(items: list[Item]) -> list[_Block]:
+    """Items with their groups put together, by their starts, wider ones first."""
+    blocks: list[_Block] = []
+    groups: dict[Hashable, list[Item]] = {}
+    for item in items:
+        if item.group is None:
+            start = item.start
+            blocks.append(_Block(start, start + item.width, (item,)))
+        else:
+            groups.setdefault(item.group, []).append(item)
+    for members in groups.values():
+        members.sort(key=lambda each: each.start)
+        blocks.append(
+            _Block(members[0].start, max(each.start + each.width for each in members), tuple(members)),
+        )
+    return _in_order(blocks)
+
+
+def _in_order(blocks: list[_Block]) -> list[_Block]:
+    """By start, wider ones first."""
+    blocks.sort(key=_END, reverse=True)
+    blocks.sort(key=_START)
+    return blocks
+
+
+def _plan_table(
+    table: Table,
+    due: list[_Block],
+    idle: list[_Block],
+    rules: ReadRules,
+    cost: ReadCost,
+    reads: list[PlannedRead],
+    unreadable: list[Unreadable],
+) -> None:
+    border = _Borders(table, rules)
+    places: list[_Place] = []
+    kept: list[_Block] = []
+    for block in due:
+        place, reason = border.place_of(block)
+        if place is None:
+            unreadable += [Unreadable(item, reason) for item in block.items]
+            continue
+        kept.append(block)
+        places.append(place)
+    if rules.one_point:
+        reads += _one_each(table, kept, cost)
+        return
+    chosen = _cheapest(_without_inner(places), border, rules.limit(table), cost.base, cost.per_item(table))
+    blocks = _in_order([*kept, *idle]) if idle else kept
+    reads += _with_items(table, chosen, blocks, cost)
+
+
+class _Borders:
+    """Where reads of a table have to stop."""
+
+    def __init__(self, table: Table, rules: ReadRules) -> None:
+        self._label = table.label
+        self._limit = rules.limit(table)
+        self._bridge = rules.bridge
+        self._readable = _ranges(rules.readable.get(table, ()))
+        self._forbidden = _ranges(rules.forbidden.get(table, ()))
+        self._exact = _ranges(rules.exact.get(table, ()))
+
+    def place_of(self, block: _Block) -> tuple[_Place | None, str]:
+        """What is read for a block, or None and the reason why nothing may be."""
+        start, end, items = block
+        if self._exact is not None:
+            found = self._exact.touched(start, end)
+            if found is not None:
+                if not (found.start <= start and end <= found.end):
+                    return None, f"it crosses the border of the exact block {found.start}…{found.end - 1}"
+                start, end = found.start, found.end
+        if end - start > self._limit:
+            return None, f"{end - start} {self._label}s are more than the {self._limit} that one read may have"
+        if self._forbidden is not None:
+            forbidden = self._forbidden.touched(start, end)
+            if forbidden is not None:
+                return None, f"{self._label}s {forbidden.start}…{forbidden.end - 1} must not be read"
+        if self._readable is not None:
+            around = self._readable.touched(start, end)
+            if around is None or not (around.start <= start and end <= around.end):
+                return None, "it does not lie in one of the readable ranges"
+        elif len(items) > 1 and not self._bridge and not _is_gapless(block):
+            return None, "its group has a hole that nobody declared: give the readable range, or bridge = true"
+        return (start, end), ""
+
+    def cut_between(self, left: _Place, right: _Place) -> bool:
+        """Whether no read may bring both of two neighbours."""
+        end, start = left[1], right[0]
+        has_hole = start > end
+        if self._exact is not None and (
+            self._exact.touched(*left) is not None
+            or self._exact.touched(*right) is not None
+            or (has_hole and self._exact.touched(end, start) is not None)
+        ):
+            return True
+        if self._readable is not None:
+            around = self._readable.touched(*left)
+            if around is not None and right[1] > around.end:
+                return True
+        elif has_hole and not self._bridge:
+            return True
+        return has_hole and self._forbidden is not None and self._forbidden.touched(end, start) is not None
+
+
+def _is_gapless(block: _Block) -> bool:
+    at = block.start
+    for item in block.items:
+        if item.start > at:
+            return False
+        at = max(at, item.start + item.width)
+    return True
+
+
+class _Ranges:
+    """Ranges that can be asked which of them a place touches; those that overlap count as one."""
+
+    def __init__(self, spans: Sequence[Span]) -> None:
+        self._spans: list[Span] = []
+        for span in sorted(spans):
+            if self._spans and span.start < self._spans[-1].end:
+                last = self._spans.pop()
+                span = Span(last.start, max(last.end, span.end))
+            self._spans.append(span)
+        self._starts = [span.start for span in self._spans]
+
+    def touched(self, start: int, end: int) -> Span | None:
+        """The last of the ranges that shares an item with ``start``…``end``."""
+        at = bisect_left(self._starts, end) - 1
+        if at >= 0 and self._spans[at].end > start:
+            return self._spans[at]
+        return None
+
+
+def _ranges(spans: Sequence[Span]) -> _Ranges | None:
+    return _Ranges(spans) if spans else None
+
+
+def _without_inner(places: list[_Place]) -> list[_Place]:
+    """Places by their starts, without those that lie inside another; then their ends are in order too."""
+    places.sort(key=_END, reverse=True)
+    places.sort(key=_START)
+    kept: list[_Place] = []
+    last = -1
+    for place in places:
+        if place[1] > last:
+            kept.append(place)
+            last = place[1]
+    return kept
+
+
+def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, per_item: float) -> list[_Place]:
+    """The cheapest reads of places in order: each stretch between two cuts is planned by itself."""
+    chosen: list[_Place] = []
+    begin = 0
+    for at in range(1, len(places) + 1):
+        if at == len(places) or border.cut_between(places[at - 1], places[at]):
+            chosen += _shortest_path(places[begin:at], limit, base, per_item)
+            begin = at
+    return chosen
+
+
+def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
+    """The cheapest runs of places, none wider than ``limit`` (rule 5)."""
+    if len(places) == 1:
+        return places
+    origin = places[0][0]  # small numbers keep all digits
+    begins: list[int] = []  # where the run that ends at each place begins
+    candidates: deque[tuple[float, int, int]] = deque()  # best[i] − c · start[i], rising; start[i]; i
+    best = 0.0
+    for at, (start, end) in enumerate(places):
+        value = best - per_item * (start - origin)
+        while candidates and candidates[-1][0] >= value:
+            candidates.pop()
+        candidates.append((value, start, at))
+        lowest = end - limit
+        while candidates[0][1] < lowest:
+            candidates.popleft()
+        value, _, first = candidates[0]
+        begins.append(first)
+        best = value + base + per_item * (end - origin)
+    chosen: list[_Place] = []
+    at = len(places) - 1
+    while at >= 0:
+        chosen.append((places[begins[at]][0], places[at][1]))
+        at = begins[at] - 1
+    chosen.reverse()
+    return chosen
+
+
+def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
+    """A read for each place, with the items of that place."""
+    same = groupby(blocks, key=lambda block: (block.start, block.end))
+    return [_read(table, start, end, list(each), cost) for (start, end), each in same]
+
+
+def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
+    """Reads with the items that they bring, each in the first read that covers it."""
+    starts = [block[0] for block in blocks]
+    taken = bytearray(len(blocks))
+    reads: list[PlannedRead] = []
+    for start, end in places:
+        inside: list[_Block] = []
+        for at in range(bisect_left(starts, start), bisect_left(starts, end)):
+            if not taken[at] and blocks[at][1] <= end:
+                taken[at] = 1
+                inside.append(blocks[at])
+        reads.append(_read(table, start, end, inside, cost))
+    return reads
+
+
+def _read(table: Table, start: int, end: int, blocks: list[_Block], cost: ReadCost) -> PlannedRead:
+    items = tuple([item for block in blocks for item in block.items])
+    return PlannedRead(table, start, end - start, items, cost.of(table, end - start))

@@ -1,0 +1,74 @@
+"""The rules by which programs usually cut a register map into reads, and what their reads cost.
+
+They obey what a device allows: a rule that would cross a cut stops there. They share no code with the planner, so that
+they can judge it.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+
+from busway.apps.collector.cost import ReadCost
+from busway.apps.collector.plan import PlainItem, ReadRules, Span
+from busway.codes import Table
+
+Reads = list[tuple[Table, int, int]]
+
+
+def allowed(table: Table, start: int, end: int, members: Iterable[PlainItem], rules: ReadRules) -> bool:
+    """Whether one read of ``start``…``end`` may be made to fetch some items, register by register."""
+    if end - start > rules.limit(table):
+        return False
+    touched = set(range(start, end))
+    declared: set[int] = set()
+    for item in members:
+        declared.update(range(item.start, item.start + item.width))
+    for span in rules.forbidden.get(table, ()):
+        if touched & set(range(span.start, span.end)):
+            return False
+    ranges = rules.readable.get(table, ())
+    if ranges:
+        return any(touched <= set(range(span.start, span.end)) for span in ranges)
+    return rules.bridge or touched <= declared
+
+
+def by_joining(items: Sequence[PlainItem], rules: ReadRules, joins: Callable[[int], bool]) -> Reads:
+    """Reads made from left to right: an item joins the last read if the hole before it is of a size that ``joins``."""
+    reads: Reads = []
+    for table in Table:
+        members: list[PlainItem] = []
+        start = end = -1
+        for item in sorted((one for one in items if one.table is table), key=lambda one: (one.start, one.width)):
+            stop = max(end, item.start + item.width)
+            if members and joins(item.start - end) and allowed(table, start, stop, [*members, item], rules):
+                members.append(item)
+                end = stop
+                continue
+            if members:
+                reads.append((table, start, end))
+            members, start, end = [item], item.start, item.start + item.width
+        if members:
+            reads.append((table, start, end))
+    return reads
+
+
+USUAL_RULES: dict[str, Callable[[int], bool]] = {
+    "one read each": lambda hole: False,
+    "overlapping": lambda hole: hole < 0,
+    "touching": lambda hole: hole <= 0,
+    "gap 1": lambda hole: hole <= 1,
+    "gap 5": lambda hole: hole <= 5,
+    "gap 10": lambda hole: hole <= 10,
+    "gap 16": lambda hole: hole <= 16,
+    "gap 50": lambda hole: hole <= 50,
+    "gap 100": lambda hole: hole <= 100,
+    "no gap limit": lambda hole: True,
+}
+
+
+def seconds_of(reads: Reads, cost: ReadCost) -> float:
+    """What reads cost."""
+    return sum(cost.of(table, end - start) for table, start, end in reads)
+
+
+def spans(*pairs: tuple[int, int]) -> tuple[Span, ...]:
+    """Spans from pairs of first and end."""
+    return tuple(Span(start, end) for start, end in pairs)
