@@ -7,7 +7,7 @@ they can judge it.
 from collections.abc import Callable, Iterable, Sequence
 
 from busway.apps.collector.cost import ReadCost
-from busway.apps.collector.plan import PlainItem, ReadRules, Span
+from busway.apps.collector.plan import ItemRange, PlainItem, ReadRules
 from busway.codes import Table
 
 Reads = list[tuple[Table, int, int]]
@@ -69,6 +69,6 @@ def seconds_of(reads: Reads, cost: ReadCost) -> float:
     return sum(cost.of(table, end - start) for table, start, end in reads)
 
 
-def spans(*pairs: tuple[int, int]) -> tuple[Span, ...]:
+def spans(*pairs: tuple[int, int]) -> tuple[ItemRange, ...]:
     """Spans from pairs of first and end."""
-    return tuple(Span(start, end) for start, end in pairs)
+    return tuple(ItemRange(start, end) for start, end in pairs)

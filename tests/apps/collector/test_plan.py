@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from read_rules import USUAL_RULES, allowed, by_joining, seconds_of, spans
 
 from busway.apps.collector.cost import ReadCost, baud_cost, network_cost
-from busway.apps.collector.plan import PlainItem, ReadPlan, ReadRules, Span, plan_reads, predicted, undeclared
+from busway.apps.collector.plan import DevicePlan, ItemRange, PlainItem, ReadRules, plan_reads, predicted, undeclared
 from busway.codes import Table
 
 H, C = Table.HOLDING_REGISTERS, Table.COILS
@@ -24,7 +24,7 @@ def at(start: int, width: int = 1, table: Table = H, group: str | None = None) -
     return PlainItem(table, start, width, f"{table.value}{start}+{width}", group)
 
 
-def places(plan: ReadPlan) -> list[tuple[int, int]]:
+def places(plan: DevicePlan) -> list[tuple[int, int]]:
     return [(read.start, read.width) for read in plan.reads]
 
 
@@ -206,11 +206,13 @@ def device_rules(draw: st.DrawFn, size: int) -> ReadRules:
     """Limits, ranges and forbidden registers."""
     limit = draw(st.sampled_from((8, 16, 40, 125)))
     borders = sorted(draw(st.sets(st.integers(1, size - 1), max_size=3)))
-    readable: tuple[Span, ...] = ()
+    readable: tuple[ItemRange, ...] = ()
     if draw(st.booleans()):
         edges = [0, *borders, size]
-        readable = tuple(Span(low, high) for low, high in pairwise(edges))
-    forbidden = tuple(Span(place, place + 1) for place in sorted(draw(st.sets(st.integers(0, size - 1), max_size=3))))
+        readable = tuple(ItemRange(low, high) for low, high in pairwise(edges))
+    forbidden = tuple(
+        ItemRange(place, place + 1) for place in sorted(draw(st.sets(st.integers(0, size - 1), max_size=3)))
+    )
     return ReadRules(
         max_registers=limit,
         readable={H: readable} if readable else {},
@@ -314,7 +316,7 @@ def test_none_of_the_usual_rules_is_cheaper_on_any_map(
         assert plan.seconds <= usual * (1 + 1e-9), name
 
 
-def check_reads(plan: ReadPlan, items: Sequence[PlainItem], rules: ReadRules) -> None:
+def check_reads(plan: DevicePlan, items: Sequence[PlainItem], rules: ReadRules) -> None:
     """Each item comes once and whole, and no read touches what it must not."""
     brought = [item.key for read in plan.reads for item in read.items]
     assert sorted(brought) == sorted(one.key for one in items)

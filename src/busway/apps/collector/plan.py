@@ -26,7 +26,7 @@ from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
 from .cost import ReadCost
 
 
-class Item(Protocol):
+class ReadItem(Protocol):
     """The place of one value; a point is one."""
 
     @property
@@ -66,7 +66,7 @@ class PlainItem:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Span:
+class ItemRange:
     """Items from ``start`` up to but not including ``end``."""
 
     start: int
@@ -76,7 +76,7 @@ class Span:
         if not 0 <= self.start < self.end:
             raise ValueError(f"a span has at least one item, not {self.start}…{self.end}")
 
-    def __contains__(self, other: "Span") -> bool:
+    def __contains__(self, other: "ItemRange") -> bool:
         return self.start <= other.start and other.end <= self.end
 
     @property
@@ -102,9 +102,9 @@ class ReadRules:
 
     max_registers: int = MAX_READ_REGISTERS
     max_bits: int = MAX_READ_BITS
-    readable: Mapping[Table, Sequence[Span]] = field(default_factory=dict)
-    forbidden: Mapping[Table, Sequence[Span]] = field(default_factory=dict)
-    exact: Mapping[Table, Sequence[Span]] = field(default_factory=dict)
+    readable: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
+    forbidden: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
+    exact: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
     bridge: bool = False
     one_point: bool = False
 
@@ -126,7 +126,7 @@ class PlannedRead:
     table: Table
     start: int
     width: int
-    items: tuple[Any, ...]  # the caller's own kind of Item
+    items: tuple[Any, ...]  # the caller's own kind of ReadItem
     seconds: float
 
     @property
@@ -139,12 +139,12 @@ class PlannedRead:
 class Unreadable:
     """An item that no read may bring, and why, as a sentence without its name."""
 
-    item: Any  # the caller's own kind of Item
+    item: Any  # the caller's own kind of ReadItem
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class ReadPlan:
+class DevicePlan:
     """The reads of a device.
 
     Attributes:
@@ -158,7 +158,9 @@ class ReadPlan:
     seconds: float
 
 
-def plan_reads(wanted: Iterable[Item], rules: ReadRules, cost: ReadCost, *, others: Iterable[Item] = ()) -> ReadPlan:
+def plan_reads(
+    wanted: Iterable[ReadItem], rules: ReadRules, cost: ReadCost, *, others: Iterable[ReadItem] = ()
+) -> DevicePlan:
     """The cheapest reads for some items.
 
     Args:
@@ -179,7 +181,7 @@ def plan_reads(wanted: Iterable[Item], rules: ReadRules, cost: ReadCost, *, othe
         items = due.get(table)
         if items:
             _plan_table(table, _blocks(items), _blocks(idle.get(table, [])), rules, cost, reads, unreadable)
-    return ReadPlan(tuple(reads), tuple(unreadable), sum(read.seconds for read in reads))
+    return DevicePlan(tuple(reads), tuple(unreadable), sum(read.seconds for read in reads))
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
@@ -187,20 +189,20 @@ def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
-def undeclared(read: PlannedRead, known: Iterable[Item], rules: ReadRules) -> list[Span]:
+def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
     """What a read touches that belongs to no known item and lies in no readable range."""
-    declared = [Span(each.start, each.start + each.width) for each in known if each.table is read.table]
+    declared = [ItemRange(each.start, each.start + each.width) for each in known if each.table is read.table]
     declared += [*rules.readable.get(read.table, ()), *rules.exact.get(read.table, ())]
-    left: list[Span] = []
+    left: list[ItemRange] = []
     at = read.start
     for span in sorted(declared):
         if span.end <= at or span.start >= read.end:
             continue
         if span.start > at:
-            left.append(Span(at, span.start))
+            left.append(ItemRange(at, span.start))
         at = span.end
     if at < read.end:
-        left.append(Span(at, read.end))
+        left.append(ItemRange(at, read.end))
     return left
 
 
@@ -209,7 +211,7 @@ class _Block(NamedTuple):
 
     start: int
     end: int
-    items: tuple[Item, ...]
+    items: tuple[ReadItem, ...]
 
 
 _Place: TypeAlias = tuple[int, int]
@@ -218,8 +220,8 @@ _START: Final = itemgetter(0)
 _END: Final = itemgetter(1)
 
 
-def _by_table(items: Iterable[Item]) -> dict[Table, list[Item]]:
-    found: dict[Table, list[Item]] = {}
+def _by_table(items: Iterable[ReadItem]) -> dict[Table, list[ReadItem]]:
+    found: dict[Table, list[ReadItem]] = {}
     for item in items:
         table = item.table
         if table in found:
@@ -229,10 +231,10 @@ def _by_table(items: Iterable[Item]) -> dict[Table, list[Item]]:
     return found
 
 
-def _blocks(items: list[Item]) -> list[_Block]:
+def _blocks(items: list[ReadItem]) -> list[_Block]:
     """Items with their groups put together, by their starts, wider ones first."""
     blocks: list[_Block] = []
-    groups: dict[Hashable, list[Item]] = {}
+    groups: dict[Hashable, list[ReadItem]] = {}
     for item in items:
         if item.group is None:
             start = item.start
@@ -346,16 +348,16 @@ def _is_gapless(block: _Block) -> bool:
 class _Ranges:
     """Ranges that can be asked which of them a place touches; those that overlap count as one."""
 
-    def __init__(self, spans: Sequence[Span]) -> None:
-        self._spans: list[Span] = []
+    def __init__(self, spans: Sequence[ItemRange]) -> None:
+        self._spans: list[ItemRange] = []
         for span in sorted(spans):
             if self._spans and span.start < self._spans[-1].end:
                 last = self._spans.pop()
-                span = Span(last.start, max(last.end, span.end))
+                span = ItemRange(last.start, max(last.end, span.end))
             self._spans.append(span)
         self._starts = [span.start for span in self._spans]
 
-    def touched(self, start: int, end: int) -> Span | None:
+    def touched(self, start: int, end: int) -> ItemRange | None:
         """The last of the ranges that shares an item with ``start``…``end``."""
         at = bisect_left(self._starts, end) - 1
         if at >= 0 and self._spans[at].end > start:
@@ -363,7 +365,7 @@ class _Ranges:
         return None
 
 
-def _ranges(spans: Sequence[Span]) -> _Ranges | None:
+def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
     return _Ranges(spans) if spans else None
 
 
