@@ -13,21 +13,6 @@ SOURCES = ROOT / "src" / "busway"
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 MOST_WORDS = 60
 
-# Names that still have a retired word in them. Take a name out when it is renamed; add none.
-STILL_RETIRED: frozenset[str] = frozenset(
-    {
-        "_lamps",
-        "_personality",
-        "in_front",
-        "lamps",
-        "making",
-        "personalities",
-        "personality_lines",
-        "wiring",
-        "with_personalities",
-    }
-)
-
 
 def rows_of(heading: str, text: str = GLOSSARY) -> list[tuple[str, str]]:
     """The rows of the table that begins with these two headings."""
@@ -88,8 +73,7 @@ def test_no_public_class_name_is_defined_twice() -> None:
 
 def test_no_name_contains_a_retired_word() -> None:
     found = {name: (module, words) for name, module in names_defined() if (words := retired_in(name))}
-    assert {name: where for name, where in found.items() if name not in STILL_RETIRED} == {}
-    assert len(STILL_RETIRED) <= 10  # it only shrinks: take out what is renamed, and lower this number
+    assert found == {}
 
 
 @pytest.mark.parametrize(

@@ -307,10 +307,10 @@ def test_trends_are_drawn_of_the_points_that_are_chosen(page, keep):
     expect(page.locator("#chosen li")).to_have_count(1)
 
 
-def test_the_server_shows_lamps_connections_and_counters(page, unit, keep):
+def test_the_server_shows_indicators_connections_and_counters(page, unit, keep):
     unit.read("4x3")
     open_view(page, "server")
-    expect(page.locator("#lines [data-lamp-of=device_status] .state")).to_have_text("on")
+    expect(page.locator("#lines [data-indicator-of=device_status] .state")).to_have_text("on")
     expect(page.locator("#connections tbody tr")).to_have_count(1)
     expect(page.locator("#counters")).to_contain_text("requests")
     keep(page, "server")

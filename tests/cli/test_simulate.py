@@ -139,7 +139,7 @@ def test_sighup_replaces_the_policy_names_what_waits_for_the_next_start_and_refu
             unit = link.unit(3)
             with pytest.raises(busway.ExceptionReply):
                 unit.write("4x1", 1.0, "float32")
-            file.write_text(text.replace("read-only", "allow") + '[[fault]]\npersonality = "busy"\n')
+            file.write_text(text.replace("read-only", "allow") + '[[fault]]\nfault_profile = "busy"\n')
             program.process.send_signal(signal.SIGHUP)
             assert program.wait_for("read again").endswith(
                 "the policy was replaced; only the next start will see fault"

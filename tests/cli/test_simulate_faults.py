@@ -32,7 +32,7 @@ value = 6
 
 [[fault]]
 name = "monday"
-personality = "busy"
+fault_profile = "busy"
 units = 3
 on = false
 """
@@ -83,7 +83,7 @@ def test_check_names_the_faults_and_plays_none(file: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("lazy", "--fault lazy: lazy: there is no personality 'lazy'; there are late,"),
+        ("lazy", "--fault lazy: lazy: there is no fault profile 'lazy'; there are late,"),
         ("late:delay=x", "--fault late:delay=x: delay: must be a number, true or false, not 'x'"),
         ("late:delay=-1", "--fault late:delay=-1: delay: must be 0…86400, not -1"),
     ],

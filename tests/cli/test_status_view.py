@@ -15,8 +15,15 @@ def told(**state: Any) -> dict[str, Any]:
 
 def listener(**fields: Any) -> dict[str, Any]:
     """A listener as JSON."""
-    lamps = {"communication": "off", "error": "off", "device_status": "on"}
-    return {"endpoint": "tls://10.0.0.1:802", "is_open": True, "lamps": lamps, "counters": {}, "requests": 0, **fields}
+    indicators = {"communication": "off", "error": "off", "device_status": "on"}
+    return {
+        "endpoint": "tls://10.0.0.1:802",
+        "is_open": True,
+        "indicators": indicators,
+        "counters": {},
+        "requests": 0,
+        **fields,
+    }
 
 
 @pytest.mark.parametrize(
@@ -44,16 +51,16 @@ def test_sizes_have_a_unit(number: float, words: str) -> None:
 
 
 @pytest.mark.clause("S19")
-def test_lamps_are_words_and_colours() -> None:
-    lamps = {"communication": "on", "error": "flashing", "device_status": "off"}
-    (_, section) = sections_of(told(listeners=[listener(lamps=lamps)]))
+def test_indicators_are_words_and_colours() -> None:
+    indicators = {"communication": "on", "error": "flashing", "device_status": "off"}
+    (_, section) = sections_of(told(listeners=[listener(indicators=indicators)]))
     row = dict(zip(section.columns, section.rows[0], strict=True))
     assert (row["communication"], row["error"], row["device"]) == ("on", "flashing", "off")
     styles = {name: section.style_of(index, row[name]) for index, name in enumerate(section.columns)}
     assert styles["error"] == "yellow"
     assert styles["communication"] == "green"
-    steady = dict(lamps, error="on")
-    (_, section) = sections_of(told(listeners=[listener(lamps=steady)]))
+    steady = dict(indicators, error="on")
+    (_, section) = sections_of(told(listeners=[listener(indicators=steady)]))
     assert "red" in section.style_of(list(section.columns).index("error"), "on")
 
 
@@ -120,11 +127,11 @@ def upstream_told(**links: object) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("pause", "words"), [(1.2, "in 1.2 s"), (None, "with the next request")])
-def test_why_a_line_cannot_be_reached_is_shown_with_its_lamp_and_the_next_attempt(
+def test_why_a_line_cannot_be_reached_is_shown_with_its_indicator_and_the_next_attempt(
     pause: float | None, words: str
 ) -> None:
     line = upstream_told(state="backing off", reason="/dev/ttyUSB0 cannot be opened", next_attempt=pause)
-    line["lamps"] = {"communication": "off", "error": "flashing", "device_status": "off"}
+    line["indicators"] = {"communication": "off", "error": "flashing", "device_status": "off"}
     *_, table, down = sections_of(told(upstreams=[line]))
     assert table.rows[0][table.columns.index("error")] == "flashing"
     assert table.style_of(table.columns.index("error"), "flashing") == "yellow"

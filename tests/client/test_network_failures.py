@@ -43,7 +43,7 @@ FAILURES = {
     "another reply comes": ("wrong-echo", {}, busway.WriteOutcomeUnknown, busway.BadReply),
     "the device refuses": ("busy", {}, busway.ExceptionReply, type(None)),
 }
-"""By what happens to a write: the personality that does it, the error of the call, and its cause."""
+"""By what happens to a write: the fault profile that does it, the error of the call, and its cause."""
 
 
 @pytest.mark.clause("T21", "T37", "A21")

@@ -167,7 +167,7 @@ async def test_hot_unplug_ends_requests_at_once_and_the_port_is_found_again(line
             assert await answered(link) == [1]
             line.unplug(1)
             await until(lambda: not server.status().listeners[0].is_open)
-            assert server.status().listeners[0].lamps.error.value == "flashing"
+            assert server.status().listeners[0].indicators.error.value == "flashing"
             line.replug(1)
             await until(lambda: server.status().listeners[0].is_open)
             assert await answered(link) == [1]

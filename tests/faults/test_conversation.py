@@ -19,7 +19,7 @@ REPLY = bytes.fromhex("03 04 0005 0006")
 
 
 class Said:
-    """A conversation with one personality, and a clock."""
+    """A conversation with one fault profile, and a clock."""
 
     def __init__(
         self,
@@ -311,7 +311,7 @@ def test_broadcast_reply() -> None:
 @pytest.mark.parametrize(
     ("name", "framing"), [("echo", "mbap"), ("leading-zero", "mbap"), ("transaction+1", "rtu"), ("idle-close", "rtu")]
 )
-def test_personality_strikes_only_where_it_can_be_met(name: str, framing: str) -> None:
+def test_fault_profile_strikes_only_where_it_can_be_met(name: str, framing: str) -> None:
     said = Said(name, framing=framing)
     plain = _adu() if framing == "mbap" else encode_rtu(1, REPLY)
     assert said.at(0, READ) == [plain]

@@ -1,4 +1,4 @@
-"""The table of personalities: what it says of each, and how it grows."""
+"""The table of fault profiles: what it says of each, and how it grows."""
 
 import pytest
 
@@ -42,13 +42,13 @@ OF_THE_FIELD = (
 )
 
 
-def test_every_personality_of_a_server_is_there_under_its_name() -> None:
+def test_every_fault_profile_of_a_server_is_there_under_its_name() -> None:
     assert tuple(FAULT_PROFILES) == OF_THE_FIELD
     assert tuple(CLIENT_FAULT_PROFILES) == ("slow-loris",)
 
 
 @pytest.mark.parametrize("one", FAULT_PROFILES.values(), ids=list(FAULT_PROFILES))
-def test_personality_says_what_happens_where_it_was_seen_and_what_a_client_does(one: FaultProfile) -> None:
+def test_fault_profile_says_what_happens_where_it_was_seen_and_what_a_client_does(one: FaultProfile) -> None:
     assert one.happens
     assert one.answer
     assert one.seen_in
@@ -66,14 +66,14 @@ def test_options_have_defaults_and_one_that_there_is_not_is_named() -> None:
     assert caught.value.key == "seconds"
 
 
-def test_table_takes_more_personalities_and_stays_as_it_is_itself() -> None:
+def test_table_takes_more_fault_profiles_and_stays_as_it_is_itself() -> None:
     sulky = FaultProfile("sulky", "says nothing on Mondays", (), "waits", Fault, frozenset({Carrier.SERIAL}))
-    more = FAULT_PROFILES.with_personalities(sulky)
+    more = FAULT_PROFILES.with_fault_profiles(sulky)
     assert more["sulky"] is sulky
     assert len(more) == len(FAULT_PROFILES) + 1
     assert "sulky" not in FAULT_PROFILES
-    with pytest.raises(ConfigError, match="two personalities sulky"):
-        more.with_personalities(sulky)
+    with pytest.raises(ConfigError, match="two fault profiles sulky"):
+        more.with_fault_profiles(sulky)
 
 
 def test_unknown_name_lists_those_there_are() -> None:

@@ -1,4 +1,4 @@
-"""What a user of our client sees of every personality, word for word, on Modbus TCP and on a serial line.
+"""What a user of our client sees of every fault profile, word for word, on Modbus TCP and on a serial line.
 
 The server is the real one; the line has the pace of 115 200 baud.
 """
@@ -107,7 +107,7 @@ BOTH: dict[str, tuple[dict[str, Any], list[tuple[str, str]]]] = {
     "dribble": ({}, [("read", GOOD), ("write one", DONE)]),
     "glue": ({}, [("read", GOOD), ("write one", DONE)]),
 }
-"""Personality → its parameters, and what is done and seen, one after the other; met everywhere."""
+"""Fault profile → its parameters, and what is done and seen, one after the other; met everywhere."""
 
 SLOW = "; the unit is slow: its last late reply had taken … s, a longer timeout would take it (after … s)"
 NOTHING_YET = "no reply within 0.12 s"
@@ -142,7 +142,7 @@ ON_TCP: dict[str, tuple[dict[str, Any], list[tuple[str, str]]]] = {
 }
 
 ON_A_LINE: dict[str, tuple[dict[str, Any], list[tuple[str, str]]]] = {
-    # What the next request sees depends on when the late reply meets it: `test_serial_personalities`, in virtual time.
+    # What the next request sees depends on when the late reply meets it: `test_serial_fault_profiles`, in virtual time.
     "late": ({"delay": 0.18}, [("read", f"NoReply: {READ}{NOTHING}")]),
     # The reply to the first read comes with the second one: it is dropped, and the second is asked again.
     "queue-lag": ({}, [("read", f"NoReply: {READ}{NOTHING}"), ("read ten", str(list(range(10, 20))))]),
@@ -178,7 +178,7 @@ def _watch(link: busway.BlockingLink, actions: list[tuple[str, str]]) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}])
-def test_personality_on_modbus_tcp(name: str) -> None:
+def test_fault_profile_on_modbus_tcp(name: str) -> None:
     parameters, actions = {**BOTH, **ON_TCP}[name]
     board = FaultSwitchboard()
     board.add(name, parameters=parameters)
@@ -206,7 +206,7 @@ ON_LINES = [name for name, one in FAULT_PROFILES.items() if Carrier.SERIAL in on
 
 @pytest.mark.parametrize("name", [name for name in ON_LINES if name != "broadcast-reply"])
 @pytest.mark.real_time
-def test_personality_on_a_serial_line(line: PacedLine, name: str) -> None:
+def test_fault_profile_on_a_serial_line(line: PacedLine, name: str) -> None:
     parameters, actions = {**BOTH, **ON_A_LINE}[name]
     board = FaultSwitchboard()
     board.add(name, parameters=parameters)
@@ -257,6 +257,6 @@ def test_second_connection_is_closed_by_who_takes_a_single_client() -> None:
     assert board.status("single-client").struck >= 1
 
 
-def test_every_personality_is_seen() -> None:
+def test_every_fault_profile_is_seen() -> None:
     told = {*BOTH, *ON_TCP, *ON_A_LINE, "broadcast-reply"}
     assert told == set(FAULT_PROFILES)

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from busway import ConfigError
-from busway.apps.simulator.fault_sections import personality_lines, put_on, put_on_by_words
+from busway.apps.simulator.fault_sections import fault_profile_lines, put_on, put_on_by_words
 from busway.config.files.faults import FaultSection
 from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Schedule
@@ -16,7 +16,7 @@ def test_fault_has_a_name_a_switch_and_a_count() -> None:
     assert board.add("late", parameters={"delay": 2}) == "late"
     assert board.add("late", units={3}, on=False) == "late-2"
     assert board.add("busy", name="monday", schedule=Schedule(times=1)) == "monday"
-    assert [(one.name, one.personality, one.is_on, one.struck) for one in board] == [
+    assert [(one.name, one.fault_profile, one.is_on, one.struck) for one in board] == [
         ("late", "late", True, 0),
         ("late-2", "late", False, 0),
         ("monday", "busy", True, 0),
@@ -51,11 +51,11 @@ def test_what_can_not_be_put_on_is_refused_with_its_key_and_nothing_changes() ->
     board = FaultSwitchboard()
     board.add("late", name="x")
     for options, key in (
-        ({"personality": "lazy"}, "lazy"),
-        ({"personality": "late", "name": "x"}, "name"),
-        ({"personality": "late", "parameters": {"delay": -1}}, "delay"),
-        ({"personality": "late", "parameters": {"pause": 1}}, "pause"),
-        ({"personality": "late", "probability": 2.0}, "probability"),
+        ({"fault_profile": "lazy"}, "lazy"),
+        ({"fault_profile": "late", "name": "x"}, "name"),
+        ({"fault_profile": "late", "parameters": {"delay": -1}}, "delay"),
+        ({"fault_profile": "late", "parameters": {"pause": 1}}, "pause"),
+        ({"fault_profile": "late", "probability": 2.0}, "probability"),
     ):
         with pytest.raises(ConfigError) as caught:
             board.add(**options)  # type: ignore[arg-type]
@@ -98,17 +98,17 @@ def test_board_is_changed_from_many_threads_at_once() -> None:
 def test_sections_get_their_names_first_and_others_what_is_left() -> None:
     board = FaultSwitchboard()
     sections = [
-        FaultSection(personality="late"),
-        FaultSection(personality="busy", name="late", on=False),
-        FaultSection(personality="late", addresses=["4x1-4x10"], parameters={"delay": 1}),
+        FaultSection(fault_profile="late"),
+        FaultSection(fault_profile="busy", name="late", on=False),
+        FaultSection(fault_profile="late", addresses=["4x1-4x10"], parameters={"delay": 1}),
     ]
     assert put_on(board, sections) == ["late-2", "late", "late-3"]
-    assert [one.personality for one in board] == ["late", "busy", "late"]
+    assert [one.fault_profile for one in board] == ["late", "busy", "late"]
     assert not board.status("late").is_on
     assert board.status("late-3").parameters == {"delay": 1}
 
 
-def test_words_switch_a_fault_of_that_name_on_or_put_a_personality_on() -> None:
+def test_words_switch_a_fault_of_that_name_on_or_put_a_fault_profile_on() -> None:
     board = FaultSwitchboard()
     board.add("busy", name="slow meters", on=False)
     assert put_on_by_words(board, "slow meters") == "slow meters"
@@ -116,15 +116,15 @@ def test_words_switch_a_fault_of_that_name_on_or_put_a_personality_on() -> None:
     assert put_on_by_words(board, "late:delay=0.5,name=x") == "x"
     assert board.status("x").parameters == {"delay": 0.5}
     assert put_on_by_words(board, "wedged") == "wedged"
-    with pytest.raises(ConfigError, match="there is no personality 'lazy'"):
+    with pytest.raises(ConfigError, match="there is no fault profile 'lazy'"):
         put_on_by_words(board, "lazy")
 
 
-def test_list_shows_every_personality_with_its_parameters() -> None:
-    text = "\n".join(personality_lines())
-    for name, personality in FAULT_PROFILES.items():
+def test_list_shows_every_fault_profile_with_its_parameters() -> None:
+    text = "\n".join(fault_profile_lines())
+    for name, fault_profile in FAULT_PROFILES.items():
         assert f"\n{name} " in f"\n{text}"
-        assert personality.happens in text
-        for option in personality.options:
+        assert fault_profile.happens in text
+        for option in fault_profile.options:
             assert f" {option}" in text
     assert "delay=1.5: seconds from request to reply (0…86400)" in text

@@ -120,13 +120,13 @@ async def test_requests_connections_bytes_and_time_are_told(device: busway.Devic
     assert dict(held[0])["pool"] == "other"
     assert held[1] == 1
     assert found["busway_uptime_seconds", ()] > 0
-    lamps = {dict(labels)["lamp"]: dict(labels)["busway_listener_lamp"] for labels in lit(found)}
-    assert lamps == {"communication": "on", "error": "off", "device_status": "on"}
+    indicators = {dict(labels)["indicator"]: dict(labels)["busway_listener_indicator"] for labels in lit(found)}
+    assert indicators == {"communication": "on", "error": "off", "device_status": "on"}
 
 
 def lit(found: dict[Any, float]) -> list[Any]:
-    """The labels of the lamp states that hold."""
-    return [labels for labels, value in of_name(found, "busway_listener_lamp").items() if value]
+    """The labels of the indicator states that hold."""
+    return [labels for labels, value in of_name(found, "busway_listener_indicator").items() if value]
 
 
 ASKED = st.lists(

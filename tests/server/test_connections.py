@@ -181,7 +181,7 @@ async def test_each_listener_has_its_own_places_unless_they_are_shared() -> None
     for shared, evicted in ((False, 0), (True, 2)):
         units = busway.Device(holding_registers=10)
         async with busway.serve(
-            ANY_PORT, ANY_PORT, units=units, max_connections=2, max_priority_connections=3, shared_places=shared
+            ANY_PORT, ANY_PORT, units=units, max_connections=2, max_priority_connections=3, shared_slots=shared
         ) as server:
             clients = [await Client.of(server, index=index) for index in (0, 0, 1, 1)]
             await clients[-1].ask()
@@ -279,7 +279,7 @@ async def test_half_a_header_and_half_a_request_are_closed_in_their_time_and_a_m
         counters = server.counters
         assert (counters.header_timeouts, counters.frame_timeouts, counters.idle_timeouts) == (1, 1, 1)
         assert server.status().listeners[0].damaged == 2
-        assert server.status().listeners[0].lamps.error.value == "flashing"
+        assert server.status().listeners[0].indicators.error.value == "flashing"
         (status,) = server.status().connections
         assert (status.state, status.pool) == (ServedConnectionState.RECEIVING, Pool.PRIORITY)
         marked.writer.write(QUESTION[3:])
@@ -445,13 +445,13 @@ async def test_connections_and_classes_of_devices_are_shown_with_what_they_did()
 
 
 @pytest.mark.clause("T28")
-async def test_stream_that_can_not_be_followed_shows_on_the_lamps() -> None:
+async def test_stream_that_can_not_be_followed_shows_on_the_indicators() -> None:
     async with served() as server:
         client = await Client.of(server)
-        assert server.status().listeners[0].lamps.error.value == "off"
+        assert server.status().listeners[0].indicators.error.value == "off"
         client.writer.write(bytes.fromhex("0001 0000 0000 01 03"))
         assert await client.is_closed()
-        assert server.status().listeners[0].lamps.error.value == "flashing"
+        assert server.status().listeners[0].indicators.error.value == "flashing"
         assert server.counters.broken_streams == server.status().listeners[0].damaged == 1
         await client.close()
 

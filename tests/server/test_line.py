@@ -65,8 +65,8 @@ async def test_server_counts_what_passes_and_speaks_for_its_own_units_alone(line
         assert (status.requests, status.foreign, status.damaged) == (2, 2, 1)
         assert (status.counters.bus_message_count, status.counters.bus_communication_error_count) == (4, 1)
         assert status.counters.server_no_response_count == 1
-        assert status.lamps.error is StatusIndicator.FLASHING
-        assert status.lamps.device_status is StatusIndicator.ON
+        assert status.indicators.error is StatusIndicator.FLASHING
+        assert status.indicators.device_status is StatusIndicator.ON
         assert server.status().counters.requests == 2
 
 
@@ -101,7 +101,7 @@ async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line
             await link.unit(5).diagnostics(4)
         (status,) = server.status().listeners
         assert status.listen_only
-        assert status.lamps.device_status is StatusIndicator.FLASHING
+        assert status.indicators.device_status is StatusIndicator.FLASHING
         with pytest.raises(busway.WriteOutcomeUnknown):
             await link.unit(5).diagnostics(1)
         assert await link.unit(5).read_holding_registers(0, count=1) == [0]
@@ -254,7 +254,7 @@ async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> No
         line.inject(READ)
         await until(lambda: len(spoken(line)) == 1)
         assert spoken(line) == [encode_rtu(5, b"\x83\x04")]
-        assert server.status().listeners[0].lamps.error is StatusIndicator.ON
+        assert server.status().listeners[0].indicators.error is StatusIndicator.ON
         assert server.status().counters.handler_failures == 1
 
 

@@ -104,7 +104,7 @@ async def test_server_without_descriptors_says_so_serves_on_and_takes_who_waits_
             late.send(QUESTION)
             assert await loop.sock_recv(late, 100) == ANSWER
             assert server.counters.accepted == 2
-            assert server.status().listeners[0].lamps.error is StatusIndicator.ON
+            assert server.status().listeners[0].indicators.error is StatusIndicator.ON
 
 
 async def test_many_clients_that_ask_all_the_time_leave_the_loop_to_others_as_well() -> None:

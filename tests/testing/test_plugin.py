@@ -246,7 +246,7 @@ def test_a_fault_is_on_within_its_block_and_strikes_what_it_was_chosen_for() -> 
             with pytest.raises(ExceptionReply):
                 unit.read("4x9")
             assert unit.read("4x9") == 43
-        with pytest.raises(ConfigError, match="there is no personality 'tired'"), device.fault("tired"):
+        with pytest.raises(ConfigError, match="there is no fault profile 'tired'"), device.fault("tired"):
             pass
         with pytest.raises(ConfigError, match="delay"), device.fault("late", delay="long"):
             pass

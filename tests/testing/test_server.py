@@ -60,7 +60,7 @@ def test_unknown_name_or_option_is_refused(names: tuple[str, ...], options: dict
     assert caught.value.key == key
 
 
-def test_fault_can_be_made_from_a_personality_or_by_hand_and_options_go_to_those_that_have_them() -> None:
+def test_fault_can_be_made_from_a_fault_profile_or_by_hand_and_options_go_to_those_that_have_them() -> None:
     server = FaultyServer(
         known_device(), FAULT_PROFILES["busy"](seconds=None), "late", "idle-close", delay=9, seconds=5
     )

@@ -3,7 +3,7 @@
 1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
 2. Units and behaviours are those of the start: what is read again is policy, lists and certificates.
-3. ``--fault`` switches on a fault that the file has, or puts a personality on; what it does goes to stderr.
+3. ``--fault`` switches on a fault that the file has, or puts a fault profile on; what it does goes to stderr.
 4. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if one was
    made here; one that was given in a file is not shown.
 """
@@ -85,9 +85,9 @@ _FASTEST = 100_000.0
 
 def _list_faults(wanted: bool) -> None:
     if wanted:
-        from ..apps.simulator.fault_sections import personality_lines
+        from ..apps.simulator.fault_sections import fault_profile_lines
 
-        print("\n".join(personality_lines()))
+        print("\n".join(fault_profile_lines()))
         raise typer.Exit(ExitCode.DONE)
 
 
@@ -113,12 +113,12 @@ def simulate(
         None,
         "--fault",
         metavar="NAME[:KEY=VALUE,…]",
-        help="Switch on a fault of the file, or put on a personality: late, late:delay=2,units=1-3,probability=0.1.",
+        help="Switch on a fault of the file, or put on a fault profile: late, late:delay=2,units=1-3,probability=0.1.",
     ),
     list_faults: bool = typer.Option(
         False,
         "--list-faults",
-        help="List the personalities with their parameters.",
+        help="List the fault profiles with their parameters.",
         is_eager=True,
         callback=_list_faults,
     ),
@@ -235,7 +235,7 @@ def _print_units(simulation: "Simulation") -> None:
         name = f" {unit.name}:" if unit.name else ""
         print(f"unit {unit.unit}:{name} {len(unit.points)} points, {moving} with a behaviour")
     for each in simulation.board:
-        print(f"fault {each.name}: {each.personality}, {'on' if each.is_on else 'off'}")
+        print(f"fault {each.name}: {each.fault_profile}, {'on' if each.is_on else 'off'}")
 
 
 async def _simulate(

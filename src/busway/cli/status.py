@@ -1,7 +1,7 @@
 """``busway status``: ask a running server or gateway how it is, over its control socket.
 
 1. Without an argument the running programs of this user are found: one is shown, several are listed.
-2. A lamp is a word; on a terminal its colour says the same once more (S19: steady is *on*, blinking is *flashing*).
+2. A status indicator is a word; on a terminal its colour repeats it (S19: steady is *on*, blinking is *flashing*).
 3. What the program tells is shown, also where it tells more than this command knows of: numbers that are zero and
    texts that are empty are left out.
 """

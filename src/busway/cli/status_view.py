@@ -140,7 +140,7 @@ def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
                 "name": upstream["name"],
                 "url": upstream["endpoint"],
                 "state": ", ".join(dict.fromkeys(states)) or "closed",
-                **({"error": upstream["lamps"]["error"]} if "lamps" in upstream else {}),
+                **({"error": upstream["indicators"]["error"]} if "indicators" in upstream else {}),
                 "in_flight": sum(link["in_flight"] for link in links),
                 "queued": sum(link["queued"] for link in links),
                 **(upstream.get("counters") or {}),
@@ -279,10 +279,10 @@ def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Stat
 
 
 def _flat(listener: JsonObject) -> JsonObject:
-    """A listener with its lamps as columns; its diagnostic counters only where they tell of something wrong."""
+    """A listener with its status indicators as columns, and those diagnostic counters that count faults."""
     counters = listener.get("counters") or {}
     wrong = {name: count for name, count in counters.items() if "error" in name or "overrun" in name}
-    return {**listener, **(listener.get("lamps") or {}), **wrong}
+    return {**listener, **(listener.get("indicators") or {}), **wrong}
 
 
 def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:

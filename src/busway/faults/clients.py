@@ -50,16 +50,16 @@ CLIENT_FAULT_PROFILES: Final = {one.name: one for one in (SLOW_LORIS,)}
 
 @contextlib.contextmanager
 def misbehaving_client(
-    endpoint: str, personality: ClientFaultProfile, **options: Any
+    endpoint: str, fault_profile: ClientFaultProfile, **options: Any
 ) -> Iterator[socket.socket]:  # Any: what the fault profile takes
     """Connect to a server and send the bytes of a client fault profile; yields the open socket.
 
     Args:
         endpoint: URL of the server.
-        personality: the client fault profile.
+        fault_profile: the client fault profile.
         options: of the fault profile.
     """
     where = parse_endpoint(endpoint)
     with socket.create_connection((where.host, where.port or 0), 5.0) as connection:
-        connection.sendall(personality.make(**options))
+        connection.sendall(fault_profile.make(**options))
         yield connection

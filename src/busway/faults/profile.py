@@ -4,7 +4,7 @@ Knows the description of a profile and how to make its fault; knows no connectio
 
 1. A name means the same in tests, in the simulator, in the options of the client and in the documentation; the
    documentation's table is generated from these objects.
-2. A table is immutable; `FaultyTable.with_personalities` makes a larger one.
+2. A table is immutable; `FaultyTable.with_fault_profiles` makes a larger one.
 3. An option is declared once, in the signature of the function that makes the fault: type, default, and by `Says` its
    meaning and range. Checks, documentation and the HTTP API are derived from it.
 """
@@ -140,22 +140,22 @@ class FaultyTable(Mapping[str, FaultProfile]):
 
     __slots__ = ("_by_name",)
 
-    def __init__(self, *personalities: FaultProfile) -> None:
+    def __init__(self, *fault_profiles: FaultProfile) -> None:
         self._by_name: dict[str, FaultProfile] = {}
-        for one in personalities:
+        for one in fault_profiles:
             if one.name in self._by_name:
-                raise ConfigError(f"there are two personalities {one.name}", key=one.name)
+                raise ConfigError(f"there are two fault profiles {one.name}", key=one.name)
             self._by_name[one.name] = one
 
-    def with_personalities(self, *personalities: FaultProfile) -> "FaultyTable":
+    def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultyTable":
         """A new table with more fault profiles."""
-        return FaultyTable(*self.values(), *personalities)
+        return FaultyTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:
         """Find a fault profile by name. Raises `ConfigError` that lists the known ones."""
         found = self._by_name.get(name)
         if found is None:
-            raise ConfigError(f"there is no personality {name!r}; there are {', '.join(self._by_name)}", key=name)
+            raise ConfigError(f"there is no fault profile {name!r}; there are {', '.join(self._by_name)}", key=name)
         return found
 
     def __getitem__(self, name: str) -> FaultProfile:

@@ -34,7 +34,7 @@ class FaultStatus:
 
     Attributes:
         name: the name of the fault.
-        personality: the name of its fault profile.
+        fault_profile: the name of its fault profile.
         happens: what it does, in words.
         is_on: whether it is switched on.
         struck: number of requests it has changed and of connections it has refused or closed.
@@ -43,7 +43,7 @@ class FaultStatus:
     """
 
     name: str
-    personality: str
+    fault_profile: str
     happens: str
     is_on: bool
     struck: int
@@ -57,20 +57,20 @@ class FaultSwitchboard:
     Args:
         seed: seed of random choices: with equal seeds, equal requests meet equal faults.
         clock: clock of delays and schedules; the event loop's by default.
-        personalities: the fault profiles to choose from.
+        fault_profiles: the fault profiles to choose from.
 
     Attributes:
         faults: the faults as objects.
         tap: the connection tap that the server needs.
-        personalities: as given.
+        fault_profiles: as given.
     """
 
     def __init__(
-        self, *, seed: int = 0, clock: Clock | None = None, personalities: FaultyTable = FAULT_PROFILES
+        self, *, seed: int = 0, clock: Clock | None = None, fault_profiles: FaultyTable = FAULT_PROFILES
     ) -> None:
         self.faults = Faults(seed)
         self.tap = FaultyTap(self.faults, clock)
-        self.personalities = personalities
+        self.fault_profiles = fault_profiles
 
     def attach(self, server: Server) -> None:
         """Apply the faults to all listeners of a server. Raises `ConfigError` if the server is running."""
@@ -83,7 +83,7 @@ class FaultSwitchboard:
 
     def add(
         self,
-        personality: str,
+        fault_profile: str,
         *,
         name: str = "",
         units: Collection[int] | None = None,
@@ -98,7 +98,7 @@ class FaultSwitchboard:
         """Add a fault; it acts after the existing ones.
 
         Args:
-            personality: the name of a fault profile.
+            fault_profile: the name of a fault profile.
             name: name of the fault; by default that of its profile, with a number if it is taken.
             units: unit identifiers that it applies to, 0…255; None for all, here and below.
             functions: function codes, 1…127.
@@ -115,7 +115,7 @@ class FaultSwitchboard:
         Raises:
             ConfigError: a name is unknown or taken, or an argument is invalid; its key says which.
         """
-        fault = self.personalities.named(personality)(**(parameters or {}))
+        fault = self.fault_profiles.named(fault_profile)(**(parameters or {}))
         selection = Selection(units, functions, addresses, probability, schedule or Schedule(), items)
         return self.faults.add(fault, selection, enabled=on, label=name).label
 
@@ -151,10 +151,10 @@ class FaultSwitchboard:
 
     def _status(self, applied: AppliedFault) -> FaultStatus:
         fault = applied.fault
-        known = self.personalities.get(fault.name)
+        known = self.fault_profiles.get(fault.name)
         return FaultStatus(
             name=applied.label,
-            personality=fault.name,
+            fault_profile=fault.name,
             happens="" if known is None else known.happens,
             is_on=applied.enabled,
             struck=applied.struck,

@@ -52,7 +52,7 @@ class Diagnosis:
         self.is_open = False
         self.traffic = self.communication_fault = self.internal_fault = _NEVER
 
-    def lamps(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
+    def indicators(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
         """The states of the status indicators at ``now``."""
         error = StatusIndicator.OFF
         if now < self.internal_fault + FAULT_SHOWN:

@@ -258,7 +258,7 @@ class ListenerContext:
         return ListenerStatus(
             endpoint=self.listener,
             is_open=self.diagnosis.is_open,
-            lamps=self.diagnosis.lamps(time.monotonic(), listen_only=diagnostics.listen_only),
+            indicators=self.diagnosis.indicators(time.monotonic(), listen_only=diagnostics.listen_only),
             counters=diagnostics.counters,
             event_count=diagnostics.event_count,
             listen_only=diagnostics.listen_only,

@@ -74,7 +74,7 @@ class Opening:
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
         """A listener over TCP or TLS; None where it is optional and cannot be had. Raises `OSError`, `ConfigError`."""
         limits = settings.limits
-        shares = limits.shared_places and limits is self.limits
+        shares = limits.shared_slots and limits is self.limits
         management = ConnectionManagement(
             self._listener_context(settings),
             self.shared_pools if shares else Pools(limits.pools),

@@ -22,7 +22,7 @@ class ServerOptions(TypedDict, total=False):
     max_priority_per_remote: int | None
     max_connections: int
     max_per_remote: int | None
-    shared_places: bool
+    shared_slots: bool
     write_buffer: int
     write_timeout: float | None
     single_adu_segments: bool

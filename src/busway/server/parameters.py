@@ -24,7 +24,7 @@ class ListenerParameters:
         max_priority_per_remote: of these, places for one device; None is half of them.
         max_connections: places for all others; the next new connection takes that of the oldest unused one.
         max_per_remote: of these, places for one device; its next connection replaces its oldest. None for all.
-        shared_places: whether all listeners of a server over TCP and TLS that have no limits of their own share these
+        shared_slots: whether all listeners of a server over TCP and TLS that have no limits of their own share these
             places; otherwise each has as many.
         write_buffer: bytes of replies that may wait for a client that does not take them; beyond, nothing more is
             read from it until half of them have gone.
@@ -49,7 +49,7 @@ class ListenerParameters:
     max_priority_per_remote: int | None = None
     max_connections: int = 56
     max_per_remote: int | None = None
-    shared_places: bool = False
+    shared_slots: bool = False
     write_buffer: int = 65_536
     write_timeout: float | None = 60.0
     single_adu_segments: bool = False

@@ -94,7 +94,7 @@ class ListenerStatus:
     Attributes:
         endpoint: its URL, as it is bound.
         is_open: whether it can be reached: False while a port is waited for.
-        lamps: what its status indicators show.
+        indicators: what its status indicators show.
         counters: the diagnostic counters of function 08 (Serial Line V1.02 appendix A). Bus messages, communication
             errors and overruns are those of the line since the start, whatever a unit has cleared. The others are sums
             over its units, since the last restart or clear of each; a broadcast counts once for each unit.
@@ -112,7 +112,7 @@ class ListenerStatus:
 
     endpoint: str
     is_open: bool
-    lamps: StatusIndicators
+    indicators: StatusIndicators
     counters: Counters
     event_count: int
     listen_only: bool

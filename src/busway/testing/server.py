@@ -43,7 +43,7 @@ class FaultyServer:
 
     Args:
         device: answers whatever unit is asked; or devices by unit identifier, 0…255.
-        personalities: names of fault profiles, or faults that were made from them.
+        fault_profiles: names of fault profiles, or faults that were made from them.
         seed: what chance is made from.
         clock: what delays are measured by; the event loop's clock by default.
         host: address to listen on; the port is a free one.
@@ -61,7 +61,7 @@ class FaultyServer:
     def __init__(
         self,
         device: Device | Mapping[int, Device],
-        *personalities: str | Fault,
+        *fault_profiles: str | Fault,
         seed: int = 0,
         clock: Clock | None = None,
         host: str = "127.0.0.1",
@@ -77,7 +77,7 @@ class FaultyServer:
         self.endpoint = ""
         self.requests: deque[Exchange] = deque(maxlen=REMEMBERED_REQUESTS)
         self.faults = Faults(seed)
-        for fault in _faults_of(personalities, options):
+        for fault in _faults_of(fault_profiles, options):
             self.faults.add(fault)
         self._tap = FaultyTap(self.faults, clock, changed=self._change)
         handler = LocalHandler(units, unit_policy=policy, functions=functions)
@@ -90,7 +90,7 @@ class FaultyServer:
 
     def add(
         self,
-        personality: str | Fault,
+        fault_profile: str | Fault,
         *,
         units: Collection[int] | None = None,
         functions: Collection[int] | None = None,
@@ -102,7 +102,7 @@ class FaultyServer:
         """Add a fault.
 
         Args:
-            personality: its name, or a fault.
+            fault_profile: its name, or a fault.
             units: unit identifiers that it strikes, 0…255; None for all, here and below.
             functions: function codes, 1…127.
             addresses: items, 0-based; requests that touch one of them.
@@ -116,7 +116,7 @@ class FaultyServer:
         Raises:
             ConfigError: a name, an option or a choice that cannot be.
         """
-        (fault,) = _faults_of((personality,), options)
+        (fault,) = _faults_of((fault_profile,), options)
         selection = Selection(units, functions, addresses, probability, schedule or Schedule())
         return self.faults.add(fault, selection)
 
@@ -194,16 +194,16 @@ class FaultyServer:
 
 @contextlib.contextmanager
 def faulty_server(
-    device: Device | Mapping[int, Device], *personalities: str | Fault, **options: Any
+    device: Device | Mapping[int, Device], *fault_profiles: str | Fault, **options: Any
 ) -> Iterator[FaultyServer]:  # Any: as FaultyServer says
     """A `FaultyServer` in a thread of its own, for blocking clients.
 
     Args:
         device: as in `FaultyServer`.
-        personalities: as in `FaultyServer`.
+        fault_profiles: as in `FaultyServer`.
         options: as in `FaultyServer`.
     """
-    server = FaultyServer(device, *personalities, **options)
+    server = FaultyServer(device, *fault_profiles, **options)
     thread = _ServerThread(server)
     thread.start()
     try:
@@ -249,13 +249,13 @@ class _ServerThread:
         await self._server.stop()
 
 
-def _faults_of(personalities: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
+def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
     """The faults of names; each option goes to the fault profiles that have it."""
-    named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in personalities]
+    named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:
         if option not in known:
-            raise ConfigError(f"none of the personalities has the option {option}", key=option)
+            raise ConfigError(f"none of the fault profiles has the option {option}", key=option)
     return [
         one
         if isinstance(one, Fault)

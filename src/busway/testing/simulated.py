@@ -148,7 +148,7 @@ class SimulatedDevice:
     @contextlib.contextmanager
     def fault(
         self,
-        personality: str,
+        fault_profile: str,
         *,
         units: int | Collection[int] | None = None,
         functions: int | Collection[int] | None = None,
@@ -161,7 +161,7 @@ class SimulatedDevice:
         """Apply a fault while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
 
         Args:
-            personality: its name (`busway.testing.FAULT_PROFILES`).
+            fault_profile: its name (`busway.testing.FAULT_PROFILES`).
             units: the unit that it strikes, 0…255, or several; None for all, here and below.
             functions: a function code, 1…127, or several.
             addresses: items: an address, several, or a ``range`` of offsets in any table.
@@ -180,7 +180,7 @@ class SimulatedDevice:
 
         board = self.simulation.board
         name = board.add(
-            personality,
+            fault_profile,
             units={units} if isinstance(units, int) else units,
             functions={functions} if isinstance(functions, int) else functions,
             addresses=addresses if isinstance(addresses, range) else None,

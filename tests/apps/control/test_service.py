@@ -85,11 +85,11 @@ async def test_the_whole_state_of_a_server_is_readable(directory: Path, at: str 
 
 
 @pytest.mark.clause("S19")
-async def test_the_lamps_of_each_listener_are_words(directory: Path) -> None:
+async def test_the_indicators_of_each_listener_are_words(directory: Path) -> None:
     server = busway.serve("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=10)})
     async with server, Control(server, directory=directory):
         (listener,) = (await asked(directory))["status"]["listeners"]
-    assert listener["lamps"] == {"communication": "off", "error": "off", "device_status": "on"}
+    assert listener["indicators"] == {"communication": "off", "error": "off", "device_status": "on"}
 
 
 @pytest.mark.clause("T34")

@@ -86,8 +86,8 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
         async with Gateway(plan) as gateway:
             await until(lambda: told(caplog))
             (status,) = gateway.status().upstreams
-            assert status.lamps.error.value == "flashing"
-            assert status.lamps.device_status.value == "off"
+            assert status.indicators.error.value == "flashing"
+            assert status.indicators.device_status.value == "off"
             (link,) = status.links
             assert link.reason == f"{port} cannot be opened: it is not there"
             os.symlink(line.paths[0], port)
@@ -98,7 +98,7 @@ async def test_a_port_that_is_missing_is_told_at_the_start_before_anything_is_as
             ]
             (status,) = gateway.status().upstreams
             assert (status.links[0].reason, status.links[0].next_attempt) == ("", None)
-            assert status.lamps.error.value == "off"
+            assert status.indicators.error.value == "off"
         assert len(told(caplog)) == 2  # that the gateway ends is no news of its line
 
 

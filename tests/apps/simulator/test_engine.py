@@ -2,10 +2,10 @@
 
 import pytest
 
+from busway.apps.simulator.builder import build_simulation
 from busway.apps.simulator.engine import Engine
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulated import SimulatedPoint
-from busway.apps.simulator.wiring import wire
 
 UNIT = """\
 [[unit]]
@@ -33,10 +33,10 @@ class Running:
 
     def __init__(self, units: int = 1) -> None:
         text = "".join(UNIT.format(unit=unit) for unit in range(1, units + 1))
-        wired = wire(parse_declaration(text, "x.toml").units, 0)
-        self.points = wired.points
+        built = build_simulation(parse_declaration(text, "x.toml").units, 0)
+        self.points = built.points
         self.told: list[tuple[float, set[str]]] = []
-        self.engine = Engine(wired.driven, self._told)
+        self.engine = Engine(built.driven, self._told)
 
     def _told(self, points: list[SimulatedPoint], time: float) -> None:
         self.told.append((time, {point.key for point in points}))
@@ -90,11 +90,11 @@ def test_it_begins_at_a_later_time_with_what_was_kept() -> None:
 
 
 def test_a_point_without_a_behaviour_is_neither_driven_nor_held() -> None:
-    wired = wire(
+    built = build_simulation(
         parse_declaration('[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\n', "x.toml").units, 0
     )
-    engine = Engine(wired.driven, lambda points, time: None)
-    (point,) = wired.points.values()
+    engine = Engine(built.driven, lambda points, time: None)
+    (point,) = built.points.values()
     engine.hold(point, 0.0)
     engine.release(point, 0.0)
     assert not engine.drives(point)

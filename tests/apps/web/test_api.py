@@ -168,10 +168,10 @@ def test_a_fault_is_put_on_switched_and_taken_off(plant, unit):
     status, answer = plant.ask(
         "POST",
         "/api/faults",
-        {"personality": "busy", "name": "rush", "units": [1], "functions": [3], "first": 0, "last": 9},
+        {"fault_profile": "busy", "name": "rush", "units": [1], "functions": [3], "first": 0, "last": 9},
     )
     assert status == 201
-    assert (answer["name"], answer["personality"], answer["on"]) == ("rush", "busy", True)
+    assert (answer["name"], answer["fault_profile"], answer["on"]) == ("rush", "busy", True)
     assert answer["selection"] == {"units": [1], "functions": [3], "first": 0, "last": 9}
     with pytest.raises(busway.ExceptionReply) as caught:
         unit.read("4x1", "float32")
@@ -188,13 +188,13 @@ def test_a_fault_is_put_on_switched_and_taken_off(plant, unit):
 @pytest.mark.parametrize(
     ("wanted", "word"),
     [
-        ({"personality": "grumpy"}, "grumpy"),
-        ({"personality": "busy", "parameters": {"seconds": -1}}, "seconds"),
-        ({"personality": "busy", "parameters": {"minutes": 1}}, "minutes"),
-        ({"personality": "busy", "first": 9, "last": 3}, "first"),
-        ({"personality": "busy", "units": [256]}, "units.0"),
-        ({"personality": "busy", "probability": 2}, "probability"),
-        ({"personality": "busy", "schedule": {"every": 1, "lasts": 5}}, "lasts"),
+        ({"fault_profile": "grumpy"}, "grumpy"),
+        ({"fault_profile": "busy", "parameters": {"seconds": -1}}, "seconds"),
+        ({"fault_profile": "busy", "parameters": {"minutes": 1}}, "minutes"),
+        ({"fault_profile": "busy", "first": 9, "last": 3}, "first"),
+        ({"fault_profile": "busy", "units": [256]}, "units.0"),
+        ({"fault_profile": "busy", "probability": 2}, "probability"),
+        ({"fault_profile": "busy", "schedule": {"every": 1, "lasts": 5}}, "lasts"),
     ],
 )
 def test_a_fault_that_can_not_be_is_refused_with_its_key(still, wanted, word):
@@ -204,10 +204,10 @@ def test_a_fault_that_can_not_be_is_refused_with_its_key(still, wanted, word):
     assert still.ask("GET", "/api/faults")[1]["faults"] == []
 
 
-def test_all_personalities_are_offered_with_what_they_take(still):
+def test_all_fault_profiles_are_offered_with_what_they_take(still):
     from busway.testing import FAULT_PROFILES
 
-    offered = {one["name"]: one for one in still.ask("GET", "/api/faults")[1]["personalities"]}
+    offered = {one["name"]: one for one in still.ask("GET", "/api/faults")[1]["fault_profiles"]}
     assert list(offered) == list(FAULT_PROFILES)
     assert offered["late"]["parameters"][0]["name"] == "delay"
     assert offered["late"]["parameters"][0]["kind"] == "float"
@@ -219,7 +219,7 @@ def test_connections_counters_and_lines_are_those_of_the_server(plant, unit):
     assert connection["requests"] == 1
     assert plant.ask("GET", "/api/counters")[1]["counters"]["requests"] == 1
     (line,) = plant.ask("GET", "/api/lines")[1]["lines"]
-    assert line["lamps"]["device_status"] == "on"
+    assert line["indicators"]["device_status"] == "on"
     assert line["counters"]["server_message_count"] == 1
     assert plant.ask("POST", "/api/counters/reset")[0] == 200
     assert plant.ask("GET", "/api/counters")[1]["counters"]["requests"] == 0
@@ -318,7 +318,7 @@ def test_odd_values_are_refused_in_a_sentence_wherever_they_stand(still, value, 
         ("PUT", "/api/units/1/points/tank.target", "value"),
         ("PUT", "/api/units/1/points/meter.energy", "value"),
         ("PATCH", "/api/simulation", "speed"),
-        ("POST", "/api/faults", "personality"),
+        ("POST", "/api/faults", "fault_profile"),
         ("POST", "/api/faults", "units"),
     ):
         status, content = still.ask(method, path, b'{"' + key.encode() + b'":' + value + b"}")

@@ -43,7 +43,7 @@ def test_the_first_message_says_how_the_server_stands(plant):
         found = collect(socket, lambda found: found["status"])
     SimulationAnswer.model_validate(found["status"]["simulation"])
     assert found["faults"] == []
-    assert found["status"]["lines"][0]["lamps"]["device_status"] == "on"
+    assert found["status"]["lines"][0]["indicators"]["device_status"] == "on"
 
 
 def test_asking_for_points_gives_how_they_stand(plant):

@@ -16,7 +16,7 @@ from busway.config.files.schema import Section, json_schema, read_source
 TEXT = """\
 [[fault]]
 name = "slow meters"
-personality = "late"
+fault_profile = "late"
 units = "1-3"
 functions = ["read_holding_registers", 4]
 addresses = ["4x101-4x110", 7]
@@ -26,7 +26,7 @@ on = false
 parameters = { delay = 2.0 }
 
 [[fault]]
-personality = "busy"
+fault_profile = "busy"
 """
 
 
@@ -40,7 +40,7 @@ def _parsed(text: str) -> list[FaultSection]:
 
 def test_section_says_which_requests_are_meant_and_when() -> None:
     slow, busy = _parsed(TEXT)
-    assert (slow.name, slow.personality, slow.probability, slow.on) == ("slow meters", "late", 0.25, False)
+    assert (slow.name, slow.fault_profile, slow.probability, slow.on) == ("slow meters", "late", 0.25, False)
     assert slow.chosen_units() == {1, 2, 3}
     assert slow.chosen_functions() == {3, 4}
     assert slow.chosen_addresses() == {
@@ -59,7 +59,7 @@ def test_section_says_which_requests_are_meant_and_when() -> None:
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
-        ("personalty = 1", "fault[0].personalty: unknown key; is it personality?"),
+        ("personality = 1", "fault[0].personality: this key has another name now; write fault_profile"),
         ('units = "1-300"', "fault[0].units: a unit is 0…255, not 300"),
         ('functions = ["8/1"]', "fault[0].functions: a fault is for a whole function, not for sub-function 8/1"),
         ("functions = [128]", "fault[0].functions: a function code is 1…127, not 128"),
@@ -75,26 +75,28 @@ def test_section_says_which_requests_are_meant_and_when() -> None:
 )
 def test_what_can_not_be_is_said_with_file_line_and_key(line: str, sentence: str) -> None:
     with pytest.raises(FileError) as caught:
-        _parsed(f'[[fault]]\npersonality = "late"\n{line}\n')
+        _parsed(f'[[fault]]\nfault_profile = "late"\n{line}\n')
     (problem,) = caught.value.problems
     assert str(problem).startswith(f"plant.toml:3: {sentence}")
 
 
-def test_personality_its_parameters_and_names_given_twice_are_said_with_file_line_and_key() -> None:
+def test_fault_profile_its_parameters_and_names_given_twice_are_said_with_file_line_and_key() -> None:
     text = """\
 [[fault]]
 name = "x"
-personality = "lazy"
+fault_profile = "lazy"
 [[fault]]
 name = "x"
-personality = "late"
+fault_profile = "late"
 [fault.parameters]
 seconds = 3
 delay = -1
 """
     source = read_source(text, "plant.toml")
     problems = [str(one) for one in fault_problems(source.checked(File).fault, source)]
-    assert problems[0].startswith("plant.toml:3: fault[0].personality: there is no personality 'lazy'; there are late,")
+    assert problems[0].startswith(
+        "plant.toml:3: fault[0].fault_profile: there is no fault profile 'lazy'; there are late,"
+    )
     assert problems[1:] == [
         "plant.toml:8: fault[1].parameters.seconds: late has no such option; there are: delay",
         "plant.toml:9: fault[1].parameters.delay: must be 0…86400, not -1",
@@ -118,11 +120,11 @@ def test_bad_file_never_ends_in_a_traceback_and_always_names_a_line() -> None:
 
 def test_schema_can_be_exported() -> None:
     keys = json_schema(File, "faults")["$defs"]["FaultSection"]["properties"]
-    assert {"personality", "units", "schedule", "parameters"} <= set(keys)
+    assert {"fault_profile", "units", "schedule", "parameters"} <= set(keys)
 
 
 def test_words_of_a_command_line_stand_for_a_section() -> None:
-    assert parse_fault_words("late").personality == "late"
+    assert parse_fault_words("late").fault_profile == "late"
     one = parse_fault_words("late:delay=2.5, units=1-3,functions=3,for=10,every=60,probability=0.5,on=no,name=slow")
     assert (one.name, one.parameters, one.probability, one.on) == ("slow", {"delay": 2.5}, 0.5, False)
     assert (one.chosen_units(), one.chosen_functions()) == ({1, 2, 3}, {3})

@@ -105,7 +105,7 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
             LISTENER + LINE + "[server]\nunlisted = 'silence'\n",
             ["x.toml:7: server.unlisted: has no effect: a gateway has"],
         ),
-        (LISTENER + LINE + "[server]\nshared_places = true\n", ["x.toml:7: server.shared_places: has no effect: each"]),
+        (LISTENER + LINE + "[server]\nshared_slots = true\n", ["x.toml:7: server.shared_slots: has no effect: each"]),
         (LISTENER + LINE + "[[unit]]\nunit = 1\n", ["x.toml:6: unit: a gateway has no units of its own"]),
         (
             '[[listener]]\nurl = "rtu:///dev/x"\nname = "plc"\nsilent_broadcasts = true\n' + LINE,

@@ -130,7 +130,7 @@ def test_the_exported_schema_refuses_unknown_keys_and_texts_that_are_no_paramete
         '[[unit]]\nunit = "one"',
         '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "3x1"\n'
         'behaviour = { kind = "sine", mean = "x", amplitude = 1, period = 1 }',
-        '[[fault]]\npersonality = "late"\ndelay = 1',
+        '[[fault]]\nfault_profile = "late"\ndelay = 1',
     ):
         assert faults(schema, tomllib.loads(text)), text
 

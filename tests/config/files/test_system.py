@@ -221,7 +221,7 @@ def test_no_option_of_a_component_has_been_forgotten() -> None:
     listener = {field.name for field in fields(ListenerParameters)}
     assert listener <= set(ServerSection.model_fields)
     # Whether places are shared is said once, for all listeners.
-    assert listener - {"shared_places"} <= set(ListenerSection.model_fields)
+    assert listener - {"shared_slots"} <= set(ListenerSection.model_fields)
     assert {field.name for field in fields(ServerParameters)} <= set(ServerSection.model_fields)
     assert {field.name for field in fields(SocketParameters)} - OF_CLIENTS <= set(ServerSection.model_fields)
     tls = {field.name for field in fields(TlsParameters)}

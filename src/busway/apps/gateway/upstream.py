@@ -126,14 +126,14 @@ class UpstreamStatus:
         name, endpoint: what routes call it, and where it leads.
         links: its connections.
         counters: what happened to its requests.
-        lamps: communication is on while replies are awaited, error flashes while it cannot be reached.
+        indicators: communication is on while replies are awaited, error flashes while it cannot be reached.
     """
 
     name: str
     endpoint: str
     links: tuple[LinkStatus, ...]
     counters: UpstreamCounters
-    lamps: StatusIndicators
+    indicators: StatusIndicators
 
 
 class _Exchange:
@@ -317,7 +317,7 @@ class Upstream:
             )
             for link in self._links
         )
-        return UpstreamStatus(self.name, self.settings.endpoint.url, links, self.counters, _lamps(links))
+        return UpstreamStatus(self.name, self.settings.endpoint.url, links, self.counters, _indicators(links))
 
     # Requests.
 
@@ -540,8 +540,8 @@ class Upstream:
             context.gone = None
 
 
-def _lamps(links: Sequence[LinkStatus]) -> StatusIndicators:
-    """What the lamps of an upstream show."""
+def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
+    """What the status indicators of an upstream show."""
     is_faulty = not links or any(link.reason for link in links)
     return StatusIndicators(
         StatusIndicator.ON if any(link.in_flight for link in links) else StatusIndicator.OFF,

@@ -41,7 +41,7 @@ def _listener(listener: Listener) -> Iterator[str]:
         if access is not None:
             yield line(name, getattr(access, name))
     if listener.limits is not None:
-        yield from values(listener.limits, without=frozenset({"shared_places"}))
+        yield from values(listener.limits, without=frozenset({"shared_slots"}))
     if listener.tls is not None:
         yield from values(listener.tls, without=frozenset({"server_name", "verify"}))
 

@@ -6,7 +6,7 @@
 `plant`         a small plant as a function of time
 `simulation`    units that behave as a file says: `Simulation`
 `includes`      a simulation file and those it includes → one declaration
-`wiring`        a declaration → devices, points, and what each point follows
+`builder`       a declaration → devices, points, and what each point follows
 `behaviours`    what makes values change
 `engine`        which points change when, and into what
 `simulated`     a point that behaves, its unit, a change

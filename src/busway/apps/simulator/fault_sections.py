@@ -1,6 +1,6 @@
 """``[[fault]]`` sections and words of a command line → faults on a board, and lists of what there is.
 
-Knows the schema and the personalities; reads no file.
+Knows the schema and the fault profiles; reads no file.
 
 1. What is wrong is said with the place in the section: a path that whoever has the file turns into a line.
 """
@@ -18,19 +18,19 @@ from ...faults.switchboard import FaultSwitchboard
 
 
 def fault_problems(
-    sections: Iterable[FaultSection], source: Source, personalities: FaultyTable = FAULT_PROFILES
+    sections: Iterable[FaultSection], source: Source, fault_profiles: FaultyTable = FAULT_PROFILES
 ) -> list[ConfigError]:
     """What the schema cannot know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
 
     Args:
         sections: as they stand in the file, under ``fault``.
         source: the file.
-        personalities: those that there are.
+        fault_profiles: those that there are.
     """
     found = []
     taken: set[str] = set()
     for index, section in enumerate(sections):
-        for path, sentence in _section_problems(section, personalities):
+        for path, sentence in _section_problems(section, fault_profiles):
             found.append(source.problem(("fault", index, *path), sentence))
         if section.name:
             if section.name in taken:
@@ -39,17 +39,17 @@ def fault_problems(
     return found
 
 
-def _section_problems(section: FaultSection, personalities: FaultyTable) -> Iterator[tuple[Path, str]]:
-    personality = personalities.get(section.personality)
-    if personality is None:
+def _section_problems(section: FaultSection, fault_profiles: FaultyTable) -> Iterator[tuple[Path, str]]:
+    fault_profile = fault_profiles.get(section.fault_profile)
+    if fault_profile is None:
         try:
-            personalities.named(section.personality)
+            fault_profiles.named(section.fault_profile)
         except ConfigError as error:
-            yield ("personality",), error.message
+            yield ("fault_profile",), error.message
         return
     for name, value in section.parameters.items():
         try:
-            personality(**{name: value})
+            fault_profile(**{name: value})
         except ConfigError as error:
             yield ("parameters", name), error.message
 
@@ -69,7 +69,7 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
     for one in ordered:
         name, number = one.name, 1
         while not name or (not one.name and name in (*named, *made)):  # a name that somebody chose is theirs
-            name = one.personality if number == 1 else f"{one.personality}-{number}"
+            name = one.fault_profile if number == 1 else f"{one.fault_profile}-{number}"
             number += 1
         made.append(_put_on(board, one, name))
     return made
@@ -78,7 +78,7 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
 def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
     schedule = section.schedule
     return board.add(
-        section.personality,
+        section.fault_profile,
         name=name,
         units=section.chosen_units(),
         functions=section.chosen_functions(),
@@ -91,7 +91,7 @@ def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
 
 
 def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
-    """What ``--fault`` asks for: the fault of that name is switched on, or a personality put on with its parameters.
+    """What ``--fault`` asks for: the fault of that name is switched on, or a fault profile put on with its parameters.
 
     Args:
         board: where.
@@ -101,7 +101,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
         The fault's name.
 
     Raises:
-        ConfigError: there is no such fault and no such personality, or a word cannot be.
+        ConfigError: there is no such fault and no such fault profile, or a word cannot be.
     """
     if any(one.label == text for one in board.faults):
         board.switch(text, on=True)
@@ -110,18 +110,18 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
     return _put_on(board, section, section.name)
 
 
-def personality_lines(personalities: FaultyTable = FAULT_PROFILES) -> list[str]:
-    """What ``--list-faults`` shows: each personality with what happens, and its parameters below."""
-    width = max(len(name) for name in personalities)
+def fault_profile_lines(fault_profiles: FaultyTable = FAULT_PROFILES) -> list[str]:
+    """What ``--list-faults`` shows: each fault profile with what happens, and its parameters below."""
+    width = max(len(name) for name in fault_profiles)
     lines = []
-    for one in personalities.values():
+    for one in fault_profiles.values():
         lines.append(f"{one.name:<{width}}  {one.happens}")
         lines.extend(f"{'':<{width}}    {text}" for text in _parameter_lines(one))
     return lines
 
 
-def _parameter_lines(personality: FaultProfile) -> Iterator[str]:
-    for one in personality.parameters.values():
+def _parameter_lines(fault_profile: FaultProfile) -> Iterator[str]:
+    for one in fault_profile.parameters.values():
         given = "" if one.default is None else f"={_shown(one.default)}"
         within = f" ({one.range_text})" if one.range_text else ""
         yield f"{one.name}{given}: {one.says.meaning}{within}"

@@ -1,7 +1,7 @@
 """A simulation file and the files that it includes → one declaration, every fault at its line in its file.
 
 Knows files by their names, includes and parameters; what stands in a file is known by its schema
-(`busway.config.files.simulation`). It builds nothing (`busway.apps.simulator.wiring` does).
+(`busway.config.files.simulation`). It builds nothing (`busway.apps.simulator.builder` does).
 
 1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
    text. Between the braces an expression may stand: ``${base + 10 * index}``.

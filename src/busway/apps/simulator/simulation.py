@@ -30,12 +30,12 @@ from ...faults.switchboard import FaultSwitchboard
 from ...server.listener import Listener
 from ...session.handler import Handler
 from ...values.refusal import shown
+from .builder import build_simulation
 from .engine import Engine
 from .fault_sections import put_on
 from .includes import SimulationDeclaration, load_declaration
 from .simulated import SIMULATION, PointChanged, SimulatedPoint, SimulatedUnit
 from .state import KeptPoint, KeptState, check_state, load_state, save_state
-from .wiring import wire
 from .writes import watch_writes
 
 if TYPE_CHECKING:
@@ -113,9 +113,9 @@ class Simulation:
         self.seed = settings.seed if seed is None else seed
         self.speed = speed
         self.is_paused = False
-        wired = wire(self.declaration.units, self.seed)
-        self.units: Mapping[int, SimulatedUnit] = MappingProxyType(wired.units)
-        self.points: Mapping[str, SimulatedPoint] = MappingProxyType(wired.points)
+        built = build_simulation(self.declaration.units, self.seed)
+        self.units: Mapping[int, SimulatedUnit] = MappingProxyType(built.units)
+        self.points: Mapping[str, SimulatedPoint] = MappingProxyType(built.points)
         self.board = FaultSwitchboard(seed=self.seed, clock=clock)
         put_on(self.board, self.declaration.file.fault)
         self.warnings: list[str] = []
@@ -128,7 +128,7 @@ class Simulation:
         self._timer: SimulationTimer | None = None
         self._thread: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._engine = Engine(wired.driven, self._followed)
+        self._engine = Engine(built.driven, self._followed)
         self._begin()
         for unit in self.units.values():
             watch_writes(unit.device, list(unit.points.values()), self._written)

@@ -171,7 +171,14 @@ class Api:
                 failures=_NO_FAULT,
             ),
             Operation("GET", "/api/connections", "list_connections", "Connections", Connections, self.list_connections),
-            Operation("GET", "/api/lines", "list_lines", "Listeners and their lamps", LinesMessage, self.list_lines),
+            Operation(
+                "GET",
+                "/api/lines",
+                "list_lines",
+                "Listeners and their status indicators",
+                LinesMessage,
+                self.list_lines,
+            ),
             Operation("GET", "/api/counters", "get_counters", "Counters", CountersMessage, self.get_counters),
             Operation(
                 "POST", "/api/counters/reset", "reset_counters", "Set them to zero", Nothing, self.reset_counters
@@ -331,7 +338,7 @@ class Api:
 
     async def list_faults(self, call: OperationCall) -> Answer:
         """Faults and fault profiles."""
-        return FaultsMessage(faults=self.faults(), personalities=all_fault_profiles(self.board))
+        return FaultsMessage(faults=self.faults(), fault_profiles=all_fault_profiles(self.board))
 
     async def add_fault(self, call: OperationCall) -> Answer:
         """Put one on."""

@@ -1,6 +1,6 @@
 """Faults of a simulation as the API shows and changes them.
 
-Knows a board of faults and the personalities they are made of; knows no HTTP.
+Knows a board of faults and the fault profiles they are made of; knows no HTTP.
 """
 
 from dataclasses import fields
@@ -20,7 +20,7 @@ def all_faults(board: Board) -> list[FaultAnswer]:
 
 def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
     """All that can be put on."""
-    return [_personality(one) for one in board.personalities.values()]
+    return [_fault_profile(one) for one in board.fault_profiles.values()]
 
 
 def fault_named(board: Board, name: str) -> FaultAnswer:
@@ -31,7 +31,7 @@ def fault_named(board: Board, name: str) -> FaultAnswer:
 def put_on(board: Board, wanted: NewFault) -> FaultAnswer:
     """Put one on. Raises `ConfigError` for a name, a parameter or an address range that cannot be."""
     name = board.add(
-        wanted.personality,
+        wanted.fault_profile,
         name=wanted.name,
         units=None if wanted.units is None else frozenset(wanted.units),
         functions=None if wanted.functions is None else frozenset(wanted.functions),
@@ -50,7 +50,7 @@ def put_on(board: Board, wanted: NewFault) -> FaultAnswer:
 def _fault(status: Any) -> FaultAnswer:
     return FaultAnswer(
         name=status.name,
-        personality=status.personality,
+        fault_profile=status.fault_profile,
         happens=status.happens,
         on=status.is_on,
         struck=status.struck,
@@ -90,12 +90,12 @@ def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of severa
     return shown
 
 
-def _personality(personality: FaultProfile) -> FaultyAnswer:
+def _fault_profile(fault_profile: FaultProfile) -> FaultyAnswer:
     return FaultyAnswer(
-        name=personality.name,
-        happens=personality.happens,
-        answer=personality.answer,
-        carriers=sorted(one.value for one in personality.carriers),
+        name=fault_profile.name,
+        happens=fault_profile.happens,
+        answer=fault_profile.answer,
+        carriers=sorted(one.value for one in fault_profile.carriers),
         parameters=[
             ParameterAnswer(
                 name=one.name,
@@ -104,6 +104,6 @@ def _personality(personality: FaultProfile) -> FaultyAnswer:
                 meaning=one.says.meaning,
                 range=one.range_text,
             )
-            for one in personality.parameters.values()
+            for one in fault_profile.parameters.values()
         ],
     )

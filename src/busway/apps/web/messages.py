@@ -131,7 +131,7 @@ class Units(Answer):
 
 
 class ParameterAnswer(Answer):
-    """A parameter of a personality, with its default."""
+    """A parameter of a fault profile, with its default."""
 
     name: str
     default: Plain = None
@@ -154,7 +154,7 @@ class FaultAnswer(Answer):
     """A fault that was put on."""
 
     name: str
-    personality: str
+    fault_profile: str
     happens: str = ""
     on: bool
     struck: int = Field(0, description="requests that it has struck, connections that it has refused or closed")
@@ -166,7 +166,7 @@ class FaultsMessage(Answer):
     """Faults that were put on, and those that can be."""
 
     faults: list[FaultAnswer]
-    personalities: list[FaultyAnswer]
+    fault_profiles: list[FaultyAnswer]
 
 
 class NewSchedule(Asked):
@@ -182,8 +182,8 @@ class NewSchedule(Asked):
 class NewFault(Asked):
     """A fault to put on; what is left out chooses everything."""
 
-    personality: str
-    name: str = Field("", max_length=100, description="what to call it; by default as its personality")
+    fault_profile: str
+    name: str = Field("", max_length=100, description="what to call it; by default as its fault profile")
     parameters: dict[str, Plain] = Field(default_factory=dict)
     units: list[Annotated[int, Field(ge=0, le=255)]] | None = None
     functions: list[Annotated[int, Field(ge=1, le=127)]] | None = None
@@ -210,7 +210,7 @@ class Connections(Answer):
 
 
 class LinesMessage(Answer):
-    """Listeners, with their lamps and diagnostic counters."""
+    """Listeners, with their status indicators and diagnostic counters."""
 
     lines: list[dict[str, Any]]
 

@@ -97,11 +97,11 @@ class Board(Protocol):
     """Faults by name; `busway.faults.switchboard.FaultSwitchboard` says what each of these does."""
 
     @property
-    def personalities(self) -> FaultyTable: ...
+    def fault_profiles(self) -> FaultyTable: ...
 
     def add(
         self,
-        personality: str,
+        fault_profile: str,
         *,
         name: str = "",
         units: Collection[int] | None = None,
@@ -110,7 +110,7 @@ class Board(Protocol):
         probability: float = 1.0,
         schedule: Schedule | None = None,
         on: bool = True,
-        parameters: Mapping[str, Any] | None = None,  # Any: as the personality declares them
+        parameters: Mapping[str, Any] | None = None,  # Any: as the fault profile declares them
     ) -> str: ...
 
     def switch(self, name: str, *, on: bool) -> None: ...

@@ -29,7 +29,7 @@ Rules:
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -122,11 +122,13 @@ UnitNumber = Annotated[int, Field(ge=0, le=255)]
 class ServerSection(ListenerKeys, OptionSection):
     """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
 
+    retired: ClassVar = {"shared_places": "shared_slots"}
+
     preset: Literal["standard", "strict"] = "standard"
     standard_port: bool | None = None
     unit_policy: Literal["listed", "any"] = "listed"
     unlisted: Literal["exception", "silence"] = "exception"
-    shared_places: bool | None = None
+    shared_slots: bool | None = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of `busway.serve` that are set here."""

@@ -1,13 +1,13 @@
 """The schema of faults that a simulated device has: ``[[fault]]``.
 
-Knows what can be written, and which requests a section chooses; what goes wrong is known by the personalities, which
+Knows what can be written, and which requests a section chooses; what goes wrong is known by the fault profiles, which
 are looked up, with their parameters, by who builds the faults (`busway.apps.simulator.fault_sections`).
 
 ::
 
     [[fault]]
     name = "slow meters"
-    personality = "late"
+    fault_profile = "late"
     units = "1-3"
     functions = ["read_holding_registers", 4]
     addresses = "4x101-4x110"
@@ -18,7 +18,7 @@ are looked up, with their parameters, by who builds the faults (`busway.apps.sim
 """
 
 import re
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -65,8 +65,10 @@ class ScheduleSection(Section):
 class FaultSection(Section):
     """``[[fault]]``: one fault. What is left out chooses every request."""
 
+    retired: ClassVar = {"personality": "fault_profile"}
+
     name: str = ""
-    personality: str = Field(min_length=1)
+    fault_profile: str = Field(min_length=1)
     units: Numbers | None = None
     functions: Numbers | None = None
     addresses: Numbers | None = None
@@ -123,13 +125,13 @@ def parse_fault_words(text: str) -> FaultSection:
     """The section that words of a command line stand for: ``late`` or ``late:delay=2,units=1-3,for=10``.
 
     Args:
-        text: the personality; behind a colon, keys of the section and of its schedule, and parameters.
+        text: the fault profile; behind a colon, keys of the section and of its schedule, and parameters.
 
     Raises:
         ConfigError: a word cannot be; its key is the key at fault.
     """
-    personality, _, rest = text.partition(":")
-    section: dict[str, Any] = {"personality": personality.strip()}  # Any: values of several types
+    fault_profile, _, rest = text.partition(":")
+    section: dict[str, Any] = {"fault_profile": fault_profile.strip()}  # Any: values of several types
     for word in rest.split(",") if rest.strip() else []:
         key, sign, value = (each.strip() for each in word.partition("="))
         if not sign or not key:

@@ -1,4 +1,4 @@
-"""Personalities of devices that answer too late, in the wrong turn, or not now."""
+"""Fault profiles of devices that answer too late, in the wrong turn, or not now."""
 
 from collections import deque
 from dataclasses import replace

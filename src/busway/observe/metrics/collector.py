@@ -212,7 +212,9 @@ def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
 
 def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
     """The listeners: their status indicators, their mode, and the diagnostic counters of function 08."""
-    lamps = StateSetMetricFamily("busway_listener_lamp", "What the lamps show.", labels=("listener", "lamp"))
+    indicators = StateSetMetricFamily(
+        "busway_listener_indicator", "What the status indicators show.", labels=("listener", "indicator")
+    )
     is_open = GaugeMetricFamily("busway_listener_open", "Whether it can be reached.", labels=("listener",))
     muted = GaugeMetricFamily(
         "busway_listener_listen_only",
@@ -221,9 +223,11 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
     )
     counted: dict[str, Family] = {}
     for one in listeners:
-        for lamp in fields(one.lamps):
-            shown = getattr(one.lamps, lamp.name).value
-            lamps.add_metric((one.endpoint, lamp.name), {state: state == shown for state in _INDICATOR_STATES})
+        for indicator in fields(one.indicators):
+            shown = getattr(one.indicators, indicator.name).value
+            indicators.add_metric(
+                (one.endpoint, indicator.name), {state: state == shown for state in _INDICATOR_STATES}
+            )
         is_open.add_metric((one.endpoint,), one.is_open)
         muted.add_metric((one.endpoint,), one.listen_only)
         for name, count in (*_numbers(one), *_numbers(one.counters)):
@@ -234,7 +238,7 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
                 meaning = f"{name.replace('_', ' ').capitalize()} of the listener."
                 family = counted[name] = CounterMetricFamily(f"busway_listener_{name}", meaning, labels=("listener",))
             family.add_metric((one.endpoint,), count)
-    yield from (lamps, is_open, muted, *counted.values())
+    yield from (indicators, is_open, muted, *counted.values())
 
 
 def security_families(listeners: Iterable[Any]) -> Iterator[Family]:

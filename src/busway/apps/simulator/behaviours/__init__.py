@@ -11,6 +11,6 @@ Knows time as a number; knows no clock, no device and no register. The keys in f
 `expression`    expressions over points
 `formula`       a value that is an expression
 `replay`        recorded values
-`making`        a section of a file → its behaviour
+`builder`       a section of a file → its behaviour
 ==============  =====================================================================
 """

@@ -1,11 +1,11 @@
-// Faults as switches, and a form that puts one on. What a personality takes is asked of the program, not known here.
+// Faults as switches, and a form that puts one on. What a fault profile takes is asked of the program, not known here.
 
 import { byId, element, keyed, setText, valueText } from "./dom.js";
 import { ask } from "./link.js";
 
 export class FaultView {
   constructor() {
-    this.personalities = [];
+    this.fault_profiles = [];
     byId("fault-name").addEventListener("change", () => this.choose());
     byId("fault-add").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -16,10 +16,10 @@ export class FaultView {
 
   async load() {
     const answer = await ask("GET", "/api/faults");
-    this.personalities = answer.personalities;
-    byId("fault-add").hidden = this.personalities.length === 0;
+    this.fault_profiles = answer.fault_profiles;
+    byId("fault-add").hidden = this.fault_profiles.length === 0;
     byId("fault-name").replaceChildren(
-      ...this.personalities.map((one) => element("option", { value: one.name }, one.name)),
+      ...this.fault_profiles.map((one) => element("option", { value: one.name }, one.name)),
     );
     this.choose();
     this.take(answer.faults);
@@ -69,7 +69,7 @@ export class FaultView {
   // Putting one on.
 
   chosen() {
-    return this.personalities.find((one) => one.name === byId("fault-name").value);
+    return this.fault_profiles.find((one) => one.name === byId("fault-name").value);
   }
 
   choose() {
@@ -96,7 +96,7 @@ export class FaultView {
   async add() {
     setText(byId("fault-add-error"), "");
     try {
-      const wanted = { personality: byId("fault-name").value, parameters: {} };
+      const wanted = { fault_profile: byId("fault-name").value, parameters: {} };
       for (const field of byId("fault-options").querySelectorAll("[data-name]")) {
         if (field.value.trim() !== "") wanted.parameters[field.dataset.name] = plain(field.value.trim());
       }
@@ -126,7 +126,7 @@ function about(fault) {
   const { items, ...choice } = fault.selection;
   const parts = [fault.happens];
   const list = (key, word) => choice[key] && parts.push(`${word} ${choice[key].join(", ")}`);
-  if (fault.personality !== fault.name) parts.unshift(fault.personality);
+  if (fault.fault_profile !== fault.name) parts.unshift(fault.fault_profile);
   list("units", "unit");
   list("functions", "function");
   if (choice.first !== undefined) parts.push(`addresses ${choice.first}–${choice.last}`);

@@ -1,9 +1,9 @@
-// The server: its listeners with their lamps, its connections, what it counts; and the head of the page.
+// The server: its listeners with their status indicators, its connections, what it counts; and the head of the page.
 
 import { byId, bytesText, duration, element, keyed, setText } from "./dom.js";
 import { ask } from "./link.js";
 
-const LAMPS = [
+const INDICATORS = [
   ["communication", "Communication"],
   ["error", "Error"],
   ["device_status", "Device status"],
@@ -57,12 +57,12 @@ function makeLine(line) {
     element("h2", {}, line.endpoint),
     element(
       "ul",
-      { class: "lamps" },
-      ...LAMPS.map(([key, name]) =>
+      { class: "indicators" },
+      ...INDICATORS.map(([key, name]) =>
         element(
           "li",
-          { "data-lamp-of": key },
-          element("span", { class: key === "error" ? "lamp fault" : "lamp", "aria-hidden": "true" }),
+          { "data-indicator-of": key },
+          element("span", { class: key === "error" ? "indicator fault" : "indicator", "aria-hidden": "true" }),
           element("span", {}, name, ": ", element("span", { class: "state" })),
         ),
       ),
@@ -72,11 +72,11 @@ function makeLine(line) {
 }
 
 function updateLine(card, line) {
-  for (const [key] of LAMPS) {
-    const item = card.querySelector(`[data-lamp-of="${key}"]`);
-    const lamp = item.querySelector(".lamp");
-    if (lamp.dataset.lamp !== line.lamps[key]) lamp.dataset.lamp = line.lamps[key];
-    setText(item.querySelector(".state"), line.lamps[key]);
+  for (const [key] of INDICATORS) {
+    const item = card.querySelector(`[data-indicator-of="${key}"]`);
+    const indicator = item.querySelector(".indicator");
+    if (indicator.dataset.indicator !== line.indicators[key]) indicator.dataset.indicator = line.indicators[key];
+    setText(item.querySelector(".state"), line.indicators[key]);
   }
   const { requests, foreign, damaged, abandoned, event_count, listen_only, is_open } = line;
   counts(card.querySelector("dl"), { open: is_open, listen_only, requests, foreign, damaged, abandoned, event_count, ...line.counters });

@@ -209,19 +209,19 @@ def test_foreign_transactions_alone_end_with_a_new_connection(via: ClientKind) -
         assert link.counters.connections == 2
 
 
-@pytest.mark.parametrize("personality", ["transaction+1", "transaction=0", "transaction=random"])
-def test_identifier_that_is_not_echoed_is_dropped_under_the_policy_strict(via: ClientKind, personality: str) -> None:
-    with faulty_server(_device(), personality) as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
+@pytest.mark.parametrize("fault_profile", ["transaction+1", "transaction=0", "transaction=random"])
+def test_identifier_that_is_not_echoed_is_dropped_under_the_policy_strict(via: ClientKind, fault_profile: str) -> None:
+    with faulty_server(_device(), fault_profile) as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
         with pytest.raises(busway.NoReply):
             _try(link.unit(1), 10)
         assert link.counters.foreign_replies == 2  # the read and its repetition
 
 
 @pytest.mark.parametrize("policy", ["automatic", "ignore"])
-@pytest.mark.parametrize("personality", ["transaction+1", "transaction=0", "transaction=random"])
-def test_identifier_that_is_not_echoed_is_taken_by_policy(via: ClientKind, personality: str, policy: str) -> None:
+@pytest.mark.parametrize("fault_profile", ["transaction+1", "transaction=0", "transaction=random"])
+def test_identifier_that_is_not_echoed_is_taken_by_policy(via: ClientKind, fault_profile: str, policy: str) -> None:
     with (
-        faulty_server(_device(), personality) as server,
+        faulty_server(_device(), fault_profile) as server,
         via.link(server.endpoint, timeout=AMPLE, transaction_policy=policy) as link,
     ):
         unit = link.unit(1)
@@ -233,13 +233,13 @@ def test_identifier_that_is_not_echoed_is_taken_by_policy(via: ClientKind, perso
         assert link.counters.tolerated_replies == 5
 
 
-@pytest.mark.parametrize("personality", ["transaction+1", "transaction=0", "transaction=random"])
+@pytest.mark.parametrize("fault_profile", ["transaction+1", "transaction=0", "transaction=random"])
 def test_identifier_that_is_not_echoed_is_never_taken_while_several_requests_are_in_flight(
-    via: ClientKind, personality: str
+    via: ClientKind, fault_profile: str
 ) -> None:
     requests = [busway.ReadHoldingRegisters(10 * number, 2) for number in range(8)]
     with (
-        faulty_server(_device(), personality) as server,
+        faulty_server(_device(), fault_profile) as server,
         via.link(
             server.endpoint, timeout=TIMEOUT, retries=0, max_transactions=8, transaction_policy="automatic"
         ) as link,
@@ -298,11 +298,11 @@ def test_timeout_ends_the_connection_where_replies_do_not_name_their_request(via
         assert link.counters.connections == 3
 
 
-@pytest.mark.parametrize(("personality", "answers_as"), [("unit=255", 255), ("unit=0", 0), ("unit=1", 1)])
+@pytest.mark.parametrize(("fault_profile", "answers_as"), [("unit=255", 255), ("unit=0", 0), ("unit=1", 1)])
 def test_foreign_unit_is_a_broken_reply_under_the_policy_strict(
-    via: ClientKind, personality: str, answers_as: int
+    via: ClientKind, fault_profile: str, answers_as: int
 ) -> None:
-    with faulty_server(_device(), personality) as server, via.link(server.endpoint, timeout=AMPLE) as link:
+    with faulty_server(_device(), fault_profile) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         with pytest.raises(busway.BadReply) as caught:
             _read(link.unit(17), 10)
         assert caught.value.raw[6] == answers_as
@@ -312,10 +312,10 @@ def test_foreign_unit_is_a_broken_reply_under_the_policy_strict(
 
 
 @pytest.mark.parametrize("policy", ["automatic", "ignore"])
-@pytest.mark.parametrize("personality", ["unit=255", "unit=0", "unit=1"])
-def test_foreign_unit_is_taken_by_policy(via: ClientKind, personality: str, policy: str) -> None:
+@pytest.mark.parametrize("fault_profile", ["unit=255", "unit=0", "unit=1"])
+def test_foreign_unit_is_taken_by_policy(via: ClientKind, fault_profile: str, policy: str) -> None:
     with (
-        faulty_server(_device(), personality) as server,
+        faulty_server(_device(), fault_profile) as server,
         via.link(server.endpoint, timeout=AMPLE, unit_policy=policy) as link,
     ):
         for address in (10, 20):
@@ -324,11 +324,11 @@ def test_foreign_unit_is_taken_by_policy(via: ClientKind, personality: str, poli
 
 @pytest.mark.clause("T24")
 @pytest.mark.parametrize("asked", [0, 255])
-@pytest.mark.parametrize("personality", ["unit=255", "unit=0", "unit=1"])
+@pytest.mark.parametrize("fault_profile", ["unit=255", "unit=0", "unit=1"])
 def test_unit_of_the_reply_says_nothing_where_the_device_itself_was_asked(
-    via: ClientKind, personality: str, asked: int
+    via: ClientKind, fault_profile: str, asked: int
 ) -> None:
-    with faulty_server(_device(), personality) as server, via.link(server.endpoint, timeout=AMPLE) as link:
+    with faulty_server(_device(), fault_profile) as server, via.link(server.endpoint, timeout=AMPLE) as link:
         _read(link.unit(asked), 10)
 
 
@@ -495,13 +495,13 @@ def test_exception_of_a_wrong_length_is_a_broken_reply(via: ClientKind, size: in
 
 
 @pytest.mark.parametrize(
-    ("personality", "function", "lost"), [("fc6-only", "single", 16), ("fc16-only", "multiple", 6)]
+    ("fault_profile", "function", "lost"), [("fc6-only", "single", 16), ("fc16-only", "multiple", 6)]
 )
 def test_device_with_one_write_function_is_written_with_that_one(
-    via: ClientKind, personality: str, function: str, lost: int
+    via: ClientKind, fault_profile: str, function: str, lost: int
 ) -> None:
     device = _device()
-    with faulty_server(device, personality) as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
+    with faulty_server(device, fault_profile) as server, via.link(server.endpoint, timeout=TIMEOUT) as link:
         unit = link.unit(1)
         unit.write("4x6", 77, function=function)
         unit.write("0x6", True, function=function)
@@ -707,7 +707,7 @@ def test_several_faults_with_chance_never_bring_wrong_data(via: ClientKind) -> N
         _read(unit, 500)
 
 
-def test_every_personality_of_a_server_on_tcp_is_tested_here() -> None:
+def test_every_fault_profile_of_a_server_on_tcp_is_tested_here() -> None:
     source = Path(__file__).read_text(encoding="utf-8")
     on_tcp = [name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}]
     assert [name for name in on_tcp if f'"{name}"' not in source] == []

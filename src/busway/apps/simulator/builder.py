@@ -23,8 +23,8 @@ from ...config.reading import read_named_text
 from ...errors import ConfigError
 from ...values.refusal import shown
 from .behaviours.behaviour import Behaviour
+from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.expression import Expression, Number, parse_expression
-from .behaviours.making import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader
@@ -33,7 +33,7 @@ from .simulated import SimulatedPoint, SimulatedUnit
 
 
 @dataclass(frozen=True, slots=True)
-class Wired:
+class BuiltUnits:
     """What a declaration comes to.
 
     Attributes:
@@ -47,7 +47,7 @@ class Wired:
     driven: Sequence[Driven]
 
 
-def wire(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_named_text) -> Wired:
+def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_named_text) -> BuiltUnits:
     """The units of a declaration, their points holding their first values.
 
     Args:
@@ -80,7 +80,7 @@ def wire(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_nam
         _driven(point, planned[point], units, seed, rank, order)
         for order, (point, rank) in enumerate(_in_order(planned, needed).items())
     ]
-    return Wired(units, points_by_key, driven)
+    return BuiltUnits(units, points_by_key, driven)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Devices that misbehave on a line (the personalities of the field), and a master that copes."""
+"""Devices that misbehave on a line (the fault profiles of the field), and a master that copes."""
 
 import random
 from collections.abc import Callable, Sequence

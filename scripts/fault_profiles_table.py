@@ -1,6 +1,6 @@
-"""Writes the table of personalities in docs/simulator.md from the code. With ``--check``: only compares.
+"""Writes the table of fault profiles in docs/simulator.md from the code. With ``--check``: only compares.
 
-Knows the personalities and the page; no word in the table is written by hand.
+Knows the fault profiles and the page; no word in the table is written by hand.
 """
 
 from marked import ROOT, replaced, update
@@ -21,7 +21,7 @@ MET_ON = {
 def render() -> str:
     """The tables: of what a server can play, and of what somebody else does."""
     lines = [
-        "| personality | what happens | parameters | met on | seen in | a client that is up to it |",
+        "| fault profile | what happens | parameters | met on | seen in | a client that is up to it |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for one in FAULT_PROFILES.values():
@@ -29,7 +29,7 @@ def render() -> str:
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", "These are not faults of a server:", ""]
     lines += [
-        "| personality | what happens | seen in | who is up to it | played by |",
+        "| fault profile | what happens | seen in | who is up to it | played by |",
         "| --- | --- | --- | --- | --- |",
     ]
     for other in ELSEWHERE.values():
@@ -38,9 +38,9 @@ def render() -> str:
     return "\n".join(lines)
 
 
-def parameters(personality: FaultProfile) -> str:
-    """The parameters of a personality in one cell."""
-    return "<br>".join(parameter(one) for one in personality.parameters.values())
+def parameters(fault_profile: FaultProfile) -> str:
+    """The parameters of a fault profile in one cell."""
+    return "<br>".join(parameter(one) for one in fault_profile.parameters.values())
 
 
 def parameter(one: Parameter) -> str:
@@ -63,4 +63,4 @@ def seen(places: tuple[str, ...]) -> str:
 
 
 if __name__ == "__main__":
-    update(PAGE, replaced(PAGE.read_text(encoding="utf-8"), "personalities", render()))
+    update(PAGE, replaced(PAGE.read_text(encoding="utf-8"), "fault_profiles", render()))

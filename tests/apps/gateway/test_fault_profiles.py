@@ -37,7 +37,7 @@ pytestmark = [pytest.mark.clause("T32"), pytest.mark.clause("T31")]
 
 @dataclass(frozen=True)
 class Row:
-    """One personality, what the line was told of it, and what a client sees of unit 1. ``then``: from the second."""
+    """One fault profile, what the line was told of it, and what a client sees of unit 1. ``then``: from the second."""
 
     name: str
     seen: str | int | tuple[str | int, ...]
@@ -178,7 +178,7 @@ async def healthy(line: FaultyLine, link: busway.AsyncLink) -> None:
     assert line.gateway.status().upstreams[0].links[0].queued == 0
 
 
-def test_every_personality_of_a_server_is_in_the_table() -> None:
+def test_every_fault_profile_of_a_server_is_in_the_table() -> None:
     assert set(FAULT_PROFILES) - {row.name for row in ROWS} == {"broadcast-reply", "fc16-only"}  # below
 
 

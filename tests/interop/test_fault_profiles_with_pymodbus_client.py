@@ -3,7 +3,7 @@
 pymodbus 3.16.1, its blocking client with ``retries=0``. What our own client makes of the same servers is in
 ``tests/simulator/faults/test_seen_by_a_client.py``; where the two differ, a comment says how.
 
-1. Personalities of serial lines are left out: they are about lines, and are played on a paced one.
+1. Fault profiles of serial lines are left out: they are about lines, and are played on a paced one.
 """
 
 import threading
@@ -146,5 +146,5 @@ def test_a_second_user_of_pymodbus_is_refused_or_starved_by_who_takes_a_single_c
         user.ask("close")
 
 
-def test_every_personality_of_servers_is_shown() -> None:
+def test_every_fault_profile_of_servers_is_shown() -> None:
     assert set(SEEN) == {name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}}

@@ -1,4 +1,4 @@
-"""The part of the simulator's page on faults: its table is that of the code, and lacks no personality that is known."""
+"""The part of the simulator's page on faults: its table is that of the code and has every known fault profile."""
 
 import subprocess
 import sys
@@ -55,9 +55,9 @@ OF_THE_FIELD = [
 """How devices, lines, gateways and clients are known to misbehave."""
 
 
-def test_the_table_of_personalities_is_that_of_the_code() -> None:
+def test_the_table_of_fault_profiles_is_that_of_the_code() -> None:
     done = subprocess.run(
-        [sys.executable, "scripts/personalities_table.py", "--check"],
+        [sys.executable, "scripts/fault_profiles_table.py", "--check"],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -66,7 +66,7 @@ def test_the_table_of_personalities_is_that_of_the_code() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_every_known_personality_can_be_played_or_says_who_plays_it() -> None:
+def test_every_known_fault_profile_can_be_played_or_says_who_plays_it() -> None:
     assert sorted(OF_THE_FIELD) == sorted([*FAULT_PROFILES, *ELSEWHERE])
     assert set(CLIENT_FAULT_PROFILES) <= set(ELSEWHERE)
     text = PAGE.read_text(encoding="utf-8")
