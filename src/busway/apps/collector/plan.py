@@ -16,7 +16,7 @@ Knows items, what a device allows, and what a read costs; knows no clock, no soc
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
@@ -96,6 +96,7 @@ class ReadRules:
             any, the whole table exists, and nothing is known of its holes.
         forbidden: by table, what no read may touch.
         exact: by table, blocks that are read as a whole or not at all.
+        borders: by table, offsets that a read may end before or begin at, but not cross.
         bridge: whether holes outside readable ranges may be read too.
         one_point: whether each item takes a request of its own.
     """
@@ -105,6 +106,7 @@ class ReadRules:
     readable: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
     forbidden: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
     exact: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
+    borders: Mapping[Table, Collection[int]] = field(default_factory=dict)
     bridge: bool = False
     one_point: bool = False
 
@@ -293,6 +295,7 @@ class _Borders:
         self._readable = _ranges(rules.readable.get(table, ()))
         self._forbidden = _ranges(rules.forbidden.get(table, ()))
         self._exact = _ranges(rules.exact.get(table, ()))
+        self._borders = sorted(rules.borders.get(table, ()))
 
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
         """What is read for a block, or None and the reason why nothing may be."""
@@ -333,6 +336,10 @@ class _Borders:
                 return True
         elif has_hole and not self._bridge:
             return True
+        if self._borders:
+            at = bisect_left(self._borders, end)
+            if at < len(self._borders) and self._borders[at] <= start:
+                return True
         return has_hole and self._forbidden is not None and self._forbidden.touched(end, start) is not None
 
 

@@ -1,0 +1,267 @@
+"""What was learnt of devices: holes, limits of width, the base of their reads; as values, and as JSON text.
+
+Pure: knows no clock, no socket and no file.
+
+1. What was learnt belongs to a device. It is dropped when the device gets another profile or firmware, unless it is
+   pinned.
+2. What two devices with the same profile and firmware learnt alike is offered to others of that kind: they begin
+   with it.
+3. What is pinned is neither changed by learning nor forgotten with the rest.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from ...codes import Table
+from ...errors import ConfigError
+
+VERSION: Final = 1
+AGREEING: Final = 2
+"""Devices that must have learnt the same before it is offered to others."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearntHole:
+    """Items that a device refuses to read, or a border that it refuses to read across.
+
+    Attributes:
+        table: where.
+        start, end: the first of them, and the one after the last; equal for the border before ``start``.
+        code: the exception code that it answered; 0 for silence.
+        pinned: whether it stays until it is forgotten by name.
+    """
+
+    table: Table
+    start: int
+    end: int
+    code: int
+    pinned: bool = False
+
+    @property
+    def is_border(self) -> bool:
+        """Whether it is a border."""
+        return self.start == self.end
+
+    def __str__(self) -> str:
+        why = f"exception {self.code:02X}" if self.code else "silence"
+        if self.is_border:
+            return f"reads across the border before {self.table.label} {self.start}: {why}"
+        last = f"…{self.end - 1}" if self.end - self.start > 1 else ""
+        return f"{self.table.label} {self.start}{last}: {why}"
+
+
+@dataclass(frozen=True, slots=True)
+class LearntLimit:
+    """The widest read that a device answers.
+
+    Attributes:
+        bits: whether it holds for bits; otherwise for registers.
+        good: the widest read that succeeded.
+        bad: the narrowest that was refused because of its width.
+        pinned: whether it stays until it is forgotten by name.
+    """
+
+    bits: bool
+    good: int
+    bad: int
+    pinned: bool = False
+
+    def __str__(self) -> str:
+        return f"at most {self.good} {'bits' if self.bits else 'registers'} in one read; {self.bad} are refused"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceKnowledge:
+    """What is known of one device.
+
+    Attributes:
+        profile, firmware: what kind of device it is; empty for unknown.
+        base: seconds of a read apart from its registers; None where too few reads were made.
+        holes: what it refuses to read.
+        limits: the widest reads, one for registers and one for bits at most.
+    """
+
+    profile: str = ""
+    firmware: str = ""
+    base: float | None = None
+    holes: tuple[LearntHole, ...] = ()
+    limits: tuple[LearntLimit, ...] = ()
+
+    def limit(self, bits: bool) -> LearntLimit | None:
+        """The limit of reads of bits or of registers."""
+        return next((one for one in self.limits if one.bits is bits), None)
+
+    def refuses(self, table: Table, start: int, end: int) -> bool:
+        """Whether a read of a range touches a hole."""
+        return any(one.table is table and one.start < end and start < one.end for one in self.holes)
+
+    def knows(self, hole: LearntHole) -> bool:
+        """Whether it has this hole, or one around it."""
+        return any(
+            one.table is hole.table
+            and one.start <= hole.start
+            and hole.end <= one.end
+            and one.is_border is hole.is_border
+            for one in self.holes
+        )
+
+    def with_hole(self, hole: LearntHole) -> "DeviceKnowledge":
+        """The same and one hole more."""
+        if self.knows(hole):
+            return self
+        return replace(self, holes=(*self.holes, hole))
+
+    def with_limit(self, limit: LearntLimit) -> "DeviceKnowledge":
+        """The same with a limit in the place of the one it had; a pinned one stays."""
+        known = self.limit(limit.bits)
+        if known is not None and (known.pinned or known == limit):
+            return self
+        return replace(self, limits=(*(one for one in self.limits if one.bits is not limit.bits), limit))
+
+    def pinned(self) -> "DeviceKnowledge":
+        """All that is known now, pinned."""
+        return replace(
+            self,
+            holes=tuple(replace(one, pinned=True) for one in self.holes),
+            limits=tuple(replace(one, pinned=True) for one in self.limits),
+        )
+
+    def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
+        """Only what is pinned; nothing at all where ``pinned`` is forgotten too."""
+        return DeviceKnowledge(
+            self.profile,
+            self.firmware,
+            None,
+            tuple(one for one in self.holes if one.pinned and not pinned),
+            tuple(one for one in self.limits if one.pinned and not pinned),
+        )
+
+    def lines(self) -> Iterator[str]:
+        """What is known, in sentences."""
+        for hole in self.holes:
+            yield f"{hole}{' (pinned)' if hole.pinned else ''}"
+        for limit in self.limits:
+            yield f"{limit}{' (pinned)' if limit.pinned else ''}"
+        if self.base is not None:
+            yield f"a read takes {1000 * self.base:.1f} ms apart from its registers"
+
+
+class Knowledge:
+    """What is known of all devices of a collector, by name."""
+
+    def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:
+        self._devices = dict(devices or {})
+
+    def __iter__(self) -> Iterator[tuple[str, DeviceKnowledge]]:
+        return iter(sorted(self._devices.items()))
+
+    def of(self, name: str, profile: str = "", firmware: str = "") -> DeviceKnowledge:
+        """What is known of a device of this kind (rules 1 and 2)."""
+        known = self._devices.get(name)
+        if known is None:
+            return self.offered(profile, firmware)
+        if (known.profile, known.firmware) != (profile, firmware):
+            return replace(known.forgotten(), profile=profile, firmware=firmware)
+        return known
+
+    def set(self, name: str, known: DeviceKnowledge) -> None:
+        """Keep what is known of a device."""
+        self._devices[name] = known
+
+    def pin(self, name: str) -> bool:
+        """Pin what is known of a device; False where nothing is."""
+        return self._change(name, lambda known: known.pinned())
+
+    def forget(self, name: str, *, pinned: bool = False) -> bool:
+        """Forget what is known of a device, and what is pinned where that is said; False where nothing is known."""
+        return self._change(name, lambda known: known.forgotten(pinned=pinned))
+
+    def _change(self, name: str, change: Callable[[DeviceKnowledge], DeviceKnowledge]) -> bool:
+        known = self._devices.get(name)
+        if known is None:
+            return False
+        self._devices[name] = change(known)
+        return True
+
+    def offered(self, profile: str, firmware: str) -> DeviceKnowledge:
+        """What at least two devices of a kind have learnt alike; nothing where the kind is not known."""
+        empty = DeviceKnowledge(profile, firmware)
+        if not profile or not firmware:
+            return empty
+        same = [one for one in self._devices.values() if (one.profile, one.firmware) == (profile, firmware)]
+        holes = {replace(hole, pinned=False) for one in same for hole in one.holes}
+        agreed = [
+            hole for hole in holes if sum(one.refuses(hole.table, hole.start, hole.end) for one in same) >= AGREEING
+        ]
+        limits = {replace(limit, pinned=False) for one in same for limit in one.limits}
+        both = [limit for limit in limits if sum(one.limit(limit.bits) is not None for one in same) >= AGREEING]
+        narrowest = {limit.bits: limit for limit in sorted(both, key=lambda limit: -limit.good)}
+        return replace(
+            empty,
+            holes=tuple(sorted(agreed, key=lambda hole: (hole.table.value, hole.start))),
+            limits=tuple(narrowest[bits] for bits in sorted(narrowest)),
+        )
+
+    def kinds(self) -> list[tuple[str, str]]:
+        """Profiles and firmware for which something is offered."""
+        found = {(one.profile, one.firmware) for one in self._devices.values()}
+        return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
+
+    def text(self) -> str:
+        """All of it as JSON."""
+        return json.dumps(
+            {"version": VERSION, "devices": {name: _device_data(known) for name, known in self}}, indent=1
+        )
+
+
+def read_knowledge(text: str, name: str) -> Knowledge:
+    """What `Knowledge.text` wrote.
+
+    Raises:
+        ConfigError: the text is something else; names the file.
+    """
+    try:
+        data = json.loads(text)
+        if data["version"] != VERSION:
+            raise ConfigError(f"has version {data['version']}; this program reads version {VERSION}", file=name)
+        return Knowledge({device: _device(each) for device, each in data["devices"].items()})
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(
+            f"does not hold what a collector learnt ({error!r}); remove the file to learn anew", file=name
+        ) from error
+
+
+def _device_data(known: DeviceKnowledge) -> dict[str, Any]:  # Any: what JSON has
+    return {
+        "profile": known.profile,
+        "firmware": known.firmware,
+        "base": known.base,
+        "holes": [
+            {"table": one.table.value, "start": one.start, "end": one.end, "code": one.code, "pinned": one.pinned}
+            for one in known.holes
+        ],
+        "limits": [
+            {"of": "bits" if one.bits else "registers", "good": one.good, "bad": one.bad, "pinned": one.pinned}
+            for one in known.limits
+        ],
+    }
+
+
+def _device(data: Mapping[str, Any]) -> DeviceKnowledge:  # Any: what JSON has
+    return DeviceKnowledge(
+        str(data["profile"]),
+        str(data["firmware"]),
+        None if data["base"] is None else float(data["base"]),
+        tuple(
+            LearntHole(Table(one["table"]), int(one["start"]), int(one["end"]), int(one["code"]), bool(one["pinned"]))
+            for one in data["holes"]
+        ),
+        tuple(
+            LearntLimit(one["of"] == "bits", int(one["good"]), int(one["bad"]), bool(one["pinned"]))
+            for one in data["limits"]
+        ),
+    )

@@ -1,0 +1,469 @@
+"""Learning what reads of a device cost, and which it refuses.
+
+Pure: knows reads and what became of them; knows no clock, no socket and no file.
+
+What a read costs:
+
+1. The price of a register is fixed by the line, so each read that succeeds gives one estimate of the base: its seconds
+   less the price of its registers. The median of the last `MEMORY` estimates is the base: up to half of them may be
+   wrong, for example because a frame was repeated.
+2. Where the line is not known (behind a network), the price of a register is learnt too, as the median slope between
+   reads of different widths, from `WIDTHS` widths on.
+
+What the device refuses:
+
+3. Exceptions 02 and 03 mean that something in a read is refused; three silences in a row mean that too, if meanwhile a
+   narrower read succeeds. Everything else (04, 06, a lost connection) teaches nothing.
+4. The halves of a refused read are asked once each, at low priority; then the halves of those that are refused.
+   An item that is refused alone is a hole.
+5. Where both halves succeed, a read of the items next to the cut tells why. If it is refused too, the device has a hole
+   or a border there; else the read was too wide. A limit of width is then narrowed by reads of widths in between.
+6. What is learnt is used from then on, and not asked again.
+"""
+
+from bisect import insort
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import combinations
+from statistics import median
+from typing import Any, Final
+
+from ...codes import ExceptionCode, Table
+from .cost import NETWORK_REGISTER, ReadCost
+from .knowledge import DeviceKnowledge, LearntHole, LearntLimit
+from .plan import ItemRange, PlannedRead, ReadRules
+
+MEMORY: Final = 64
+"""Reads that the base follows from: a device that got slower is noticed after half of them."""
+SETTLED_AFTER: Final = 48
+"""Reads after which the cost counts as known."""
+WIDTHS: Final = 3
+"""Different widths that a device has to be asked for before its cost counts as known."""
+SILENCES: Final = 3
+"""Silences in a row of one read before its halves are asked."""
+QUESTIONS: Final = 64
+"""Reads that one refusal may cause: a map with more holes is learnt by the next refusal."""
+
+MOST_IGNORED: Final = 1024
+"""Refusals of a read that are passed over at most, where its parts have always succeeded."""
+
+_REFUSALS: Final = frozenset({ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE})
+
+
+class CostLearner:
+    """The cost of reads of one device, learnt from reads that succeeded.
+
+    Args:
+        assumed: the cost until enough is known.
+        fixed: whether the price of a register is that of ``assumed``; otherwise it is learnt too.
+
+    Attributes:
+        reads: how many reads it has seen.
+    """
+
+    def __init__(self, assumed: ReadCost, *, fixed: bool = True) -> None:
+        self._assumed = assumed
+        self._fixed = fixed
+        self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
+        self._in_order: list[float] = []  # the estimates of the base, for the median
+        self._estimates: deque[float] = deque()
+        self.reads = 0
+
+    def observe(self, table: Table, width: int, seconds: float) -> None:
+        """Note a read that succeeded at its first attempt, ``seconds`` after its request began."""
+        self.reads += 1
+        self._seen.append((table, width, seconds))
+        estimate = seconds - self._assumed.per_item(table) * width
+        self._estimates.append(estimate)
+        insort(self._in_order, estimate)
+        if len(self._estimates) > MEMORY:
+            self._in_order.remove(self._estimates.popleft())
+
+    @property
+    def widths(self) -> set[int]:
+        """The widths that it has seen lately."""
+        return {width for _, width, _ in self._seen}
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the cost counts as known."""
+        return self.reads >= SETTLED_AFTER and len(self.widths) >= WIDTHS
+
+    @property
+    def cost(self) -> ReadCost:
+        """The cost as far as it is known."""
+        if not self._seen:
+            return self._assumed
+        if not self._fixed:
+            slope = self._slope()
+            if slope is not None:
+                base = median(seconds - slope * width for _, width, seconds in self._seen)
+                return ReadCost(max(base, 1e-6), slope, slope / 16)
+        middle = len(self._in_order) // 2
+        base = self._in_order[middle]
+        if len(self._in_order) % 2 == 0:
+            base = (base + self._in_order[middle - 1]) / 2
+        return self._assumed.with_base(max(base, 1e-6))
+
+    def _slope(self) -> float | None:
+        """Seconds of a register, as the median slope between widths of registers; None while there are too few."""
+        by_width: dict[int, list[float]] = {}
+        for table, width, seconds in self._seen:
+            if not table.holds_bits:
+                by_width.setdefault(width, []).append(seconds)
+        if len(by_width) < WIDTHS:
+            return None
+        middles = {width: median(each) for width, each in by_width.items()}
+        slopes = [(middles[b] - middles[a]) / (b - a) for a, b in combinations(sorted(middles), 2)]
+        return max(median(slopes), NETWORK_REGISTER)
+
+
+def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
+    """Reads of at least three widths, where the items allow it, that touch nothing that ``reads`` do not touch.
+
+    They are the widest of ``reads``, about half of it, and its narrowest item.
+    """
+    widest = max(reads, key=lambda read: read.width, default=None)
+    if widest is None:
+        return []
+    found = {widest.width: widest}
+    for part in (list(widest.items[: (len(widest.items) + 1) // 2]), [min(widest.items, key=lambda one: one.width)]):
+        if all(one.group is None for one in part):
+            read = read_of(widest.table, part, cost)
+            found.setdefault(read.width, read)
+    for read in reads:
+        found.setdefault(read.width, read)
+    return sorted(found.values(), key=lambda read: read.width)
+
+
+def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
+    """One read that brings some items, which is as wide as they are."""
+    start = min(one.start for one in items)
+    width = max(one.start + one.width for one in items) - start
+    return PlannedRead(table, start, width, tuple(items), cost.of(table, width))
+
+
+class ReadOutcome(Enum):
+    """What became of a read, as far as it teaches something about the device's map."""
+
+    SUCCESS = "success"
+    REFUSED = "refused"
+    SILENCE = "silence"
+    OTHER = "other"
+
+
+def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
+    """The outcome of a read that failed with an exception code, or without one."""
+    if code is not None:
+        return ReadOutcome.REFUSED if code in _REFUSALS else ReadOutcome.OTHER
+    return ReadOutcome.SILENCE if silent else ReadOutcome.OTHER
+
+
+@dataclass(slots=True)
+class _Part:
+    """A read that was refused, and what is known of its halves.
+
+    Attributes:
+        read: it.
+        halves: those that are to be asked, or were.
+        succeeded: how many of them did.
+    """
+
+    read: PlannedRead
+    halves: list[PlannedRead]
+    succeeded: int = 0
+
+
+class _Purpose(Enum):
+    CONTROL = "control"  # whether the device answers at all
+    ITEM = "item"  # whether one item is refused alone
+    HALF = "half"
+    GAP = "gap"  # whether the hole between two halves is what is refused
+    WIDTH = "width"  # whether a width between a good and a bad one succeeds
+
+
+@dataclass(slots=True)
+class _Question:
+    """A read that is asked to learn."""
+
+    purpose: _Purpose
+    read: PlannedRead
+    part: _Part | None = None
+    silences: int = 0
+
+
+@dataclass(slots=True)
+class _Wait:
+    """Refusals of a read to pass over before its parts are asked again: ``left`` now, and ``next`` time."""
+
+    left: int = 0
+    next: int = 4
+
+
+class MapLearner:
+    """Which reads one device refuses, and why.
+
+    Args:
+        knowledge: what is known of the device already; what is learnt is added.
+        cost: prices the reads that it asks for.
+
+    Attributes:
+        knowledge: what is known, by now.
+        asked: reads that it has asked for.
+        inconclusive: refusals that did not happen again when the halves were asked.
+    """
+
+    def __init__(self, knowledge: DeviceKnowledge, cost: ReadCost) -> None:
+        self.knowledge = knowledge
+        self.asked = 0
+        self.inconclusive = 0
+        self._cost = cost
+        self._silences: dict[tuple[Table, int, int], int] = {}
+        self._waits: dict[tuple[Table, int, int], _Wait] = {}
+        self._questions: deque[_Question] = deque()
+        self._cause: PlannedRead | None = None
+        self._by_silence = False
+        self._code = 0
+        self._left = 0
+        self._widest: dict[bool, int] = {}  # by kind of table, the widest read that succeeded
+        self._narrowest: PlannedRead | None = None
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether it has a question."""
+        return bool(self._questions)
+
+    def question(self) -> PlannedRead | None:
+        """The next read to make at low priority, or None."""
+        return self._questions[0].read if self._questions else None
+
+    def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
+        """Note what became of a read that was made for its values.
+
+        Args:
+            read: it.
+            outcome: what became of it.
+            code: the exception code, where there is one.
+        """
+        place = (read.table, read.start, read.width)
+        if outcome is ReadOutcome.SUCCESS:
+            self._note_success(read)
+            return
+        if self._questions or not read.items:
+            return
+        if outcome is ReadOutcome.REFUSED:
+            wait = self._waits.get(place)
+            if wait is not None and wait.left:
+                wait.left -= 1
+            else:
+                self._begin(read, code)
+        elif outcome is ReadOutcome.SILENCE:
+            count = self._silences[place] = self._silences.get(place, 0) + 1
+            if count >= SILENCES:
+                self._silences.clear()
+                self._ask_control(read)
+
+    def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
+        """Note what became of the question; says whether something was learnt that changes plans."""
+        question = self._questions[0]
+        self.asked += 1
+        self._left -= 1
+        if outcome is ReadOutcome.SILENCE and question.purpose is not _Purpose.CONTROL and self._by_silence:
+            question.silences += 1
+            if question.silences < SILENCES:
+                return False
+            outcome = ReadOutcome.REFUSED
+        self._questions.popleft()
+        before = self.knowledge
+        if outcome is ReadOutcome.SUCCESS:
+            self._note_success(question.read)
+            self._when_good(question)
+        elif outcome is ReadOutcome.REFUSED and question.purpose is not _Purpose.CONTROL:
+            self._code = code
+            self._when_refused(question)
+        else:
+            self._end()
+        if self._left <= 0:
+            self._end()
+        return self.knowledge is not before
+
+    def _note_success(self, read: PlannedRead) -> None:
+        self._silences.pop((read.table, read.start, read.width), None)
+        kind = read.table.holds_bits
+        self._widest[kind] = max(self._widest.get(kind, 0), read.width)
+        if self._narrowest is None or read.seconds < self._narrowest.seconds:
+            self._narrowest = read
+
+    def _begin(self, read: PlannedRead, code: int) -> None:
+        self._cause, self._by_silence, self._code, self._left = read, False, code, QUESTIONS
+        self._split(read)
+
+    def _give_up(self) -> None:
+        """A refusal that does not happen again when its parts are asked: wait for twice as many before asking anew."""
+        self.inconclusive += 1
+        assert self._cause is not None
+        wait = self._waits.setdefault((self._cause.table, self._cause.start, self._cause.width), _Wait())
+        wait.left = wait.next
+        wait.next = min(2 * wait.next, MOST_IGNORED)
+
+    def _ask_control(self, read: PlannedRead) -> None:
+        """Ask whether the device answers at all: by its cheapest read, or by the narrowest item of the silent one."""
+        control = self._narrowest
+        if control is None or control.width >= read.width:
+            control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
+        if control.width >= read.width:
+            return  # nothing narrower is known: silence of the one item that there is teaches nothing
+        self._cause, self._by_silence, self._code, self._left = read, True, 0, QUESTIONS
+        self._questions.append(_Question(_Purpose.CONTROL, control))
+
+    def _split(self, read: PlannedRead) -> None:
+        """Ask for the halves of a refused read, or for its one item alone."""
+        bundles = _bundles(read.items)
+        if len(bundles) == 1:
+            self._questions.append(_Question(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
+            return
+        middle = (read.start + read.end) / 2
+        cut = min(range(1, len(bundles)), key=lambda at: abs(bundles[at][0].start - middle))
+        halves = [
+            read_of(read.table, [one for bundle in each for one in bundle], self._cost)
+            for each in (bundles[:cut], bundles[cut:])
+        ]
+        part = _Part(read, halves)
+        # The parts of a part come first: the narrowest read that is refused says most.
+        self._questions.extendleft(_Question(_Purpose.HALF, half, part) for half in reversed(halves))
+
+    def _when_good(self, question: _Question) -> None:
+        part = question.part
+        if question.purpose is _Purpose.CONTROL:
+            assert self._cause is not None
+            self._split(self._cause)
+        elif question.purpose is _Purpose.ITEM:
+            self._give_up()
+        elif question.purpose is _Purpose.HALF:
+            assert part is not None
+            part.succeeded += 1
+            if part.succeeded == len(part.halves):
+                self._both_good(part)
+        elif question.purpose is _Purpose.GAP:
+            assert part is not None
+            if self._has_been_as_wide(part.read):
+                self._give_up()
+            else:
+                self._too_wide(part.read)
+        else:
+            self._narrow_limit(question.read.table, good=question.read.width)
+
+    def _when_refused(self, question: _Question) -> None:
+        read = question.read
+        if question.purpose is _Purpose.WIDTH:
+            self._narrow_limit(read.table, bad=read.width)
+        elif question.purpose is _Purpose.GAP:
+            assert question.part is not None
+            self._learn_gap(question.part)
+        elif len(_bundles(read.items)) == 1:
+            self._learn_hole(read.table, read.start, read.end)
+        else:
+            self._split(read)
+
+    def _both_good(self, part: _Part) -> None:
+        """A read was refused whose halves succeed (rule 5)."""
+        left, right = part.halves
+        across = read_of(part.read.table, [*_bundles(left.items)[-1], *_bundles(right.items)[0]], self._cost)
+        if across.width < part.read.width:
+            self._questions.appendleft(_Question(_Purpose.GAP, across, part))
+        elif right.start > left.end or self._has_been_as_wide(part.read):
+            self._learn_gap(part)
+        else:
+            self._too_wide(part.read)
+
+    def _has_been_as_wide(self, read: PlannedRead) -> bool:
+        return self._widest.get(read.table.holds_bits, 0) >= read.width
+
+    def _learn_gap(self, part: _Part) -> None:
+        left, right = part.halves
+        self._learn_hole(part.read.table, left.end, right.start)
+
+    def _learn_hole(self, table: Table, start: int, end: int) -> None:
+        self.knowledge = self.knowledge.with_hole(LearntHole(table, start, end, self._code))
+
+    def _too_wide(self, read: PlannedRead) -> None:
+        kind = read.table.holds_bits
+        good = self._widest.get(kind, 0)
+        if good < read.width:
+            self.knowledge = self.knowledge.with_limit(LearntLimit(kind, good, read.width))
+            self._questions.clear()  # the limit may be why the other parts were refused
+            assert self._cause is not None
+            self._ask_width(self._cause)
+
+    def _narrow_limit(self, table: Table, *, good: int | None = None, bad: int | None = None) -> None:
+        limit = self.knowledge.limit(table.holds_bits)
+        if limit is None or limit.pinned:
+            return
+        better = replace(limit, good=limit.good if good is None else good, bad=limit.bad if bad is None else bad)
+        self.knowledge = self.knowledge.with_limit(better)
+        assert self._cause is not None
+        self._ask_width(self._cause)
+
+    def _ask_width(self, read: PlannedRead) -> None:
+        """Ask for the run of items whose width is nearest to the middle between a good and a bad width."""
+        limit = self.knowledge.limit(read.table.holds_bits)
+        if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
+            return
+        middle = (limit.good + limit.bad) / 2
+        best: list[Any] | None = None  # Any: the caller's kind of ReadItem
+        nearest = float(limit.bad)
+        for run, width in _runs(read):
+            if limit.good < width < limit.bad and abs(width - middle) < nearest:
+                if self.knowledge.refuses(read.table, run[0].start, run[0].start + width):
+                    continue
+                best, nearest = run, abs(width - middle)
+        if best is not None:
+            self._questions.append(_Question(_Purpose.WIDTH, read_of(read.table, best, self._cost)))
+
+    def _end(self) -> None:
+        self._questions.clear()
+        self._silences.clear()
+
+
+def _bundles(items: Sequence[Any]) -> list[list[Any]]:
+    """Items that cannot be parted, in order: atomic groups, and items that overlap."""
+    found: list[list[Any]] = []
+    end = -1
+    for one in sorted(items, key=lambda each: (each.start, -each.width)):
+        together = found and (one.start < end or (one.group is not None and one.group == found[-1][-1].group))
+        if together:
+            found[-1].append(one)
+        else:
+            found.append([one])
+        end = max(end, one.start + one.width)
+    return found
+
+
+def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
+    """The runs of items from the first item of a read on, and from the last one back, with their widths."""
+    bundles = _bundles(read.items)
+    for at in range(1, len(bundles)):
+        for part in (bundles[:at], bundles[at:]):
+            run = [one for bundle in part for one in bundle]
+            yield run, max(one.start + one.width for one in run) - run[0].start
+
+
+def with_knowledge(rules: ReadRules, knowledge: DeviceKnowledge) -> ReadRules:
+    """The rules of a device, and what was learnt of it."""
+    forbidden = {table: list(spans) for table, spans in rules.forbidden.items()}
+    borders = {table: set(places) for table, places in rules.borders.items()}
+    for hole in knowledge.holes:
+        if hole.is_border:
+            borders.setdefault(hole.table, set()).add(hole.start)
+        else:
+            forbidden.setdefault(hole.table, []).append(ItemRange(hole.start, hole.end))
+    registers, bits = knowledge.limit(False), knowledge.limit(True)
+    return replace(
+        rules,
+        forbidden=forbidden,
+        borders=borders,
+        max_registers=rules.max_registers if registers is None else max(1, min(rules.max_registers, registers.good)),
+        max_bits=rules.max_bits if bits is None else max(1, min(rules.max_bits, bits.good)),
+    )
