@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("road")
 
 REGISTER = 1234
 REPLY = bytes.fromhex("0001 0000 0005 01 03 02 04D2")
-ADAPTIVE_TIMEOUT = 10.0
+LONGEST_WAIT = 10.0
 
 Store = CertificateStore
 
@@ -69,7 +69,7 @@ def security_of(server: ServerThread | busway.Server) -> SecurityStatus:
 
 def wait_for(condition: Callable[[], bool]) -> None:
     """Until what happens in the server's thread has happened."""
-    limit = time.monotonic() + ADAPTIVE_TIMEOUT
+    limit = time.monotonic() + LONGEST_WAIT
     while not condition():
         assert time.monotonic() < limit
 
@@ -114,7 +114,7 @@ def test_records_may_be_cut_into_segments_anywhere(served: ServerThread, operato
     """The bytes of TLS reach the server one by one, handshake and all."""
     incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
     tls = foreign_context(operator, operator).wrap_bio(incoming, outgoing, server_hostname="localhost")
-    with socket.create_connection(("127.0.0.1", port_of(served)), ADAPTIVE_TIMEOUT) as below:
+    with socket.create_connection(("127.0.0.1", port_of(served)), LONGEST_WAIT) as below:
         below.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
 
         def run(step: Callable[[], object]) -> object:
@@ -306,7 +306,7 @@ def test_tls_1_1_is_refused(served: ServerThread, operator: CertificateFiles) ->
     hello = bytes.fromhex(  # a ClientHello of TLS 1.1 with one suite, from RFC 4346 §7.4.1.2
         "16 0301 002d 01 000029 0302" + "00" * 32 + "00 0002 c013 01 00"
     )
-    with socket.create_connection(("127.0.0.1", port_of(served)), ADAPTIVE_TIMEOUT) as client:
+    with socket.create_connection(("127.0.0.1", port_of(served)), LONGEST_WAIT) as client:
         client.sendall(hello)
         answer = client.recv(100)
     assert answer[:1] == b"\x15"  # an alert
@@ -371,7 +371,7 @@ def test_an_rsa_certificate_is_served_with_ecdhe_rsa(store: Store, operator: Cer
 @pytest.mark.clause("M1")
 def test_what_is_no_tls_is_refused_and_never_reaches_the_device(served: ServerThread) -> None:
     handles = open_handles()
-    with socket.create_connection(("127.0.0.1", port_of(served)), ADAPTIVE_TIMEOUT) as client:
+    with socket.create_connection(("127.0.0.1", port_of(served)), LONGEST_WAIT) as client:
         client.sendall(READ)
         wait_for(lambda: security_of(served).refused == {"not TLS": 1})
     wait_for(lambda: open_handles() == handles)
@@ -456,7 +456,7 @@ def test_an_address_that_is_refused_never_gets_to_a_handshake(server_files: Cert
     with busway.serve_in_thread(
         f"tls://127.0.0.1:0?{server_files.query()}", units=device(), authorise=lambda host: False
     ) as server:
-        client = socket.create_connection(("127.0.0.1", port_of(server)), ADAPTIVE_TIMEOUT)
+        client = socket.create_connection(("127.0.0.1", port_of(server)), LONGEST_WAIT)
         with client, contextlib.suppress(ConnectionResetError):
             assert client.recv(1) == b""
         wait_for(lambda: server.status().counters.unauthorised == 1)
@@ -538,7 +538,7 @@ def test_thousands_of_requests_in_a_few_records_are_answered_in_order_and_their_
         with contextlib.suppress(ssl.SSLError):  # it tells the end, and is told by answers that there is more
             client.unwrap()
         with socket.socket(fileno=client.detach()) as below:
-            below.settimeout(ADAPTIVE_TIMEOUT)
+            below.settimeout(LONGEST_WAIT)
             while below.recv(65_536):
                 pass
     wait_for(lambda: not served.status().connections)
@@ -656,7 +656,7 @@ def test_after_a_fatal_alert_a_session_is_not_resumed(
         below = socket.socket(fileno=client.detach())
         with below:
             below.sendall(bytes.fromhex("17 0303 0020") + bytes(32))  # a record that nobody encrypted
-            below.settimeout(ADAPTIVE_TIMEOUT)
+            below.settimeout(LONGEST_WAIT)
             with contextlib.suppress(ConnectionResetError):
                 while below.recv(100):
                     pass

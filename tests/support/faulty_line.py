@@ -20,7 +20,7 @@ ANY_PORT = "tcp://127.0.0.1:0"
 BAUD = 115_200
 UNITS = (1, 2)
 SIZE = 400
-ADAPTIVE_TIMEOUT = 5.0
+LONGEST_WAIT = 5.0
 """Seconds for what comes."""
 
 
@@ -90,7 +90,7 @@ async def faulty_line(
         server = Server([listen], FaultyHandler(LocalHandler(devices), faults, tap), tap=tap, standard_port=False)
         async with server:
             base = route or Route(upstream="line", units=frozenset(range(1, 248)))
-            patient = replace(base, units=frozenset({2}), timeout=ADAPTIVE_TIMEOUT)  # who behaves has time
+            patient = replace(base, units=frozenset({2}), timeout=LONGEST_WAIT)  # who behaves has time
             plan = GatewayPlan(
                 listeners=(GatewayListener("office", Listener(listener)),),
                 upstreams=(UpstreamSettings.of("line", dial or server.endpoints[0], **options),),

@@ -1,25 +1,25 @@
-"""A small HTTP service in a thread of its own: for the status and the metrics of a program that is busy with its work.
+"""HTTP service for the status and the metrics of a program, in threads beside the program's own event loop.
 
-Knows requests and answers of HTTP/1.1; knows nothing of what is asked. Who owns it says what is answered.
+Knows the limits of one connection and of all; knows nothing of the resources, which its owner answers. The standard
+library's `ThreadingHTTPServer` parses requests. It has no limits, so they are here:
 
-1. One request per connection; then it is closed. Nothing is kept alive, chunked, compressed or redirected.
-2. Everything is bounded: bytes of head and body, seconds of the whole exchange, connections at once: one more takes the
-   place of the oldest whose request is not there yet, or is answered 503. Whoever sends or reads slowly keeps nobody
-   else from being answered. The last descriptors of the process are not taken: they are for Modbus.
-3. It has an event loop of its own, so that a large answer, or many questions, never stand in the way of the owner's.
+1. One request per connection, then the connection is closed. No keep-alive, no chunked bodies, no redirects.
+2. Head, body, time and number of connections are limited. One connection too many closes the oldest that has not sent
+   its whole request, or is answered 503 where all have. A peer that sends or reads slowly delays no other peer.
+3. The last descriptors of the process are never kept: they are for Modbus.
 """
 
-import asyncio
 import contextlib
 import logging
 import os
 import socket
 import threading
 import time
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Final
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, BinaryIO, Final, NoReturn, cast
 
 from ..errors import ConfigError, LinkDown
 from ..transport.descriptors import is_reserved
@@ -29,14 +29,14 @@ _log = logging.getLogger("busway.http")
 HEAD_LIMIT: Final = 8192
 """Bytes of request line and headers."""
 BODY_LIMIT: Final = 4096
-"""Bytes of a request's body; nothing that is asked here has one of any size."""
-_BACKLOG: Final = 16
-_PAUSE: Final = 60.0
-"""Seconds between two lines about requests that could not be answered."""
-_TURNS_TO_SETTLE: Final = 4
-"""Turns of the loop until a connection that is being accepted stands, and until one that was closed has gone."""
-_SINGLE: Final = frozenset({"host", "content-length", "authorization"})
-"""Headers that would say two things if they stood twice."""
+"""Bytes of a request's body; no resource here needs a larger one."""
+_BACKLOG: Final = 128
+_LOG_PAUSE: Final = 60.0
+"""Seconds between two log lines about requests that failed."""
+_TURN: Final = 0.1
+"""Seconds between two looks for connections whose time is over."""
+_SINGLE: Final = ("host", "content-length", "authorization")
+"""Headers that must not stand twice: it would be unclear which one holds."""
 
 
 class HttpError(Exception):
@@ -49,11 +49,11 @@ class HttpError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class HttpRequest:
-    """A request as it came.
+    """A request as received.
 
     Attributes:
         method: ``GET``, ``POST``, …
-        path: what is asked for, without the query.
+        path: path of the resource, without the query.
         headers: by name in lower case.
         body: at most `BODY_LIMIT` bytes.
     """
@@ -66,11 +66,11 @@ class HttpRequest:
 
 @dataclass(frozen=True, slots=True)
 class HttpResponse:
-    """An answer.
+    """A response.
 
     Attributes:
-        body: its bytes; ``content_type`` says how to read them.
-        status: 200 if all is well.
+        body: its bytes, of the type ``content_type``.
+        status: HTTP status, 200 for success.
     """
 
     body: bytes
@@ -80,12 +80,12 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """What one client may take.
+    """Limits of the connections.
 
     Attributes:
         request_seconds: from the accepted connection to the last byte of the request.
-        seconds: from the accepted connection to the last byte of the answer.
-        connections: at once.
+        seconds: from the accepted connection to the last byte of the response.
+        connections: open at once.
     """
 
     request_seconds: float = 5.0
@@ -93,181 +93,209 @@ class HttpLimits:
     connections: int = 16
 
 
-class HttpService:
-    """Answers on one listening socket from `start` to `stop`.
+class HttpService(ThreadingHTTPServer):
+    """HTTP service on one listening socket, from `start` to `stop`. Each connection has a thread.
 
     Args:
-        bound: a bound stream socket, which becomes the service's own.
-        answer: gives the answer to a request, in the service's own event loop; `HttpError` answers with an error.
-        admit: asked with each accepted socket; where it gives False the connection is closed unread.
+        bound: a bound stream socket; the service closes it.
+        answer: returns the response to a request, and may block for a limited time. `HttpError` is answered as such.
+        admit: asked with each accepted socket; False closes the connection unread.
         limits: `HttpLimits`.
-        name: of the thread.
+        name: name of the thread that accepts.
     """
 
     def __init__(
         self,
         bound: socket.socket,
-        answer: Callable[[HttpRequest], Awaitable[HttpResponse]],
+        answer: Callable[[HttpRequest], HttpResponse],
         *,
         admit: Callable[[socket.socket], bool] = lambda accepted: True,
         limits: HttpLimits | None = None,
         name: str = "busway http",
     ) -> None:
-        self._bound = bound
-        self._answer = answer
+        super().__init__(("", 0), _Connection, bind_and_activate=False)
+        self.socket.close()
+        self.socket = bound
+        bound.settimeout(_TURN)  # a peer that has gone between select and accept must not block the thread
+        self.daemon_threads = False  # so that `server_close` waits for them
+        self.answer = answer
         self._admit = admit
         self._limits = limits or HttpLimits()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._unheard: dict[
-            asyncio.Task[None], asyncio.WriteTransport
-        ] = {}  # without a whole request, the oldest first
-        self._told = -_PAUSE
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._stopping: asyncio.Event | None = None
-        self._started = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._deadlines: dict[socket.socket, float] = {}
+        self._unheard: dict[socket.socket, None] = {}  # those without a whole request, the oldest first
+        self._silent_until = 0.0
+        self._thread = threading.Thread(target=self.serve_forever, args=(_TURN,), name=name, daemon=True)
 
     def start(self) -> None:
         """Listen, and answer from now on."""
-        self._bound.listen(_BACKLOG)
+        self.socket.listen(_BACKLOG)
         self._thread.start()
-        self._started.wait()
 
     def stop(self) -> None:
-        """End it: what is being answered is cut off. Blocks until the thread has gone; a second call does nothing."""
-        if self._thread.ident is None:
-            self._bound.close()
-            return
-        if self._loop is not None and self._stopping is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has gone already
-                self._loop.call_soon_threadsafe(self._stopping.set)
-        self._thread.join()
+        """Cut off all connections. Blocks until the threads have ended; a second call does nothing."""
+        if self._thread.ident is not None:
+            self.shutdown()
+            self._thread.join()
+        for accepted in list(self._deadlines):
+            self._cut(accepted)
+        self.server_close()
 
-    # In the thread.
+    def heard(self, accepted: socket.socket) -> None:
+        """The whole request of a connection has been received: it has more time now, and its place for sure."""
+        self._unheard.pop(accepted, None)
+        self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
-    def _run(self) -> None:
+    def log_failure(self) -> None:
+        """Log the exception that is being handled, once a minute."""
+        now = time.monotonic()
+        if now >= self._silent_until:
+            self._silent_until = now + _LOG_PAUSE
+            _log.exception("a request failed; further failures within a minute are not logged")
+
+    # Called by the standard library.
+
+    def get_request(self) -> tuple[socket.socket, Any]:  # Any: the address of a peer has the shape of its family
+        """Accept a connection."""
         try:
-            asyncio.run(self._serve())
-        finally:
-            self._bound.close()
-            self._started.set()
+            return super().get_request()
+        except OSError:
+            time.sleep(_TURN)  # without descriptors accepting would fail again at once, and for ever
+            raise
 
-    async def _serve(self) -> None:
-        self._loop = asyncio.get_running_loop()
-        self._stopping = asyncio.Event()
-        listener = await asyncio.start_server(self._connected, sock=self._bound, limit=HEAD_LIMIT)
-        self._started.set()
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Whether an accepted connection may stay; where there are too many, make room or answer 503."""
+        if is_reserved(request.fileno()) or not self._admit(request):
+            return False
+        most = self._limits.connections
+        if len(self._deadlines) >= most:
+            silent = list(self._unheard)
+            if not silent or len(self._deadlines) >= 2 * most:
+                _drained(request, b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\n\r\n")
+                return False
+            self._cut(silent[0])
+        self._deadlines[request] = time.monotonic() + self._limits.request_seconds
+        self._unheard[request] = None
+        return True
+
+    def service_actions(self) -> None:
+        """Cut off the connections whose time is over."""
+        now = time.monotonic()
+        for accepted, deadline in list(self._deadlines.items()):
+            if now >= deadline:
+                self._cut(accepted)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self._unheard.pop(request, None)
+        self._deadlines.pop(request, None)
+        super().shutdown_request(request)
+
+    def _cut(self, accepted: socket.socket) -> None:
+        """End a connection: its thread, if it waits for the peer, wakes up and closes it."""
+        self._unheard.pop(accepted, None)
+        with contextlib.suppress(OSError):
+            accepted.shutdown(socket.SHUT_RDWR)
+
+
+def _drained(accepted: socket.socket, last: bytes = b"") -> None:
+    """Send the last bytes and take what is there, without waiting: what is unread at its end resets a connection."""
+    with contextlib.suppress(OSError):
+        accepted.setblocking(False)
+        accepted.send(last)
+        accepted.recv(2 * HEAD_LIMIT)
+
+
+class _Connection(BaseHTTPRequestHandler):
+    """One connection: its request, and the response to it."""
+
+    protocol_version = "HTTP/1.1"
+    wbufsize = -1  # head and body leave together
+    server: HttpService
+
+    def handle(self) -> None:
+        """Receive the request and send the response; a peer that has gone or is too slow gets none."""
+        with contextlib.suppress(OSError, EOFError):
+            self._send(self._response())
+            _drained(self.connection)
+
+    def finish(self) -> None:
+        """Flush what was written."""
+        with contextlib.suppress(OSError):
+            super().finish()
+
+    def _response(self) -> HttpResponse:
         try:
-            await self._stopping.wait()
-        finally:
-            # asyncio forgets a connection that is just being accepted when its listener closes: let it arrive first.
-            with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness
-                self._loop.remove_reader(self._bound.fileno())
-            await _settle()
-            listener.close()
-            for task in self._tasks:
-                task.cancel()
-            await _settle()
-
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._tasks.add(task)
-        self._make_room()
-        self._unheard[task] = writer.transport
-        try:
-            async with asyncio.timeout(self._limits.seconds):
-                accepted = writer.get_extra_info("socket")
-                if is_reserved(accepted.fileno()) or not self._admit(accepted):
-                    return
-                writer.write(encode_response(await self._respond(reader, task)))
-                await writer.drain()
-                writer.close()
-                await writer.wait_closed()
-        except (TimeoutError, OSError, EOFError):
-            pass  # whoever asked has gone, or is too slow to be waited for
-        finally:
-            self._tasks.discard(task)
-            self._unheard.pop(task, None)
-            writer.transport.abort()
-
-    def _make_room(self) -> None:
-        """Where one is there too many, end the oldest whose request is not there yet."""
-        if len(self._tasks) > self._limits.connections and self._unheard:
-            oldest = next(iter(self._unheard))
-            self._tasks.discard(oldest)
-            self._unheard.pop(oldest).abort()
-
-    async def _respond(self, reader: asyncio.StreamReader, task: "asyncio.Task[None]") -> HttpResponse:
-        try:
-            if len(self._tasks) > self._limits.connections:
-                raise HttpError(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections at once")
-            async with asyncio.timeout(self._limits.request_seconds):
-                request = await read_request(reader)
-            self._unheard.pop(task, None)
-            return await self._answer(request)
+            request = self._request()
+            self.server.heard(self.connection)
+            return self.server.answer(request)
         except HttpError as error:
             return HttpResponse(f"{error}\n".encode(), status=error.status)
-        except (OSError, EOFError):  # TimeoutError is one of them
+        except (OSError, EOFError):
             raise
         except Exception:
-            now = time.monotonic()
-            if now >= self._told + _PAUSE:
-                self._told = now
-                _log.exception("a request could not be answered; what follows within a minute is not said")
-            return HttpResponse(b"it could not be answered\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
+            self.server.log_failure()
+            return HttpResponse(b"the request failed; the log says why\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
+
+    def _request(self) -> HttpRequest:
+        """The request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
+        received = self.rfile
+        self.rfile = cast("BinaryIO", _Head(received))  # type: ignore[assignment]  # of which lines are read, no more
+        self.raw_requestline = self.rfile.readline()
+        self.parse_request()  # which calls send_error
+        self.rfile = received
+        if self.request_version == "HTTP/0.9" or not self.path.startswith("/"):
+            raise HttpError(HTTPStatus.BAD_REQUEST, "the first line is no HTTP request")
+        if self.headers.defects or any(len(self.headers.get_all(name, ())) > 1 for name in _SINGLE):
+            raise HttpError(HTTPStatus.BAD_REQUEST, "a header is malformed, or stands twice")
+        headers = {name.lower(): value.strip() for name, value in self.headers.items()}
+        return HttpRequest(self.command, self.path.partition("?")[0], headers, self._body(headers))
+
+    def _body(self, headers: Mapping[str, str]) -> bytes:
+        if "transfer-encoding" in headers:
+            raise HttpError(HTTPStatus.LENGTH_REQUIRED, "a body needs a Content-Length")
+        length = headers.get("content-length", "0")
+        if not (length.isascii() and length.isdigit()) or len(length) > 9:
+            raise HttpError(HTTPStatus.BAD_REQUEST, "the Content-Length is not a number")
+        if int(length) > BODY_LIMIT:
+            raise HttpError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the body exceeds {BODY_LIMIT} bytes")
+        body = self.rfile.read(int(length))
+        if len(body) < int(length):
+            raise EOFError
+        return body
+
+    def _send(self, response: HttpResponse) -> None:
+        self.request_version = self.protocol_version  # also where the request was too malformed to have one
+        self.send_response_only(response.status)
+        self.send_header("Content-Type", response.content_type)
+        self.send_header("Content-Length", str(len(response.body)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(response.body)
+        self.wfile.flush()
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> NoReturn:
+        """Called by the standard library where it cannot parse a request."""
+        raise HttpError(code, message or HTTPStatus(code).phrase)
 
 
-async def _settle() -> None:
-    for _ in range(_TURNS_TO_SETTLE):
-        await asyncio.sleep(0)
+class _Head:
+    """The lines of a request's head, together at most `HEAD_LIMIT` bytes."""
 
+    def __init__(self, received: Any) -> None:  # Any: any buffered reader
+        self._received = received
+        self._left = HEAD_LIMIT
 
-async def read_request(reader: asyncio.StreamReader) -> HttpRequest:
-    """One request. Raises `HttpError` for what is none, `EOFError` where it ends too soon."""
-    try:
-        head = await reader.readuntil(b"\r\n\r\n")
-    except asyncio.LimitOverrunError as error:
-        raise HttpError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, f"the head exceeds {HEAD_LIMIT} bytes") from error
-    request = parse_head(head)
-    if "transfer-encoding" in request.headers:
-        raise HttpError(HTTPStatus.LENGTH_REQUIRED, "a body needs a Content-Length")
-    length = request.headers.get("content-length", "0")
-    if not (length.isascii() and length.isdigit()) or len(length) > 9:
-        raise HttpError(HTTPStatus.BAD_REQUEST, "the Content-Length is no number")
-    if int(length) > BODY_LIMIT:
-        raise HttpError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the body exceeds {BODY_LIMIT} bytes")
-    return replace(request, body=await reader.readexactly(int(length)))
-
-
-def parse_head(head: bytes) -> HttpRequest:
-    """Request line and headers. Raises `HttpError` 400."""
-    lines = head.decode("latin-1").removesuffix("\r\n\r\n").split("\r\n")
-    words = lines[0].split(" ")
-    if len(words) != 3 or not words[2].startswith("HTTP/1.") or not words[1].startswith("/"):
-        raise HttpError(HTTPStatus.BAD_REQUEST, "the first line is no request")
-    headers: dict[str, str] = {}
-    for line in lines[1:]:
-        name, colon, value = line.partition(":")
-        name = name.lower()
-        if not colon or not name or name != name.strip() or (name in headers and name in _SINGLE):
-            raise HttpError(HTTPStatus.BAD_REQUEST, "a header is broken, or stands twice")
-        headers[name] = value.strip()
-    return HttpRequest(words[0], words[1].partition("?")[0], headers)
-
-
-def encode_response(response: HttpResponse) -> bytes:
-    """The bytes of an answer."""
-    status = HTTPStatus(response.status)
-    head = (
-        f"HTTP/1.1 {status.value} {status.phrase}\r\n"
-        f"Content-Type: {response.content_type}\r\n"
-        f"Content-Length: {len(response.body)}\r\n"
-        "Cache-Control: no-store\r\n"
-        "X-Content-Type-Options: nosniff\r\n"
-        "Connection: close\r\n\r\n"
-    )
-    return head.encode("latin-1") + response.body
+    def readline(self, limit: int = -1) -> bytes:
+        """The next line. Raises `HttpError` where the head is too long, `EOFError` where it ends too soon."""
+        line: bytes = self._received.readline(self._left + 1)
+        self._left -= len(line)
+        if self._left < 0:
+            raise HttpError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, f"the head exceeds {HEAD_LIMIT} bytes")
+        if not line.endswith(b"\n"):
+            raise EOFError
+        return line
 
 
 def parse_host_port(text: str, key: str) -> tuple[str, int]:

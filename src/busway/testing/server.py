@@ -34,7 +34,7 @@ from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
 """Requests that a server keeps for its test to look at."""
-ADAPTIVE_TIMEOUT = 10.0
+LONGEST_WAIT = 10.0
 """Seconds after which waiting for something that should happen at once has failed."""
 
 
@@ -161,7 +161,7 @@ class FaultyServer:
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait in the server's own event loop until a condition about it holds. Raises `TimeoutError` after a while."""
-        async with asyncio.timeout(ADAPTIVE_TIMEOUT):
+        async with asyncio.timeout(LONGEST_WAIT):
             while not condition():
                 self._changed_here.clear()
                 await self._changed_here.wait()
@@ -169,7 +169,7 @@ class FaultyServer:
     def wait_until(self, condition: Callable[[], bool]) -> None:
         """Wait, in a thread that is not the server's, until a condition about it holds. Raises `TimeoutError`."""
         with self._changed:
-            if not self._changed.wait_for(condition, ADAPTIVE_TIMEOUT):
+            if not self._changed.wait_for(condition, LONGEST_WAIT):
                 raise TimeoutError("what the test waits for did not happen")
 
     async def __aenter__(self) -> Self:

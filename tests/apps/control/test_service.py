@@ -142,7 +142,7 @@ async def test_reloading_is_done_in_the_loop_of_the_subject_and_its_failure_is_t
 
 
 async def test_metrics_are_those_that_the_owner_gives(directory: Path) -> None:
-    async def answer(request: HttpRequest) -> HttpResponse:
+    def answer(request: HttpRequest) -> HttpResponse:
         return HttpResponse(b"busway_up 1\n")
 
     async with Control(Subject(), directory=directory, metrics=answer):

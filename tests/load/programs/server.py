@@ -16,13 +16,13 @@ from urllib.parse import urlsplit
 
 import busway
 
-ADAPTIVE_TIMEOUT = 10.0
+LONGEST_WAIT = 10.0
 """Seconds."""
 
 
 async def settled(server: busway.Server, wanted: int | None) -> dict[str, Any]:
     """The status when there are so many connections."""
-    end = time.monotonic() + ADAPTIVE_TIMEOUT
+    end = time.monotonic() + LONGEST_WAIT
     while wanted is not None and len(server.status().connections) != wanted and time.monotonic() < end:  # noqa: ASYNC110
         await asyncio.sleep(0.01)
     return status(server)

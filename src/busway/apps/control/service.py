@@ -11,13 +11,14 @@ Knows resources and how they are asked for; knows no server: a `Subject` is what
 """
 
 import asyncio
+import concurrent.futures
 import contextlib
 import hmac
 import inspect
 import json
 import logging
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from http import HTTPStatus
 from pathlib import Path
 from types import TracebackType
@@ -64,7 +65,7 @@ class Reloadable(Protocol):
 
 Reload = Callable[[], Any]
 """Reads files again; may be a coroutine function. What it gives is shown to whoever asked."""
-AnswerMetrics = Callable[[HttpRequest], Awaitable[HttpResponse]]
+AnswerMetrics = Callable[[HttpRequest], HttpResponse]
 
 
 class Control:
@@ -110,7 +111,8 @@ class Control:
         self._bound: Bound | None = None
         self._token = ""
         self._service: HttpService | None = None
-        self._resources: dict[tuple[str, str], Callable[[HttpRequest], Awaitable[HttpResponse]]] = {
+        self._asked: set[concurrent.futures.Future[Any]] = set()
+        self._resources: dict[tuple[str, str], Callable[[HttpRequest], HttpResponse]] = {
             ("GET", "/"): self._index,
             ("GET", "/status"): self._status,
             ("GET", "/connections"): self._connections,
@@ -149,8 +151,10 @@ class Control:
         self.address = None
         if bound is not None:
             bound.remove()
+        for future in list(self._asked):
+            future.cancel()
         if service is not None:
-            # In a thread: a question may just be waiting for this event loop.
+            # In a thread: a request may be waiting for this event loop.
             await asyncio.to_thread(service.stop)
 
     def _bind(self) -> Bound:
@@ -159,9 +163,9 @@ class Control:
         directory = self._directory or control_directory()
         return bind_default(directory) if self._wanted is None else bind_loopback(self._wanted, directory)
 
-    # In the thread of the service.
+    # In the threads of the service.
 
-    async def _answer(self, request: HttpRequest) -> HttpResponse:
+    def _answer(self, request: HttpRequest) -> HttpResponse:
         try:
             self._authorise(request)
             resource = self._resources.get((request.method, request.path))
@@ -169,7 +173,7 @@ class Control:
                 known = any(path == request.path for _, path in self._resources)
                 status = HTTPStatus.METHOD_NOT_ALLOWED if known else HTTPStatus.NOT_FOUND
                 raise HttpError(status, f"there is no {request.method} {request.path[:100]} here")
-            return await resource(request)
+            return resource(request)
         except HttpError as error:
             return _json({"error": str(error)}, error.status)
         except ModbusError as error:
@@ -187,28 +191,28 @@ class Control:
         if not hmac.compare_digest(given, f"Bearer {self._token}".encode()):
             raise HttpError(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong")
 
-    async def _index(self, request: HttpRequest) -> HttpResponse:
+    def _index(self, request: HttpRequest) -> HttpResponse:
         return _json({"resources": [f"{method} {path}" for method, path in self._resources]})
 
-    async def _status(self, request: HttpRequest) -> HttpResponse:
-        status = plain(await self._in_loop(self._subject.status))
+    def _status(self, request: HttpRequest) -> HttpResponse:
+        status = plain(self._in_loop(self._subject.status))
         return _json({"name": self._name, "pid": os.getpid(), "version": __version__, "status": status})
 
-    async def _connections(self, request: HttpRequest) -> HttpResponse:
-        status = await self._in_loop(self._subject.status)
+    def _connections(self, request: HttpRequest) -> HttpResponse:
+        status = self._in_loop(self._subject.status)
         return _json({"connections": plain(getattr(status, "connections", ()))})
 
-    async def _reset_counters(self, request: HttpRequest) -> HttpResponse:
+    def _reset_counters(self, request: HttpRequest) -> HttpResponse:
         if not isinstance(self._subject, Resettable):
             raise HttpError(HTTPStatus.NOT_FOUND, "its counters can not be reset")
-        await self._in_loop(self._subject.reset_counters)
+        self._in_loop(self._subject.reset_counters)
         return _json({"reset": True})
 
-    async def _reload_files(self, request: HttpRequest) -> HttpResponse:
+    def _reload_files(self, request: HttpRequest) -> HttpResponse:
         assert self._reload is not None
-        return _json({"reloaded": plain(await self._in_loop(self._reload, RELOAD_SECONDS))})
+        return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
-    async def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
+    def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
         """What ``work`` gives in the subject's event loop. `HttpError` 503 or 504 where that does not answer."""
         assert self._loop is not None
 
@@ -222,13 +226,18 @@ class Control:
         except RuntimeError as error:  # the loop is closed
             asked.close()
             raise HttpError(HTTPStatus.SERVICE_UNAVAILABLE, "the program is about to end") from error
+        self._asked.add(future)
         try:
-            async with asyncio.timeout(seconds):
-                return await asyncio.wrap_future(future)
-        except TimeoutError as error:
+            return future.result(seconds)
+        except concurrent.futures.TimeoutError as error:
+            future.cancel()
             raise HttpError(
                 HTTPStatus.GATEWAY_TIMEOUT, f"the program's event loop did not answer within {seconds:g} s"
             ) from error
+        except concurrent.futures.CancelledError as error:
+            raise HttpError(HTTPStatus.SERVICE_UNAVAILABLE, "the program is about to end") from error
+        finally:
+            self._asked.discard(future)
 
     async def __aenter__(self) -> Self:
         await self.start()

@@ -120,13 +120,13 @@ class MetricsEndpoint:
         self._service = HttpService(bound, self.answer, name="busway metrics")
         self._service.start()
 
-    async def answer(self, request: HttpRequest) -> HttpResponse:
-        """The answer to ``GET /metrics``; also for a service of somebody else's."""
+    def answer(self, request: HttpRequest) -> HttpResponse:
+        """The answer to ``GET /metrics``; also for another service. Blocks; not for the event loop of the source."""
         if request.path not in ("/", "/metrics"):
             raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
         if request.method != "GET":
             raise HttpError(HTTPStatus.METHOD_NOT_ALLOWED, "metrics can only be read")
-        return await asyncio.to_thread(render, self._registry, request.headers.get("accept", ""))
+        return render(self._registry, request.headers.get("accept", ""))
 
     async def close(self) -> None:
         """Be scraped no more; returns when socket and thread have gone. A second call does nothing."""
