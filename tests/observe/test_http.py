@@ -198,11 +198,15 @@ def test_headers_are_known_by_their_names_in_lower_case_and_the_query_is_left_ou
     "request_bytes",
     [b"GET / HTTP/1.1\r\nHost: x\r\n", b"GET / HT", b"", b"POST / HTTP/1.1\r\n" + b"Content-Length: 3\r\n\r\nab"],
 )
-def test_half_a_request_that_ends_is_not_answered(request_bytes: bytes) -> None:
+def test_half_a_request_that_ends_is_not_answered(
+    request_bytes: bytes, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
     with serving() as address, connected(address) as connection:
         connection.sendall(request_bytes)
         connection.shutdown(socket.SHUT_WR)
         assert received(connection) == b""
+    assert capsys.readouterr().err == ""
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(

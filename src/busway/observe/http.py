@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, BinaryIO, Final, NoReturn, cast
+from typing import Any, Final, NoReturn, cast
 
 from ..errors import ConfigError, LinkDown
 from ..transport.descriptors import is_reserved
@@ -145,13 +145,6 @@ class HttpService(ThreadingHTTPServer):
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
-    def log_failure(self) -> None:
-        """Log the exception that is being handled, once a minute."""
-        now = time.monotonic()
-        if now >= self._silent_until:
-            self._silent_until = now + _LOG_PAUSE
-            _log.exception("a request failed; further failures within a minute are not logged")
-
     # Called by the standard library.
 
     def get_request(self) -> tuple[socket.socket, Any]:  # Any: the address of a peer has the shape of its family
@@ -189,6 +182,13 @@ class HttpService(ThreadingHTTPServer):
         self._unheard.pop(request, None)
         self._deadlines.pop(request, None)
         super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Log the exception that is being handled, once a minute."""
+        now = time.monotonic()
+        if now >= self._silent_until:
+            self._silent_until = now + _LOG_PAUSE
+            _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
         """End a connection: its thread, if it waits for the peer, wakes up and closes it."""
@@ -233,16 +233,18 @@ class _Connection(BaseHTTPRequestHandler):
         except (OSError, EOFError):
             raise
         except Exception:
-            self.server.log_failure()
+            self.server.handle_error(self.connection, self.client_address)
             return HttpResponse(b"the request failed; the log says why\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _request(self) -> HttpRequest:
         """The request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
-        received = self.rfile
-        self.rfile = cast("BinaryIO", _Head(received))  # type: ignore[assignment]  # of which lines are read, no more
-        self.raw_requestline = self.rfile.readline()
-        self.parse_request()  # which calls send_error
-        self.rfile = received
+        received, head = self.rfile, _Head(self.rfile)
+        self.raw_requestline = head.readline()
+        self.rfile = cast("Any", head)  # Any: of which the standard library reads lines, and does no more
+        try:
+            self.parse_request()  # which calls send_error
+        finally:
+            self.rfile = received
         if self.request_version == "HTTP/0.9" or not self.path.startswith("/"):
             raise HttpError(HTTPStatus.BAD_REQUEST, "the first line is no HTTP request")
         if self.headers.defects or any(len(self.headers.get_all(name, ())) > 1 for name in _SINGLE):
