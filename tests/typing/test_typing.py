@@ -18,6 +18,7 @@ import pytest
 from busway.client.operations import LEVELS
 from busway.errors import InvalidRequest
 from busway.values import ORDERS, TYPE_NAMES, value_type
+from busway.values.network import NETWORK_TYPES
 from busway.values.names import FloatName, IntegerName, Level, Order
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +68,8 @@ def test_every_wrong_use_is_refused_and_nothing_else(refused: object) -> None:
 
 def test_the_names_of_types_are_those_that_exist() -> None:
     names = {*get_args(IntegerName), *get_args(FloatName)}
-    assert {value_type(name).name for name in names} == {name for name in TYPE_NAMES if ":" not in name} - {"bits"}
+    plain = {name for name in TYPE_NAMES if ":" not in name} - {"bits", *NETWORK_TYPES}
+    assert {value_type(name).name for name in names} == plain
     for name in get_args(FloatName):
         assert isinstance(value_type(name).parse("1"), float)
     for name in get_args(IntegerName):
@@ -78,7 +80,8 @@ def test_the_names_of_orders_and_levels_are_those_that_exist() -> None:
     letters = {name for name in get_args(Order) if name.isupper()}
     assert letters == {*chain.from_iterable(ORDERS.values())}
     for word in get_args(Order):
-        assert value_type("uint64", word).registers == 4
+        name = "uint48" if word in ORDERS[48] else "uint64"
+        assert value_type(name, word).registers == int(name[-2:]) // 16
     with pytest.raises(InvalidRequest, match="words big, little, word-swapped, byte-swapped"):
         value_type("uint64", "middle")
     assert get_args(Level) == (*LEVELS,)

@@ -11,10 +11,11 @@ from busway.values.orders import ByteOrder, byte_order, swapped
 ALL_ORDERS = [(bits // 8, text) for bits, texts in ORDERS.items() for text in texts]
 
 
-def test_there_are_two_orders_for_16_bits_four_for_32_and_eight_for_64() -> None:
+def test_there_are_two_orders_for_16_bits_four_for_32_and_eight_for_48_and_64() -> None:
     assert ORDERS == {
         16: ("AB", "BA"),
         32: ("ABCD", "BADC", "CDAB", "DCBA"),
+        48: ("ABCDEF", "BADCFE", "EFCDAB", "FEDCBA", "CDABEF", "DCBAFE", "ABEFCD", "BAFEDC"),
         64: ("ABCDEFGH", "BADCFEHG", "CDABGHEF", "DCBAHGFE", "EFGHABCD", "FEHGBADC", "GHEFCDAB", "HGFEDCBA"),
     }
 

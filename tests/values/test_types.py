@@ -43,9 +43,10 @@ def test_a_type_takes_its_registers(name: str, registers: int) -> None:
 
 
 def test_the_list_of_types_names_what_exists() -> None:
-    assert len(TYPE_NAMES) == 15
+    assert len(TYPE_NAMES) == 27
     for name in TYPE_NAMES:
-        assert value_type(name.replace("N", "7")).name == name.replace("N", "7")
+        example = name.replace("FORMAT", ">hHl").replace("N", "7").replace("M", "9")
+        assert value_type(example).name == example
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Registers as sixteen bits, and one bit of a register.
+"""Registers as sixteen bits, and one or some bits of a register.
 
 Knows that bit 0 is the least significant (Application Protocol V1.1b3 §4.2 has registers big-endian). Coils and
 discrete inputs are bits already and need nothing from here but `parse_bit`.
@@ -96,3 +96,56 @@ class BitCodec:
         if text.lower() not in _STATES:
             raise ValueError(text)
         return _STATES[text.lower()]
+
+    def merge(self, value: object, held: Wire) -> bytes:
+        """The register that has this bit set or cleared, its other bits as they were."""
+        if value not in (True, False):
+            raise unfit([value], 0, self._name, self.expects)
+        number = int.from_bytes(swapped(held, self._swaps), "big")
+        number = number & ~(1 << self._bit) | int(bool(value)) << self._bit
+        return swapped(number.to_bytes(2, "big"), self._swaps)
+
+
+class FieldCodec:
+    """Neighbouring bits of a register as a number, for reading: half a register, or a field of a status word."""
+
+    def __init__(self, name: str, low: int, high: int, order: ByteOrder, *, signed: bool) -> None:
+        self._name = name
+        self._low = low
+        self._mask = (1 << high - low + 1) - 1
+        self._sign = 1 << high - low if signed else 0
+        self._swaps = order.swaps
+        self._minimum = -self._sign
+        self._maximum = self._mask - self._sign
+        self.expects = f"a whole number {self._minimum}…{self._maximum}"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The number in these bits of each register of a block."""
+        whole = swapped(data, self._swaps)
+        low, mask, sign = self._low, self._mask, self._sign
+        return [
+            (((whole[at] << 8 | whole[at + 1]) >> low & mask) ^ sign) - sign for at in range(0, len(whole), 2)
+        ]  # x ^ sign - sign extends the sign
+
+    def encode(self, values: list[object]) -> bytes:
+        """Always refused: a register can only be written whole. `merge` knows the rest of it.
+
+        Raises:
+            InvalidRequest: always. Nothing was sent.
+        """
+        raise InvalidRequest(f"{self._name} cannot be written alone: the register's other bits would be overwritten")
+
+    def merge(self, value: object, held: Wire) -> bytes:
+        """The register that holds a number in these bits, its other bits as they were."""
+        if isinstance(value, bool) or not isinstance(value, int) or not self._minimum <= value <= self._maximum:
+            raise unfit([value], 0, self._name, self.expects)
+        number = int.from_bytes(swapped(held, self._swaps), "big")
+        number = number & ~(self._mask << self._low) | (value & self._mask) << self._low
+        return swapped(number.to_bytes(2, "big"), self._swaps)
+
+    def parse(self, text: str) -> int:
+        """A number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        number = whole_number(text)
+        if not self._minimum <= number <= self._maximum:
+            raise ValueError(text)
+        return number

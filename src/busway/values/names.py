@@ -6,8 +6,8 @@ Knows texts only; `types` and `orders` say what they mean, and a test holds the 
 from typing import Literal, TypeAlias
 
 IntegerName: TypeAlias = Literal[
-    "int16", "uint16", "int32", "uint32", "int64", "uint64", "bcd16", "bcd32", "bcd64", "i16", "u16", "i32", "u32",
-    "i64", "u64",
+    "int16", "uint16", "int32", "uint32", "int48", "uint48", "int64", "uint64", "bcd16", "bcd32", "bcd64",
+    "i16", "u16", "i32", "u32", "i64", "u64",
 ]  # fmt: skip
 """Types whose values are of ``int``."""
 
@@ -17,6 +17,7 @@ FloatName: TypeAlias = Literal["float16", "float32", "float64", "f16", "f32", "f
 Order: TypeAlias = Literal[
     "AB", "BA",
     "ABCD", "BADC", "CDAB", "DCBA",
+    "ABCDEF", "BADCFE", "EFCDAB", "FEDCBA", "CDABEF", "DCBAFE", "ABEFCD", "BAFEDC",
     "ABCDEFGH", "BADCFEHG", "CDABGHEF", "DCBAHGFE", "EFGHABCD", "FEHGBADC", "GHEFCDAB", "HGFEDCBA",
     "big", "little", "word-swapped", "byte-swapped",
 ]  # fmt: skip

@@ -161,6 +161,42 @@ class FloatCodec:
         raise AssertionError("struct refused numbers that it takes one by one")
 
 
+class ThreeRegisterCodec:
+    """Two's complement or unsigned integers of 48 bits, for which ``struct`` has no letter."""
+
+    def __init__(self, name: str, order: ByteOrder) -> None:
+        self._signed = not name.startswith("u")
+        self._minimum = -(1 << 47) if self._signed else 0
+        self._maximum = self._minimum + (1 << 48) - 1
+        self._name = name
+        self._swaps = order.swaps
+        self.expects = f"a whole number {self._minimum}…{self._maximum}"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The integers of a block."""
+        whole = swapped(data, self._swaps)
+        return [int.from_bytes(whole[at : at + 6], "big", signed=self._signed) for at in range(0, len(whole), 6)]
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some integers."""
+        parts = []
+        for index, value in enumerate(values):
+            if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+                raise unfit(values, index, self._name, self.expects)
+            number = value.__index__()
+            if not self._minimum <= number <= self._maximum:
+                raise unfit(values, index, self._name, self.expects)
+            parts.append(number.to_bytes(6, "big", signed=self._signed))
+        return swapped(b"".join(parts), self._swaps)
+
+    def parse(self, text: str) -> int:
+        """A number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        number = whole_number(text)
+        if not self._minimum <= number <= self._maximum:
+            raise ValueError(text)
+        return number
+
+
 class BcdCodec:
     """Packed binary-coded decimals, four digits in each register, without a sign."""
 

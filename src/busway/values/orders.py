@@ -1,4 +1,4 @@
-"""The order of bytes and registers inside a value of 16, 32 or 64 bits.
+"""The order of bytes and registers inside a value of 16, 32, 48 or 64 bits.
 
 The specification fixes the two bytes of a register (big-endian, Application Protocol V1.1b3 §4.2) and nothing more:
 how a larger number lies in several registers is each maker's choice, and some swap the bytes of a register as well.
@@ -16,7 +16,10 @@ Rules:
    parts lie: for 16 bits ``CDAB`` is ``AB`` and ``DCBA`` is ``BA``. A shorter one is continued in the same sense:
    ``ABCD`` → ``ABCDEFGH``, ``CDAB`` → ``GHEFCDAB`` (all registers reversed), ``BADC`` → ``BADCFEHG``,
    ``DCBA`` → ``HGFEDCBA``; ``AB`` → ``ABCD``, ``BA`` → ``BADC``. Who needs ``CDABGHEF`` writes it in full.
-3. Nothing is permuted value by value: a block is turned by whole-array byte swaps.
+3. Nothing is permuted value by value: a block is turned by whole-array byte swaps, and by exchanges of registers where
+   a value has three of them.
+4. A value of 48 bits has three registers. Two of them may be exchanged (``ABEFCD``, ``CDABEF``, and ``EFCDAB``, which is
+   all registers reversed); the bytes of each may be swapped as well. What a rotation would be is written nowhere.
 """
 
 from array import array
@@ -52,10 +55,25 @@ _ORDERS: Final[dict[str, tuple[int, int]]] = {
     _spelt(size, mask): (size, mask) for size in (2, 4, 8) for mask in range(size)
 }
 
+_EXCHANGES: Final = {0: "", 2: "02", 4: "01", 6: "12"}
+"""Which two of three registers are exchanged, by the upper bits of the mask of a value of 48 bits."""
+
+
+def _spelt_three(mask: int) -> str:
+    registers = ["BA", "DC", "FE"] if mask & 1 else ["AB", "CD", "EF"]
+    exchange = _EXCHANGES[mask & 6]
+    if exchange:
+        first, other = int(exchange[0]), int(exchange[1])
+        registers[first], registers[other] = registers[other], registers[first]
+    return "".join(registers)
+
+
+_ORDERS.update({_spelt_three(mask): (6, mask) for mask in range(8)})
+
 ORDERS: Final[dict[int, tuple[str, ...]]] = {
-    bits: tuple(text for text, (size, _) in _ORDERS.items() if size * 8 == bits) for bits in (16, 32, 64)
+    bits: tuple(text for text, (size, _) in _ORDERS.items() if size * 8 == bits) for bits in (16, 32, 48, 64)
 }
-"""The orders that exist for values of 16, 32 and 64 bits, big-endian first."""
+"""The orders that exist for values of 16, 32, 48 and 64 bits, big-endian first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +81,9 @@ class ByteOrder:
     """How the bytes of one value of ``size`` bytes lie on the wire; got from `byte_order`.
 
     Attributes:
-        size: bytes of a value: 2, 4 or 8.
-        mask: rule 1 of this file, 0…size - 1.
+        size: bytes of a value: 2, 4, 6 or 8.
+        mask: rule 1 of this file, 0…size - 1; of 6 bytes 0…7: 1 swaps bytes, the rest says which registers are
+            exchanged (rule 4).
     """
 
     size: int
@@ -73,11 +92,14 @@ class ByteOrder:
     @property
     def text(self) -> str:
         """The order in letters, one for each byte: ``CDAB``."""
-        return _spelt(self.size, self.mask)
+        return _spelt_three(self.mask) if self.size == 6 else _spelt(self.size, self.mask)
 
     @property
     def swaps(self) -> tuple[str, ...]:
-        """Array type codes whose byte swaps, one after the other, turn the wire into big-endian values and back."""
+        """What turns the wire into big-endian values and back, one after the other: array type codes whose bytes are
+        swapped, and ``02`` for an exchange of the first and the third of three registers."""
+        if self.size == 6:
+            return tuple(each for each in ("H" if self.mask & 1 else "", _EXCHANGES[self.mask & 6]) if each)
         widths: list[str] = []
         rest = self.mask
         # Reversing the bytes of each group of 8, 4 or 2 is an exclusive or with 7, 3 or 1.
@@ -90,7 +112,14 @@ class ByteOrder:
     @property
     def is_reversed(self) -> bool:
         """Whether the first of `swaps` reverses whole values, which reading them as little-endian does as well."""
-        return bool(self.mask & (self.size >> 1))
+        return self.size != 6 and bool(self.mask & (self.size >> 1))
+
+    @property
+    def registers(self) -> tuple[int, ...]:
+        """For each register of the value, the most significant first, its place on the wire."""
+        if self.size == 6:
+            return tuple("ABCDEF".index(self.text[2 * place]) // 2 for place in range(3))
+        return tuple(place ^ (self.mask >> 1) for place in range(self.size // 2))
 
 
 def byte_order(text: str, size: int) -> ByteOrder:
@@ -100,7 +129,7 @@ def byte_order(text: str, size: int) -> ByteOrder:
         text: letters (``AB``, ``CDAB``, ``GHEFCDAB``, …) or ``big``, ``little``, ``word-swapped`` (registers
             reversed, bytes in each as usual), ``byte-swapped`` (registers as usual, bytes in each swapped).
             Capitals do not matter. Letters for another size are taken as rule 2 of this file says.
-        size: bytes of a value: 2, 4 or 8.
+        size: bytes of a value: 2, 4, 6 or 8.
 
     Raises:
         InvalidRequest: no such order. Nothing was sent.
@@ -109,23 +138,46 @@ def byte_order(text: str, size: int) -> ByteOrder:
         raise InvalidRequest(f"an order is text such as 'CDAB', not {type(text).__name__}")
     key = text.strip().upper().replace("_", "-")
     if key in _WORDS:
-        return ByteOrder(size, _WORDS[key] & (size - 1))
+        return ByteOrder(size, _WORDS[key] & (3 if size == 6 else size - 1))
     if key not in _ORDERS:
         raise InvalidRequest(
             f"unknown order {text!r}; for {size * 8} bits there are {', '.join(ORDERS[size * 8])},"
             " and the words big, little, word-swapped, byte-swapped"
         )
     given_size, mask = _ORDERS[key]
+    if size == given_size:
+        return ByteOrder(size, mask)
+    if 6 in (size, given_size) and size != 2:
+        return ByteOrder(size, _between_three_and_others(key, size, given_size, mask))
     if given_size == 4 and mask & 2:
         mask |= _REGISTERS_REVERSED
     return ByteOrder(size, mask & (size - 1))
 
 
+def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
+    """The mask of an order for three registers that was written for another number of them, or the other way round."""
+    halves_agree = given_size != 8 or bool(mask & 2) == bool(mask & 4)
+    if (given_size == 6 and mask & 4) or not halves_agree:
+        raise InvalidRequest(f"order {text} is for {given_size * 8} bits and says nothing of {size * 8}")
+    return (mask & 3) if size == 6 or not mask & 2 else (mask & 1 | _REGISTERS_REVERSED) & (size - 1)
+
+
 def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
     """``data`` after the given byte swaps, each over the whole block; its length is a multiple of the value's size."""
-    for type_code in swaps:
-        items = array(type_code)
+    for swap in swaps:
+        if len(swap) == 2:
+            data = _exchanged(data, int(swap[0]), int(swap[1]))
+            continue
+        items = array(swap)
         items.frombytes(data)
         items.byteswap()
         data = items.tobytes()
     return bytes(data)
+
+
+def _exchanged(data: Wire, first: int, other: int) -> bytes:
+    """Two registers of each three exchanged, over the whole block."""
+    items = array("H")
+    items.frombytes(data)
+    items[first::3], items[other::3] = items[other::3], items[first::3]
+    return items.tobytes()

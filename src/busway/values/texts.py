@@ -1,7 +1,7 @@
 """Character strings ⇄ bytes in wire order.
 
 Knows encodings, padding and the two orders of characters in a register. Two characters lie in a register, the first in
-the high byte unless the order is ``BA``.
+the high byte unless the order is ``BA``; or one in each, in its low or its high byte.
 
 Rules:
 
@@ -21,10 +21,22 @@ from .refusal import shown, unfit
 class StringCodec:
     """Texts of up to ``length`` bytes, each in a field of ``registers`` registers."""
 
-    def __init__(self, name: str, length: int, encoding: str, padding: str, order: ByteOrder) -> None:
+    def __init__(
+        self,
+        name: str,
+        length: int,
+        encoding: str,
+        padding: str,
+        order: ByteOrder,
+        *,
+        half: str = "",
+        upper: bool = False,
+    ) -> None:
         self._name = name
         self._length = length
-        self._size = (length + 1) // 2 * 2
+        self._half = half
+        self._upper = upper
+        self._size = length if half else (length + 1) // 2 * 2
         self._encoding = encoding
         self._fill = b" " if padding == "space" else b"\0"
         self._swaps = order.swaps
@@ -37,12 +49,16 @@ class StringCodec:
             BadReply: the bytes are not text in this encoding; ``raw`` holds the block.
         """
         whole = swapped(data, self._swaps)
+        if self._half:
+            whole = whole[1::2] if self._half == "low" else whole[::2]
         return [self._text(whole[start : start + self._length], data) for start in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
         """The block of some texts, each padded to its field."""
-        fields = [self._field(values, index) for index in range(len(values))]
-        return swapped(b"".join(fields), self._swaps)
+        block = b"".join(self._field(values, index) for index in range(len(values)))
+        if self._half:
+            block = b"".join(b"\0%c" % each if self._half == "low" else b"%c\0" % each for each in block)
+        return swapped(block, self._swaps)
 
     def parse(self, text: str) -> str:
         """The text as it stands."""
@@ -54,7 +70,8 @@ class StringCodec:
         if self._fill == b" ":
             content = content.rstrip(b" ")
         try:
-            return content.decode(self._encoding)
+            text = content.decode(self._encoding)
+            return text.upper() if self._upper else text
         except UnicodeDecodeError as error:
             raise BadReply(
                 f"{shown(content)} is not {self._encoding} text, as {self._name} expects; latin-1 takes every byte",
@@ -66,7 +83,7 @@ class StringCodec:
         if not isinstance(value, str):
             raise unfit(values, index, self._name, self.expects)
         try:
-            content = value.encode(self._encoding)
+            content = (value.upper() if self._upper else value).encode(self._encoding)
         except UnicodeEncodeError as error:
             raise unfit(values, index, self._name, self.expects) from error
         if len(content) > self._length:

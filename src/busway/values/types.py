@@ -6,17 +6,23 @@ know the formats. Nothing here knows addresses, messages or limits of a request.
 ================================  =========  ==================================================================
 name (short form)                 registers  value
 ================================  =========  ==================================================================
-``int16`` … ``int64`` (``i16``)   1, 2, 4    ``int``, two's complement
-``uint16`` … ``uint64`` (``u16``) 1, 2, 4    ``int``
+``int16`` … ``int64`` (``i16``)   1, 2, 3, 4 ``int``, two's complement; 48 bits are there too
+``uint16`` … ``uint64`` (``u16``) 1, 2, 3, 4 ``int``
 ``float16`` … ``float64`` (``f16``) 1, 2, 4  ``float``, IEEE 754
 ``bcd16`` ``bcd32`` ``bcd64``     1, 2, 4    ``int``, packed decimal digits: 4, 8, 16
 ``string:N``                      (N+1)//2   ``str`` of up to N bytes, N = 1…250
 ``bits``                          1          tuple of 16 ``bool``, least significant first
 ``bit:N``                         1          ``bool``, bit N = 0…15 (0 the least significant); only for reading
+``int8:low`` ``uint8:high`` …     1          ``int``, half a register; only for reading
+``field:N-M``                     1          ``int``, bits N…M of a register (``field:4-7:signed``); only for reading
+``ipv4`` ``ipv6``                 2, 8       ``str``, ``192.168.1.20``
+``eui48`` ``eui64``               3, 4       ``str``, ``00:1B:44:11:3A:B7``
+``custom:FORMAT``                 as needed  tuple of numbers, as Python's ``struct`` has them: ``custom:>hHl``
 ================================  =========  ==================================================================
 
 Strings take up to two more words: the encoding ``ascii`` (default), ``latin-1`` or ``utf-8``, and the padding ``nul``
-(default) or ``space``: ``string:16:utf-8:space``.
+(default) or ``space``: ``string:16:utf-8:space``. Behind them, ``low`` or ``high`` is for devices that put one character
+into each register (then N registers), and ``upper`` makes capitals of small letters.
 
 There is no ``float`` and no ``int``: devices differ in what they mean by it, so the number of bits is always written.
 
@@ -34,9 +40,11 @@ from typing import Any, Final, Generic, Protocol, TypeVar, overload
 
 from ..codes import MAX_READ_REGISTERS
 from ..errors import InvalidRequest
-from .bits import BitCodec, BitsCodec
+from .bits import BitCodec, BitsCodec, FieldCodec
+from .custom import CustomCodec, custom_layout
 from .names import FloatName, IntegerName, Order
-from .numbers import BcdCodec, FloatCodec, IntegerCodec
+from .network import NETWORK_TYPES, NetworkCodec, network_size
+from .numbers import BcdCodec, FloatCodec, IntegerCodec, ThreeRegisterCodec
 from .orders import ByteOrder, Wire, byte_order
 from .refusal import shown
 from .texts import StringCodec
@@ -132,6 +140,24 @@ class ValueType(Generic[Value]):
                 f"{shown(values)} is not a sequence of {self.name} values; a single one is given in a list"
             )
         return self._codec.encode(list(values))
+
+    @property
+    def is_part(self) -> bool:
+        """Whether a value is only a part of its register, whose other bits `merge` keeps."""
+        return isinstance(self._codec, BitCodec | FieldCodec)
+
+    def merge(self, value: object, held: Wire) -> bytes:
+        """The registers that hold one value, where the bits that are not its own stay as they were.
+
+        Args:
+            value: as for `encode`.
+            held: what the registers hold now, ``2 * registers`` bytes; only looked at where `is_part`.
+
+        Raises:
+            InvalidRequest: the value does not fit. Nothing was sent.
+        """
+        codec = self._codec
+        return codec.merge(value, held) if isinstance(codec, BitCodec | FieldCodec) else self.encode([value])
 
     def parse(self, text: str) -> Value:
         """The value that a person wrote.
@@ -236,7 +262,22 @@ _INTEGERS: Final = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "i
 _FLOATS: Final = {"float16": "e", "float32": "f", "float64": "d"}
 _BCD: Final = ("bcd16", "bcd32", "bcd64")
 
-TYPE_NAMES: Final = (*_INTEGERS, *_FLOATS, *_BCD, "string:N", "bits", "bit:N")
+_THREE_REGISTERS: Final = ("int48", "uint48")
+_HALVES: Final = {"low": (0, 7), "high": (8, 15)}
+
+TYPE_NAMES: Final = (
+    *_INTEGERS,
+    *_FLOATS,
+    *_BCD,
+    "string:N",
+    "bits",
+    "bit:N",
+    *_THREE_REGISTERS,
+    *(f"{name}:{half}" for name in ("int8", "uint8") for half in _HALVES),
+    "field:N-M",
+    *NETWORK_TYPES,
+    "custom:FORMAT",
+)
 """The types that exist, as they are written."""
 
 _SHORT: Final = {
@@ -257,26 +298,72 @@ def _compiled(name: str, order: str) -> ValueType[Any]:
     key = name.strip().lower()
     key = _SHORT.get(key, key)
     kind, *words = key.split(":")
+    if kind == "custom":
+        return _custom(name.strip(), byte_order(order, 2))
     if key in _INTEGERS:
         return _number(key, order, lambda layout: IntegerCodec(key, _INTEGERS[key], layout))
     if key in _FLOATS:
         return _number(key, order, lambda layout: FloatCodec(key, _FLOATS[key], layout))
     if key in _BCD:
         return _number(key, order, lambda layout: BcdCodec(key, layout))
+    if key in _THREE_REGISTERS:
+        return _sized(key, order, 6, lambda layout: ThreeRegisterCodec(key, layout))
+    if key in NETWORK_TYPES:
+        return _network(key, order)
     in_register = byte_order(order, 2)
     if key == "bits":
         return ValueType(key, in_register.text, 1, BitsCodec(key, in_register))
     if kind == "bit":
         return _bit(name, words, in_register)
+    if kind in ("int8", "uint8", "field"):
+        return _field(name, kind, words, in_register)
     if kind == "string":
         return _string(name, words, in_register)
     raise InvalidRequest(f"unknown type {shown(name)}; there are {', '.join(TYPE_NAMES)}")
 
 
 def _number(name: str, order: str, codec: Callable[[ByteOrder], Codec]) -> ValueType[Any]:
-    size = int(name[-2:]) // 8
+    return _sized(name, order, int(name[-2:]) // 8, codec)
+
+
+def _sized(name: str, order: str, size: int, codec: Callable[[ByteOrder], Codec]) -> ValueType[Any]:
     layout = byte_order(order, size)
     return ValueType(name, layout.text, size // 2, codec(layout))
+
+
+def _network(name: str, order: str) -> ValueType[Any]:
+    size = network_size(name)
+    if size > 8:
+        in_register = byte_order(order, 2)
+        return ValueType(name, in_register.text, size // 2, NetworkCodec(name, in_register))
+    return _sized(name, order, size, lambda layout: NetworkCodec(name, layout))
+
+
+def _custom(name: str, order: ByteOrder) -> ValueType[Any]:
+    written = name.partition(":")[2]
+    layout = custom_layout(name, written)
+    canonical = f"custom:{written}"
+    return ValueType(canonical, order.text, layout.size // 2, CustomCodec(canonical, layout, order))
+
+
+def _field(name: str, kind: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
+    """``int8:low``, ``field:4-7``, ``field:4-7:signed``."""
+    if kind != "field":
+        if len(words) != 1 or words[0] not in _HALVES:
+            raise InvalidRequest(
+                f"unknown type {shown(name)}; half a register is {kind}:low or {kind}:high;"
+                f" there are {', '.join(TYPE_NAMES)}"
+            )
+        low, high = _HALVES[words[0]]
+        canonical, signed = f"{kind}:{words[0]}", kind == "int8"
+    else:
+        first, _, last = words[0].partition("-") if words else ("", "", "")
+        least, most = _ascii_number(first), _ascii_number(last)
+        if least is None or most is None or not least <= most <= 15 or words[1:] not in ([], ["signed"]):
+            raise InvalidRequest(f"type {shown(name)} does not say which bits of the register: field:4-7, field:0-15")
+        low, high, signed = least, most, len(words) == 2
+        canonical = f"field:{low}-{high}" + (":signed" if signed else "")
+    return ValueType(canonical, order.text, 1, FieldCodec(canonical, low, high, order, signed=signed))
 
 
 def _bit(name: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
@@ -294,15 +381,20 @@ def _string(name: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
     options = words[1:]
     encoding = options.pop(0) if options and options[0] in _ENCODINGS else _ENCODINGS[0]
     padding = options.pop(0) if options and options[0] in _PADDINGS else _PADDINGS[0]
-    if options:
+    half = options.pop(0) if options and options[0] in _HALVES else ""
+    upper = bool(options) and options[0] == "upper"
+    if options[upper:]:
         raise InvalidRequest(
-            f"type {shown(name)} goes on with {shown(options[0])}; after the length come an encoding"
-            f" ({', '.join(_ENCODINGS)}) and a padding ({', '.join(_PADDINGS)})"
+            f"type {shown(name)} goes on with {shown(options[upper])}; after the length come an encoding"
+            f" ({', '.join(_ENCODINGS)}), a padding ({', '.join(_PADDINGS)}), low or high, and upper"
         )
+    if half and length > MAX_READ_REGISTERS:
+        raise InvalidRequest(f"type {shown(name)} takes {length} registers, and one read has {MAX_READ_REGISTERS}")
     chosen = [word for word, usual in ((encoding, _ENCODINGS[0]), (padding, _PADDINGS[0])) if word != usual]
+    chosen += [word for word in (half, "upper" if upper else "") if word]
     canonical = ":".join(["string", str(length), *chosen])
-    codec = StringCodec(canonical, length, encoding, padding, order)
-    return ValueType(canonical, order.text, (length + 1) // 2, codec)
+    codec = StringCodec(canonical, length, encoding, padding, order, half=half, upper=upper)
+    return ValueType(canonical, order.text, length if half else (length + 1) // 2, codec)
 
 
 def _ascii_number(text: str) -> int | None:

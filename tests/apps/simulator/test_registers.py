@@ -11,7 +11,7 @@ from busway.values import value_type
 from busway.values.orders import ORDERS
 from busway.values.types import TYPE_NAMES
 
-NUMBERS = [name for name in TYPE_NAMES if not name.startswith(("string", "bit"))]
+NUMBERS = [name for name in TYPE_NAMES if name.startswith(("int", "uint", "float", "bcd")) and ":" not in name]
 
 
 def section(**keys: Any) -> SimulatedPointSection:

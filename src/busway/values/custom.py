@@ -1,0 +1,74 @@
+"""Values that a ``struct`` format describes: ``custom:>hHl`` is three numbers in four registers.
+
+Knows the letters that are taken; the bytes are those of the registers as they travel.
+"""
+
+import re
+import struct
+from typing import Any, Final
+
+from ..errors import InvalidRequest
+from .orders import ByteOrder, Wire, swapped
+from .refusal import shown, unfit
+
+_FORMAT: Final = re.compile(r"([<>])((?:[0-9]{0,3}[bBhHiIlLqQefdx?])+)")
+_MOST_BYTES: Final = 250
+
+
+def custom_layout(name: str, written: str) -> struct.Struct:
+    """The layout of a format. Raises `InvalidRequest` for one that cannot be."""
+    match = _FORMAT.fullmatch(written)
+    if match is None:
+        raise InvalidRequest(
+            f"type {shown(name)} needs a byte order and letters of Python's struct, such as custom:>hHl;"
+            " there are b B h H i I l L q Q e f d ? x"
+        )
+    try:
+        layout = struct.Struct(written)
+    except struct.error as error:
+        raise InvalidRequest(f"type {shown(name)} cannot be: {error}") from None
+    if not 0 < layout.size <= _MOST_BYTES or layout.size % 2:
+        raise InvalidRequest(
+            f"type {shown(name)} takes {layout.size} bytes; registers have an even number of them, 2…{_MOST_BYTES}"
+        )
+    if not layout.unpack(bytes(layout.size)):
+        raise InvalidRequest(f"type {shown(name)} holds no number")
+    return layout
+
+
+class CustomCodec:
+    """Tuples of numbers, as the format has them."""
+
+    def __init__(self, name: str, layout: struct.Struct, order: ByteOrder) -> None:
+        self._name = name
+        self._layout = layout
+        self._swaps = order.swaps
+        self._length = len(layout.unpack(bytes(layout.size)))
+        self.expects = f"{self._length} numbers that fit {layout.format}"
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The tuples of a block."""
+        return list(self._layout.iter_unpack(swapped(data, self._swaps)))
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some tuples or lists."""
+        parts = []
+        for index, value in enumerate(values):
+            if not isinstance(value, tuple | list):
+                raise unfit(values, index, self._name, self.expects)
+            try:
+                parts.append(self._layout.pack(*value))
+            except (struct.error, OverflowError, TypeError) as error:
+                raise unfit(values, index, self._name, self.expects) from error
+        return swapped(b"".join(parts), self._swaps)
+
+    def parse(self, text: str) -> tuple[Any, ...]:
+        """Numbers with commas between: ``1, -2, 3.5``."""
+        numbers: list[int | float] = []
+        for part in text.split(","):
+            try:
+                numbers.append(int(part, 0))
+            except ValueError:
+                numbers.append(float(part))
+        self.encode([tuple(numbers)])
+        return tuple(numbers)

@@ -1,0 +1,73 @@
+"""Addresses of networks ⇄ bytes in wire order: IPv4, IPv6, EUI-48 (MAC) and EUI-64.
+
+Knows how each is written; the most significant byte travels first unless the order says otherwise.
+"""
+
+import ipaddress
+import re
+from typing import Any, Final
+
+from .orders import ByteOrder, Wire, swapped
+from .refusal import unfit
+
+_SIZES: Final = {"ipv4": 4, "ipv6": 16, "eui48": 6, "eui64": 8}
+_EXPECTS: Final = {
+    "ipv4": "an address such as 192.168.1.20",
+    "ipv6": "an address such as 2001:db8::1",
+    "eui48": "an address such as 00:1B:44:11:3A:B7",
+    "eui64": "an address such as 00:1B:44:FF:FE:11:3A:B7",
+}
+_SEPARATORS: Final = re.compile(r"[:-]")
+
+NETWORK_TYPES: Final = tuple(_SIZES)
+
+
+def network_size(name: str) -> int:
+    """Bytes of an address."""
+    return _SIZES[name]
+
+
+class NetworkCodec:
+    """Addresses as the texts that people write."""
+
+    def __init__(self, name: str, order: ByteOrder) -> None:
+        self._name = name
+        self._size = _SIZES[name]
+        self._swaps = order.swaps
+        self.expects = _EXPECTS[name]
+
+    def decode(self, data: Wire) -> list[Any]:
+        """The addresses of a block."""
+        whole = swapped(data, self._swaps)
+        return [self._written(whole[at : at + self._size]) for at in range(0, len(whole), self._size)]
+
+    def encode(self, values: list[object]) -> bytes:
+        """The block of some addresses."""
+        parts = []
+        for index, value in enumerate(values):
+            try:
+                parts.append(self._packed(value))
+            except ValueError as error:
+                raise unfit(values, index, self._name, self.expects) from error
+        return swapped(b"".join(parts), self._swaps)
+
+    def parse(self, text: str) -> str:
+        """The address as it is written in full."""
+        return self._written(self._packed(text))
+
+    def _written(self, part: bytes) -> str:
+        if self._name == "ipv4":
+            return str(ipaddress.IPv4Address(part))
+        return str(ipaddress.IPv6Address(part)) if self._name == "ipv6" else part.hex(":").upper()
+
+    def _packed(self, value: object) -> bytes:
+        if not isinstance(value, str):
+            raise ValueError(value)
+        if self._name == "ipv4":
+            return ipaddress.IPv4Address(value).packed
+        if self._name == "ipv6":
+            return ipaddress.IPv6Address(value).packed
+        parts = _SEPARATORS.split(value)
+        if len(parts) != self._size or any(len(each) != 2 for each in parts):
+            raise ValueError(value)
+        return bytes.fromhex("".join(parts))
