@@ -12,7 +12,7 @@ import pytest
 
 PACKAGE = "busway"
 SOURCES = Path(__file__).parents[1] / "src" / PACKAGE
-CORE = ("codes", "errors", "pdu", "values", "framing", "session", "options")
+CORE = ("codes", "errors", "pdu", "points", "values", "framing", "session", "options")
 
 PURE_MODULES = {
     "__future__",
@@ -26,6 +26,7 @@ PURE_MODULES = {
     "dataclasses",
     "difflib",
     "enum",
+    "fractions",
     "functools",
     "heapq",
     "ipaddress",

@@ -18,8 +18,8 @@ import pytest
 from busway.client.operations import LEVELS
 from busway.errors import InvalidRequest
 from busway.values import ORDERS, TYPE_NAMES, value_type
-from busway.values.network import NETWORK_TYPES
 from busway.values.names import FloatName, IntegerName, Level, Order
+from busway.values.network import NETWORK_TYPES
 
 ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent

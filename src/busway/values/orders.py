@@ -18,8 +18,8 @@ Rules:
    ``DCBA`` → ``HGFEDCBA``; ``AB`` → ``ABCD``, ``BA`` → ``BADC``. Who needs ``CDABGHEF`` writes it in full.
 3. Nothing is permuted value by value: a block is turned by whole-array byte swaps, and by exchanges of registers where
    a value has three of them.
-4. A value of 48 bits has three registers. Two of them may be exchanged (``ABEFCD``, ``CDABEF``, and ``EFCDAB``, which is
-   all registers reversed); the bytes of each may be swapped as well. What a rotation would be is written nowhere.
+4. A value of 48 bits has three registers. Two of them may be exchanged (``ABEFCD``, ``CDABEF``, and ``EFCDAB``, all
+   registers reversed); the bytes of each may be swapped as well.
 """
 
 from array import array

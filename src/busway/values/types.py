@@ -21,8 +21,8 @@ name (short form)                 registers  value
 ================================  =========  ==================================================================
 
 Strings take up to two more words: the encoding ``ascii`` (default), ``latin-1`` or ``utf-8``, and the padding ``nul``
-(default) or ``space``: ``string:16:utf-8:space``. Behind them, ``low`` or ``high`` is for devices that put one character
-into each register (then N registers), and ``upper`` makes capitals of small letters.
+(default) or ``space``: ``string:16:utf-8:space``. Behind them, ``low`` or ``high`` is for devices that put one
+character into each register (then N registers), and ``upper`` makes capitals of small letters.
 
 There is no ``float`` and no ``int``: devices differ in what they mean by it, so the number of bits is always written.
 

@@ -44,7 +44,7 @@ from .messages import (
     plain_value,
 )
 from .operations import Operation, OperationCall, Problem
-from .subject import Board, PageSubject, Point, ServedUnits
+from .subject import Board, PageSubject, ServedUnits, ShownPoint
 from .traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
@@ -70,7 +70,7 @@ class Api:
     subject: PageSubject
     traffic: TrafficTail
     name: str = "simulation"
-    order: list[Point] = field(init=False)
+    order: list[ShownPoint] = field(init=False)
     places: dict[str, int] = field(init=False)
 
     def __post_init__(self) -> None:

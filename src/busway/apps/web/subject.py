@@ -12,7 +12,7 @@ from ...faults.profile import FaultyTable
 from ...server.status import ServerStatus
 
 
-class Point(Protocol):
+class ShownPoint(Protocol):
     """A named value of a unit; `busway.apps.simulator.simulated.SimulatedPoint` says what each of these is."""
 
     @property
@@ -132,7 +132,7 @@ class PageSubject(Protocol):
         """The units by number."""
 
     @property
-    def points(self) -> Mapping[str, Any]:  # Any: `Point`
+    def points(self) -> Mapping[str, Any]:  # Any: `ShownPoint`
         """The points by key."""
 
     @property

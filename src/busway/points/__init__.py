@@ -1,0 +1,32 @@
+"""Points: the named values of a device, what they say, and how sure it is.
+
+==============  =======================================================================
+`point`         one point: where it stands, its type, its value: `Point`
+`conversion`    raw number ⇄ value in the unit of measure
+`decoder`       the reply of a read → the values of all its points: `ReadDecoder`
+`quality`       good, uncertain, bad
+`rules`         how units are read; what is written, reported, alarmed
+==============  =======================================================================
+"""
+
+from .conversion import Conversion, Linear
+from .decoder import DecodedRead, ReadDecoder
+from .point import Point
+from .quality import Flaw, Quality, Reading
+from .rules import AlarmRule, ItemRange, ReadRule, ReportRule, WriteRule
+
+__all__ = [
+    "AlarmRule",
+    "Conversion",
+    "DecodedRead",
+    "Flaw",
+    "ItemRange",
+    "Linear",
+    "Point",
+    "Quality",
+    "ReadDecoder",
+    "ReadRule",
+    "Reading",
+    "ReportRule",
+    "WriteRule",
+]

@@ -1,0 +1,388 @@
+"""The reply of a read → the values of all points in it, by one compiled function.
+
+Knows points and the bytes of a reply; knows no request and no clock.
+
+1. All numbers of a read are unpacked by one ``struct`` call. Where their bytes do not lie as ``struct`` wants them
+   (another order, points that overlap), their registers are put in its order first, all in one step.
+2. What each point needs beyond that (a scale, a comparison, a bit) is source of one generated function, as `pdu` does
+   with messages; texts and the like are decoded by their type.
+3. Good values cost nothing beside their value: only what is not good has an entry in ``flaws``.
+4. Points may overlap. A register that several points use is unpacked once.
+"""
+
+import operator
+import struct
+from array import array
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ..codes import Table
+from ..errors import BadReply, InvalidRequest
+from ..values.orders import Wire, byte_order
+from .conversion import LARGEST_EXPONENT, pattern
+from .point import Point
+from .quality import Flaw, Quality
+
+_LETTERS: Final = {
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int48": "q",
+    "uint48": "Q",
+    "int64": "q",
+    "uint64": "Q",
+    "float16": "e",
+    "float32": "f",
+    "float64": "d",
+}
+_NO_FLAWS: Final[Mapping[int, Flaw]] = {}
+_NO_VALUE: Final = Flaw(Quality.BAD, "the device has no value")
+_NO_NUMBER: Final = Flaw(Quality.BAD, "not a number")
+_SMALL: Final = Flaw(Quality.UNCERTAIN, "below its valid range")
+_LARGE: Final = Flaw(Quality.UNCERTAIN, "above its valid range")
+_BITS: Final = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte in range(256))
+_POWERS: Final = tuple(10.0**exponent for exponent in range(LARGEST_EXPONENT + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class DecodedRead:
+    """What a reply says.
+
+    Attributes:
+        values: one for each point, in the order of the points; None where there is none.
+        flaws: by the place of the point, why its value is not good; all others are.
+    """
+
+    values: list[Any]  # what the points' types say
+    flaws: Mapping[int, Flaw]
+
+
+class ReadDecoder:
+    """Decodes the replies of one read.
+
+    Args:
+        points: those that the read serves, in the order in which their values are wanted.
+        table: of the read.
+        start: its first item.
+        count: how many items it asks for.
+
+    Raises:
+        InvalidRequest: a point does not lie within the read.
+    """
+
+    def __init__(self, points: Sequence[Point], table: Table, start: int, count: int) -> None:
+        for point in points:
+            if point.table is not table or point.formula or point.start < start or point.end > start + count:
+                raise InvalidRequest(f"{point.name} does not lie within {count} {table.label}s from {start} on")
+        self.points = tuple(points)
+        self.table = table
+        self.start = start
+        self.count = count
+        self.size = (count + 7) // 8 if table.holds_bits else 2 * count
+        decode = _bits_decoder if table.holds_bits else _registers_decoder
+        self._decode = decode(self.points, start, count)
+
+    def decode(self, data: Wire, known: MutableMapping[str, int] | None = None) -> DecodedRead:
+        """The values of a reply.
+
+        Args:
+            data: registers in wire order, or bits as in a reply, the first in the lowest bit.
+            known: the exponents of ``scale_from`` by the name of their point. Those in this reply are put into it, and
+                hold for it already.
+
+        Raises:
+            InvalidRequest: there are not as many bytes as the read asks for.
+        """
+        if len(data) != self.size:
+            raise InvalidRequest(f"{len(data)} bytes, but {self.count} {self.table.label}s take {self.size}")
+        values, flaws = self._decode(data, {} if known is None else known)
+        return DecodedRead(values, flaws or _NO_FLAWS)
+
+
+_Decode = Callable[[Wire, MutableMapping[str, int]], tuple[list[Any], dict[int, Flaw] | None]]
+
+
+def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
+    places = [point.start - start for point in points]
+    first, last = (min(places) // 8, max(places) // 8) if places else (0, 0)
+    places = [place - 8 * first for place in places]
+    if len(places) == 1:
+        (only,) = places
+        return lambda data, known: ([_BITS[data[first + only // 8]][only & 7]], None)
+    take = operator.itemgetter(*places) if places else lambda bits: ()
+
+    def decode(data: Wire, known: MutableMapping[str, int]) -> tuple[list[Any], None]:
+        bits: list[bool] = []
+        for byte in data[first : last + 1]:
+            bits += _BITS[byte]
+        return list(take(bits)), None
+
+    return decode
+
+
+@dataclass(frozen=True, slots=True)
+class _Number:
+    """A number that is unpacked: its registers in the read, the most significant first, -1 for one of zeros; whether
+    the bytes of each are swapped; its letter for ``struct``."""
+
+    registers: tuple[int, ...]
+    swapped: bool
+    letter: str
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its bytes lie as ``struct`` wants them."""
+        first = self.registers[0]
+        return first >= 0 and not self.swapped and self.registers == tuple(range(first, first + len(self.registers)))
+
+
+def _number_of(point: Point, start: int) -> _Number | None:
+    """How a point is unpacked; None where its type has to do it."""
+    form, first = point.form, point.start - start
+    assert form is not None  # it stands in registers
+    name = form.name
+    if name.startswith(("bit:", "field:", "int8:", "uint8:")):
+        return _Number((first,), byte_order(form.order, 2).mask & 1 == 1, "H")
+    letter = _LETTERS.get(name)
+    if letter is None:
+        return None
+    order = byte_order(form.order, 2 * form.registers)
+    registers = tuple(first + place for place in order.registers)
+    if name == "uint48":
+        registers = (-1, *registers)
+    elif name == "int48":
+        registers = (*registers, -1)  # shifted down again, with its sign
+    return _Number(registers, bool(order.mask & 1), letter)
+
+
+def _registers_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
+    writer = _Source(points, start, count)
+    namespace: dict[str, Any] = writer.namespace
+    exec(compile(writer.text(), "<decoder of a read>", "exec"), namespace)
+    decode: _Decode = namespace["decode"]
+    return decode
+
+
+class _Source:
+    """Writes the function that decodes the registers of a read."""
+
+    def __init__(self, points: Sequence[Point], start: int, count: int) -> None:
+        self._points = points
+        self._start = start
+        self._count = count
+        self._numbers: dict[_Number, str] = {}
+        self._lines: list[str] = []
+        self.namespace: dict[str, Any] = {"NO_VALUE": _NO_VALUE, "NO_NUMBER": _NO_NUMBER}
+
+    def text(self) -> str:
+        """The source of ``decode(data, known)``."""
+        for point in self._points:
+            number = _number_of(point, self._start)
+            if number is not None and number not in self._numbers:
+                self._numbers[number] = f"n{len(self._numbers)}"
+        needed = {point.conversion.scale_from for point in self._points} - {""}
+        for place in sorted(range(len(self._points)), key=lambda each: self._points[each].name not in needed):
+            self._point(place, self._points[place], is_exponent=self._points[place].name in needed)
+        values = ", ".join(f"v{place}" for place in range(len(self._points)))
+        body = [*self._unpacking(), "flaws = None", *self._lines, f"return [{values}], flaws"]
+        return "def decode(data, known):\n" + "\n".join(f"    {line}" for line in body) + "\n"
+
+    def _unpacking(self) -> list[str]:
+        if not self._numbers:
+            return []
+        names = "".join(f"{name}, " for name in self._numbers.values())
+        plain = sorted(self._numbers, key=lambda each: each.registers[0])
+        ends = [each.registers[0] + len(each.registers) for each in plain]
+        disjoint = all(end <= after.registers[0] for end, after in zip(ends, plain[1:], strict=False))
+        if disjoint and all(each.is_plain for each in plain):
+            self.namespace["unpack"] = struct.Struct(_padded(plain, self._count)).unpack
+            return [f"{''.join(f'{self._numbers[each]}, ' for each in plain)}= unpack(data)"]
+        picks = [
+            2 * self._count if register < 0 else register + self._count * each.swapped
+            for each in self._numbers
+            for register in each.registers
+        ]
+        pick: Callable[[Any], Iterable[int]] = operator.itemgetter(*picks, 2 * self._count)
+        swaps = any(each.swapped for each in self._numbers)
+        self.namespace |= {
+            "unpack": struct.Struct(">" + "".join(each.letter for each in self._numbers) + "2x").unpack,
+            "gather": _gatherer(pick, self._count, swaps=swaps),
+        }
+        return [f"{names}= unpack(gather(data))"]
+
+    def _point(self, place: int, point: Point, *, is_exponent: bool) -> None:
+        number = _number_of(point, self._start)
+        if number is None:
+            self._typed(place, point)
+            return
+        raw = self._raw(self._numbers[number], point)
+        if point.type == "bit":
+            self._lines.append(f"v{place} = {raw}")
+            return
+        tests = self._tests(place, point, raw)
+        if not tests and not point.conversion.changes and not point.conversion.scale_from:
+            self._lines.append(f"v{place} = {raw}")
+        else:
+            self._converted(place, point, raw, tests)
+        if is_exponent:
+            self._lines += [
+                f"if v{place} is None:",
+                f"    known.pop({point.name!r}, None)",
+                "else:",
+                f"    known[{point.name!r}] = v{place}",
+            ]
+
+    def _raw(self, name: str, point: Point) -> str:
+        assert point.form is not None
+        kind, _, rest = point.form.name.partition(":")
+        if kind == "bit":
+            return f"{name} & {1 << int(rest)} != 0"
+        if kind == "int48":
+            return f"({name} >> 16)"
+        if kind in ("int8", "uint8", "field"):
+            bits = {"low": "0-7", "high": "8-15"}.get(rest, rest).partition(":")[0]
+            low, high = (int(each) for each in bits.split("-"))
+            sign = 1 << high - low if kind == "int8" or rest.endswith(":signed") else 0
+            field = f"({name} >> {low} & {(1 << high - low + 1) - 1})"
+            return f"(({field} ^ {sign}) - {sign})" if sign else field
+        return name
+
+    def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, str]]:
+        """What makes a raw number no value: the condition, and the name of the flaw."""
+        tests = [] if point.is_whole else [(f"{raw} != {raw}", "NO_NUMBER")]
+        invalid = _invalid_of(point)
+        if len(invalid) == 1:
+            tests.append((f"{raw} == {invalid[0]!r}", "NO_VALUE"))
+        elif invalid:
+            self.namespace[f"invalid{place}"] = frozenset(invalid)
+            tests.append((f"{raw} in invalid{place}", "NO_VALUE"))
+        return tests
+
+    def _converted(self, place: int, point: Point, raw: str, tests: list[tuple[str, str]]) -> None:
+        word, conversion = "if", point.conversion
+        for condition, flaw in tests:
+            self._lines += [f"{word} {condition}:", f"    v{place} = None", f"    {self._flaw(place, flaw)}"]
+            word = "elif"
+        scaled = conversion.scale_from
+        if scaled:
+            self.namespace[f"absent{place}"] = Flaw(Quality.BAD, f"its scale factor, {scaled}, is not known")
+            self.namespace["powers"] = _POWERS
+            self._lines += [
+                f"{word} not -{LARGEST_EXPONENT} <= known.get({scaled!r}, 99) <= {LARGEST_EXPONENT}:",
+                f"    v{place} = None",
+                f"    {self._flaw(place, f'absent{place}')}",
+            ]
+            word = "elif"
+        lines = [f"v{place} = {conversion.source(raw, whole=point.is_whole)}"]
+        if scaled:
+            lines += [
+                f"exponent = known[{scaled!r}]",
+                f"v{place} = v{place} * powers[exponent] if exponent >= 0 else v{place} / powers[-exponent]",
+            ]
+        if conversion.valid is not None:
+            lines += self._validity(place, *conversion.valid)
+        self._lines += lines if word == "if" else ["else:", *(f"    {line}" for line in lines)]
+
+    def _validity(self, place: int, low: float | None, high: float | None) -> list[str]:
+        lines = []
+        for end, sign, flaw in ((low, "<", _SMALL), (high, ">", _LARGE)):
+            if end is not None:
+                name = "SMALL" if sign == "<" else "LARGE"
+                self.namespace[name] = flaw
+                lines += [f"if v{place} {sign} {end!r}:", f"    {self._flaw(place, name)}"]
+        return lines
+
+    def _flaw(self, place: int, name: str) -> str:
+        self.namespace["noted"] = _noted
+        return f"flaws = noted(flaws, {place}, {name})"
+
+    def _typed(self, place: int, point: Point) -> None:
+        """A point that its type decodes."""
+        first = 2 * (point.start - self._start)
+        self.namespace[f"read{place}"] = _reader(point)
+        self.namespace["Flaw"] = Flaw
+        self._lines += [
+            f"v{place} = read{place}(data[{first}:{first + 2 * point.count}])",
+            f"if v{place}.__class__ is Flaw:",
+            f"    {self._flaw(place, f'v{place}')}",
+            f"    v{place} = None",
+        ]
+
+
+def _noted(flaws: dict[int, Flaw] | None, place: int, flaw: Flaw) -> dict[int, Flaw]:
+    """The flaws with one more; the dictionary is made for the first."""
+    if flaws is None:
+        return {place: flaw}
+    flaws[place] = flaw
+    return flaws
+
+
+def _padded(numbers: Sequence[_Number], count: int) -> str:
+    """The format for numbers in their order, which skips what lies between them."""
+    text, at = ">", 0
+    for each in numbers:
+        gap = each.registers[0] - at
+        text += f"{2 * gap}x" if gap else ""
+        text += each.letter
+        at = each.registers[0] + len(each.registers)
+    return text + (f"{2 * (count - at)}x" if count > at else "")
+
+
+def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) -> "Callable[[Wire], array[int]]":
+    """Brings registers into the order in which they are unpacked: ``pick`` has them as they came, from ``count`` on
+    with their bytes swapped, and behind these one of zeros."""
+    rest = array("H", [0] if swaps else [0] * (count + 1))
+
+    def gather(data: Wire) -> "array[int]":
+        registers = array("H")
+        registers.frombytes(data)
+        if swaps:
+            other = registers[:]
+            other.byteswap()
+            registers += other
+        registers += rest
+        return array("H", pick(registers))
+
+    return gather
+
+
+def _invalid_of(point: Point) -> list[float]:
+    """The raw numbers that stand for no value, as the type has them."""
+    form = point.form
+    assert form is not None
+    name = form.name
+    if name.startswith("float"):
+        found = []
+        for each in point.conversion.invalid:
+            found += form.decode(form.encode([float(each)]))  # as near to it as the type comes
+        return found
+    signed = name.startswith("int") or name.endswith(":signed")
+    bits = 16 * form.registers
+    if name.startswith(("int8", "uint8")):
+        bits = 8
+    elif name.startswith("field:"):
+        low, high = name.split(":")[1].split("-")
+        bits = int(high) - int(low) + 1
+    return [pattern(each, bits=bits, signed=signed) for each in point.conversion.invalid]
+
+
+def _reader(point: Point) -> Callable[[Wire], Any]:
+    """What decodes one point by its type: a value, or a `Flaw`."""
+    form, conversion = point.form, point.conversion
+    assert form is not None
+    convert = point.value if conversion.changes else None
+    invalid = frozenset(conversion.invalid)
+    broken = Flaw(Quality.BAD, f"no {form.name}")
+
+    def read(data: Wire) -> Any:
+        try:
+            raw = form.decode(data)[0]
+        except BadReply:
+            return broken
+        if raw in invalid:
+            return _NO_VALUE
+        return raw if convert is None else convert(raw)
+
+    return read

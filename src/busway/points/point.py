@@ -1,0 +1,211 @@
+"""A point: one value of a device that has a name. What others call a tag.
+
+Knows where it stands, its type, how its raw number becomes a value, and what is to be done with it; knows no device,
+no request and no file. `decoder` decodes the points of a read together.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final
+
+from ..codes import Table
+from ..errors import InvalidRequest
+from ..values import Address, ValueType
+from ..values.orders import Wire
+from ..values.refusal import shown
+from .conversion import Conversion, value_of
+from .quality import Reading
+from .rules import ReportRule, WriteRule
+
+if TYPE_CHECKING:
+    from .decoder import ReadDecoder
+
+_WHOLE: Final = ("int", "uint", "bcd", "field")
+_PLAIN: Final = Conversion()
+_EVERY_READ: Final = ReportRule()
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One value of a device.
+
+    Attributes:
+        name: one of a kind in its device.
+        table: where it stands; for a computed point the table of nothing, holding registers.
+        start: its first register or bit, 0-based.
+        form: the type of its registers, also of one bit of one (``bit:3``); None for a coil or discrete input.
+        conversion: how raw numbers become values.
+        unit_of_measure: ``V``, ``°C``.
+        group: the name of the atomic group that it belongs to; all of it is read in one request. Empty for none.
+        exists: the name of the point that holds how many of its group there are, and its own place among them, from
+            1 on; None where it is always there.
+        formula: the expression of a computed point; empty for one that is read.
+        rollover: the number of an accumulator at which it begins again from 0, in the unit of measure; None if it is
+            none.
+        poll_class: how often it is read; empty for the class of its device.
+        writing: what may be written, and how; None if nothing.
+        reporting: when its samples are handed on.
+        was: the name that it had before; its history goes on.
+        description: what it is, for people.
+        meta: what else its file says of it.
+    """
+
+    name: str
+    table: Table
+    start: int
+    form: ValueType[Any] | None = None
+    conversion: Conversion = _PLAIN
+    unit_of_measure: str = ""
+    group: str = ""
+    exists: tuple[str, int] | None = None
+    formula: str = ""
+    rollover: float | None = None
+    poll_class: str = ""
+    writing: WriteRule | None = None
+    reporting: ReportRule = _EVERY_READ
+    was: str = ""
+    description: str = ""
+    meta: Mapping[str, Any] = field(default_factory=dict)  # Any: what TOML has
+
+    @property
+    def count(self) -> int:
+        """Registers, or bits of a table of bits, that it takes; 0 for a computed point."""
+        return 0 if self.formula else 1 if self.form is None else self.form.registers
+
+    @property
+    def end(self) -> int:
+        """The item after its last one."""
+        return self.start + self.count
+
+    @property
+    def type(self) -> str:
+        """The type by name; ``bit`` for one bit, wherever it stands."""
+        if self.formula:
+            return "float64"
+        return "bit" if self.form is None or self.form.name.startswith("bit:") else self.form.name
+
+    @property
+    def order(self) -> str:
+        """Byte and register order in letters; empty for one bit."""
+        return "" if self.form is None or self.type == "bit" else self.form.order
+
+    @property
+    def address(self) -> Address:
+        """Where it stands."""
+        name = "" if self.form is None else self.form.name
+        bit = int(name[4:]) if name.startswith("bit:") else None
+        return Address(self.table, self.start, bit)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether its raw number is whole."""
+        return self.form is not None and self.form.name.startswith(_WHOLE)
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it holds a number, not one bit, text or several values."""
+        return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
+
+    def decode(self, data: Wire, known: Mapping[str, int] | None = None) -> Reading:
+        """What its items say.
+
+        Args:
+            data: its registers in wire order, or a byte with its bit as the lowest.
+            known: exponents by the name of the point that holds them, for ``scale_from``.
+
+        Raises:
+            InvalidRequest: there are not as many bytes as it takes.
+        """
+        found = _alone(self).decode(data, dict(known or {}))
+        flaw = found.flaws.get(0)
+        return Reading(found.values[0]) if flaw is None else Reading(found.values[0], flaw.quality, flaw.reason)
+
+    def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
+        """The items that hold a value.
+
+        Args:
+            value: in the unit of measure, or a name of a number, or for flags the names of the bits that are set.
+            held: what the registers hold now, for a point that is only a part of its register.
+            exponent: what the point of ``scale_from`` holds.
+
+        Returns:
+            Registers in wire order; for a coil one byte, 0 or 1.
+
+        Raises:
+            InvalidRequest: it does not fit the type, the scale, or the names.
+        """
+        raw = self.raw(value, exponent)
+        if self.form is None:
+            return bytes([raw])
+        return self.form.merge(raw, held or bytes(2 * self.form.registers))
+
+    def raw(self, value: Any, exponent: int = 0) -> Any:
+        """What the items hold for a value, as their type has it. Raises `InvalidRequest` if it cannot be."""
+        if self.formula:
+            raise InvalidRequest(f"{self.name} is computed and holds nothing")
+        if self.type == "bit":
+            if not isinstance(value, bool):
+                raise InvalidRequest(f"one bit is true or false, not {shown(value)}")
+            return value
+        value = self._number_of(value)
+        if not self.is_number:
+            return value
+        return self.conversion.raw(value, whole=self.is_whole, exponent=exponent)
+
+    def value(self, raw: Any) -> Any:
+        """The value in the unit of measure of a raw number; other raw values as they are."""
+        if not self.is_number or isinstance(raw, bool):
+            return raw
+        return value_of(self.conversion, raw, whole=self.is_whole)
+
+    def _number_of(self, value: Any) -> Any:
+        """The number that a name, or the names of some flags, stand for."""
+        conversion = self.conversion
+        if conversion.names:
+            if isinstance(value, str):
+                if value not in conversion.names:
+                    raise InvalidRequest(f"there is no {shown(value)}; there are {', '.join(conversion.names)}")
+                return conversion.names[value]
+            if isinstance(value, bool) or value not in conversion.names.values():
+                raise InvalidRequest(f"must be {self.choices()}, not {shown(value)}")
+        if conversion.flags and isinstance(value, list | tuple | set | frozenset):
+            unknown = [each for each in value if each not in conversion.flags]
+            if unknown:
+                raise InvalidRequest(f"there is no flag {shown(unknown[0])}; there are {', '.join(conversion.flags)}")
+            number = sum(1 << conversion.flags[each] for each in set(value))
+            bits = 16 * self.count
+            return (
+                number - (1 << bits)
+                if self.form and self.form.name.startswith("int") and number >> bits - 1
+                else number
+            )
+        return value
+
+    def choices(self) -> str:
+        """The names of the numbers that there are: ``off (0), auto (1)``."""
+        return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
+
+    def label(self, value: Any) -> str:
+        """The name of a number, or the names of the flags that are set in it; empty where there are none."""
+        conversion = self.conversion
+        if isinstance(value, bool) or not isinstance(value, int):
+            return ""
+        if conversion.flags:
+            return ", ".join(name for name, bit in conversion.flags.items() if value >> bit & 1)
+        return next((name for name, number in conversion.names.items() if number == value), "")
+
+    def renamed(self, name: str) -> "Point":
+        """The same under another name."""
+        return replace(self, name=name)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.table, self.start, self.form))
+
+
+@lru_cache(maxsize=4096)
+def _alone(point: Point) -> "ReadDecoder":
+    """The decoder of a read of nothing but this point, compiled once."""
+    from .decoder import ReadDecoder
+
+    return ReadDecoder([point], point.table, point.start, point.count)

@@ -1,0 +1,158 @@
+"""What holds for reading a unit, and for writing, reporting and alarms of a point.
+
+Knows the rules and their ranges; applies only those that need nothing but a value.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
+from ..errors import InvalidRequest
+from ..values import Address
+from ..values.refusal import shown
+
+
+@dataclass(frozen=True, slots=True)
+class ItemRange:
+    """Neighbouring items of a table: ``first``, 0-based, and how many."""
+
+    table: Table
+    first: int
+    count: int
+
+    @property
+    def end(self) -> int:
+        """The item after the last one."""
+        return self.first + self.count
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRule:
+    """How a unit lets itself be read.
+
+    Attributes:
+        registers, bits: the most that one request may ask for.
+        readable: where reads may go; empty for everywhere that is not forbidden.
+        forbidden: items that no read may touch.
+        bridge: whether items between points may be read, to save a request.
+        blocks: ranges that are read exactly as they are, or not at all.
+        single: whether each point takes a request of its own.
+        pause: seconds between the end of a reply and the next request to the unit.
+        poll_class: of points that name none.
+    """
+
+    registers: int = MAX_READ_REGISTERS
+    bits: int = MAX_READ_BITS
+    readable: tuple[ItemRange, ...] = ()
+    forbidden: tuple[ItemRange, ...] = ()
+    bridge: bool = False
+    blocks: tuple[ItemRange, ...] = ()
+    single: bool = False
+    pause: float = 0.0
+    poll_class: str = ""
+
+    def most(self, table: Table) -> int:
+        """The most items of a table that one request may ask for."""
+        return self.bits if table.holds_bits else self.registers
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRule:
+    """What may be written to a point, and how.
+
+    Attributes:
+        function: 5, 6, 15, 16 or 22; None for the one that fits.
+        verify: ``none``, ``read-back``, or the address where the device shows the value.
+        minimum, maximum: the ends of what may be written, in the unit of measure.
+        step: values are minimum (or 0) and whole numbers of steps above it.
+        on, off: the raw numbers of a switch.
+    """
+
+    function: int | None = None
+    verify: Literal["none", "read-back"] | Address = "none"
+    minimum: float | None = None
+    maximum: float | None = None
+    step: float | None = None
+    on: int | None = None
+    off: int | None = None
+
+    def check(self, value: float) -> None:
+        """Raises `InvalidRequest` if a value may not be written."""
+        low, high = self.minimum, self.maximum
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
+        if self.step is not None:
+            steps = (value - (low or 0.0)) / self.step
+            if abs(steps - round(steps)) > 1e-6 * max(1.0, abs(steps)):
+                raise InvalidRequest(
+                    f"must be a whole number of steps of {self.step:g} from {low or 0.0:g} on, not {shown(value)}"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class ReportRule:
+    """When a sample of a point is handed on; a change of its quality always is.
+
+    Attributes:
+        when: at every read, at a change, or at a change and after ``period`` at the latest.
+        period: seconds, for ``change_or_period``.
+        deadband: a change is more than this; in the unit of measure, or in percent of the value handed on before.
+        percent: whether the deadband is in percent.
+        max_silence: after this many seconds a sample is handed on in any case; None for never.
+    """
+
+    when: Literal["every", "change", "change_or_period"] = "every"
+    period: float | None = None
+    deadband: float = 0.0
+    percent: bool = False
+    max_silence: float | None = None
+
+    def is_change(self, before: object, now: object) -> bool:
+        """Whether a value differs from the one that was handed on before by more than the deadband."""
+        if before == now:
+            return False
+        numbers = isinstance(before, int | float) and isinstance(now, int | float)
+        if not self.deadband or not numbers or isinstance(now, bool):
+            return True
+        assert isinstance(before, int | float)
+        assert isinstance(now, int | float)
+        limit = abs(before) * self.deadband / 100 if self.percent else self.deadband
+        return not abs(now - before) <= limit  # NaN is a change
+
+    def is_due(self, before: object, now: object, silence: float) -> bool:
+        """Whether a good value is handed on, ``silence`` seconds after the one before."""
+        if self.when == "every" or self.is_change(before, now):
+            return True
+        limits = [each for each in (self.max_silence, self.period if self.when != "change" else None) if each]
+        return bool(limits) and silence >= min(limits)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRule:
+    """A limit whose crossing is an alarm.
+
+    Attributes:
+        kind: ``HH``, ``H``, ``L`` or ``LL``.
+        limit: in the unit of measure; the alarm begins above it (H, HH) or below it (L, LL).
+        delay: seconds for which the value has to be beyond it.
+        hysteresis: how far it has to come back for the alarm to end.
+        acknowledge: whether a person has to acknowledge it.
+    """
+
+    kind: Literal["HH", "H", "L", "LL"]
+    limit: float
+    delay: float = 0.0
+    hysteresis: float = 0.0
+    acknowledge: bool = False
+
+    def is_beyond(self, value: float, *, active: bool) -> bool:
+        """Whether a value is beyond the limit; of an alarm that is active, whether it has not come back yet."""
+        back = self.hysteresis if active else 0.0
+        return value > self.limit - back if self.kind in ("H", "HH") else value < self.limit + back
+
+
+def ranged(low: float | None, high: float | None) -> str:
+    """A range in words: ``0…100``, ``at least 0``, ``at most 100``."""
+    if low is None:
+        return f"at most {high:g}"
+    return f"at least {low:g}" if high is None else f"{low:g}…{high:g}"

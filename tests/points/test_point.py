@@ -1,0 +1,96 @@
+"""What a point is, encodes and calls its values; the rules for writing, reporting, alarms."""
+
+import math
+
+import pytest
+
+from busway.codes import Table
+from busway.errors import InvalidRequest
+from busway.points import AlarmRule, Conversion, Point, ReportRule, WriteRule
+from busway.values import value_type
+
+HOLDING = Table.HOLDING_REGISTERS
+
+
+def test_a_part_of_a_register_is_written_without_touching_the_rest() -> None:
+    held = bytes.fromhex("ABCD")
+    for form, value, wanted in [
+        ("bit:0", False, "ABCC"),
+        ("bit:15", False, "2BCD"),
+        ("field:4-7", 0, "AB0D"),
+        ("int8:low", -1, "ABFF"),
+        ("uint8:high", 1, "01CD"),
+    ]:
+        point = Point("p", HOLDING, 0, value_type(form))
+        wire = point.encode(value, held)
+        assert wire == bytes.fromhex(wanted)
+        assert point.decode(wire).value == value
+    with pytest.raises(InvalidRequest, match="16 does not fit field:4-7, which takes a whole number 0…15"):
+        Point("p", HOLDING, 0, value_type("field:4-7")).encode(16, held)
+
+
+def test_names_stand_for_numbers_and_flags_for_bits() -> None:
+    mode = Point("mode", HOLDING, 0, value_type("uint16"), Conversion(names={"off": 0, "auto": 1}))
+    assert mode.encode("auto") == b"\x00\x01"
+    assert (mode.label(1), mode.label(7)) == ("auto", "")
+    with pytest.raises(InvalidRequest, match="there is no 'on'; there are off, auto"):
+        mode.encode("on")
+    with pytest.raises(InvalidRequest, match=r"must be off \(0\), auto \(1\), not 3"):
+        mode.encode(3)
+    events = Point("events", HOLDING, 0, value_type("int16"), Conversion(flags={"hot": 0, "door": 15}))
+    assert events.encode(["hot", "door"]) == b"\x80\x01"
+    assert events.label(events.decode(b"\x80\x01").value) == "hot, door"
+
+
+def test_a_coil_holds_a_state_and_a_computed_point_nothing() -> None:
+    coil = Point("c", Table.COILS, 3)
+    assert (coil.encode(True), coil.decode(b"\x01").value, coil.type, str(coil.address)) == (
+        b"\x01",
+        True,
+        "bit",
+        "0x4",
+    )
+    with pytest.raises(InvalidRequest, match="one bit is true or false, not 1"):
+        coil.encode(1)
+    computed = Point("sum", HOLDING, 0, formula="a + b")
+    assert computed.count == 0
+    with pytest.raises(InvalidRequest, match="sum is computed"):
+        computed.encode(1.0)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_what_is_no_number_is_refused_where_raw_numbers_are_whole(value: float) -> None:
+    with pytest.raises(InvalidRequest):
+        Point("p", HOLDING, 0, value_type("int16"), Conversion(0.1)).encode(value)
+
+
+def test_a_write_keeps_to_its_range_and_its_steps() -> None:
+    rule = WriteRule(minimum=5.0, maximum=30.0, step=0.5)
+    for value in (5.0, 21.5, 30.0):
+        rule.check(value)
+    with pytest.raises(InvalidRequest, match=r"must be 5…30, not 30\.5"):
+        rule.check(30.5)
+    with pytest.raises(InvalidRequest, match=r"must be a whole number of steps of 0\.5 from 5 on, not 21\.3"):
+        rule.check(21.3)
+    with pytest.raises(InvalidRequest):
+        rule.check(math.nan)
+
+
+def test_reports_follow_the_deadband_and_end_a_silence() -> None:
+    change = ReportRule("change", deadband=0.5)
+    assert [change.is_due(10.0, now, 1e9) for now in (10.5, 10.6, 9.4)] == [False, True, True]
+    percent = ReportRule("change", deadband=10.0, percent=True, max_silence=60.0)
+    assert [percent.is_due(-200.0, now, 0.0) for now in (-219.0, -221.0)] == [False, True]
+    assert (percent.is_due(5.0, 5.0, 59.0), percent.is_due(5.0, 5.0, 60.0)) == (False, True)
+    assert change.is_due(False, True, 0.0)
+    assert change.is_due(1.0, math.nan, 0.0)
+    assert change.is_due("a", "b", 0.0)
+    either = ReportRule("change_or_period", period=10.0)
+    assert (either.is_due(1, 1, 9.9), either.is_due(1, 1, 10.0), either.is_due(1, 2, 0.0)) == (False, True, True)
+
+
+def test_an_alarm_ends_where_its_hysteresis_says() -> None:
+    high, low = AlarmRule("H", 80.0, hysteresis=5.0), AlarmRule("LL", 2.0, hysteresis=1.0)
+    assert [high.is_beyond(each, active=False) for each in (80.0, 80.1)] == [False, True]
+    assert [high.is_beyond(each, active=True) for each in (75.1, 75.0)] == [True, False]
+    assert [low.is_beyond(each, active=True) for each in (2.9, 3.0)] == [True, False]
