@@ -53,7 +53,7 @@ def test_a_coil_holds_a_state_and_a_computed_point_nothing() -> None:
     with pytest.raises(InvalidRequest, match="one bit is true or false, not 1"):
         coil.encode(1)
     computed = Point("sum", HOLDING, 0, formula="a + b")
-    assert computed.count == 0
+    assert computed.width == 0
     with pytest.raises(InvalidRequest, match="sum is computed"):
         computed.encode(1.0)
 

@@ -12,21 +12,21 @@
 from .conversion import Conversion, Linear
 from .decoder import DecodedRead, ReadDecoder
 from .point import Point
-from .quality import Flaw, Quality, Reading
-from .rules import AlarmRule, ItemRange, ReadRule, ReportRule, WriteRule
+from .quality import Quality, Reading, Reason
+from .rules import AlarmRule, ItemRange, ReadRules, ReportRule, WriteRule
 
 __all__ = [
     "AlarmRule",
     "Conversion",
     "DecodedRead",
-    "Flaw",
     "ItemRange",
     "Linear",
     "Point",
     "Quality",
     "ReadDecoder",
-    "ReadRule",
+    "ReadRules",
     "Reading",
+    "Reason",
     "ReportRule",
     "WriteRule",
 ]

@@ -22,7 +22,7 @@ from ..errors import BadReply, InvalidRequest
 from ..values.orders import Wire, byte_order
 from .conversion import LARGEST_EXPONENT, pattern
 from .point import Point
-from .quality import Flaw, Quality
+from .quality import Reason
 
 _LETTERS: Final = {
     "int16": "h",
@@ -37,11 +37,7 @@ _LETTERS: Final = {
     "float32": "f",
     "float64": "d",
 }
-_NO_FLAWS: Final[Mapping[int, Flaw]] = {}
-_NO_VALUE: Final = Flaw(Quality.BAD, "the device has no value")
-_NO_NUMBER: Final = Flaw(Quality.BAD, "not a number")
-_SMALL: Final = Flaw(Quality.UNCERTAIN, "below its valid range")
-_LARGE: Final = Flaw(Quality.UNCERTAIN, "above its valid range")
+_NO_FLAWS: Final[Mapping[int, int]] = {}
 _BITS: Final = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte in range(256))
 _POWERS: Final = tuple(10.0**exponent for exponent in range(LARGEST_EXPONENT + 1))
 
@@ -52,11 +48,11 @@ class DecodedRead:
 
     Attributes:
         values: one for each point, in the order of the points; None where there is none.
-        flaws: by the place of the point, why its value is not good; all others are.
+        flaws: by the place of the point, why its value is not good (`Reason`); all others are.
     """
 
     values: list[Any]  # what the points' types say
-    flaws: Mapping[int, Flaw]
+    flaws: Mapping[int, int]
 
 
 class ReadDecoder:
@@ -101,7 +97,7 @@ class ReadDecoder:
         return DecodedRead(values, flaws or _NO_FLAWS)
 
 
-_Decode = Callable[[Wire, MutableMapping[str, int]], tuple[list[Any], dict[int, Flaw] | None]]
+_Decode = Callable[[Wire, MutableMapping[str, int]], tuple[list[Any], dict[int, int] | None]]
 
 
 def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
@@ -174,7 +170,7 @@ class _Source:
         self._count = count
         self._numbers: dict[_Number, str] = {}
         self._lines: list[str] = []
-        self.namespace: dict[str, Any] = {"NO_VALUE": _NO_VALUE, "NO_NUMBER": _NO_NUMBER}
+        self.namespace: dict[str, Any] = {}
 
     def text(self) -> str:
         """The source of ``decode(data, known)``."""
@@ -249,30 +245,29 @@ class _Source:
             return f"(({field} ^ {sign}) - {sign})" if sign else field
         return name
 
-    def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, str]]:
-        """What makes a raw number no value: the condition, and the name of the flaw."""
-        tests = [] if point.is_whole else [(f"{raw} != {raw}", "NO_NUMBER")]
+    def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, Reason]]:
+        """What makes a raw number no value: the condition, and the reason."""
+        tests = [] if point.is_whole else [(f"{raw} != {raw}", Reason.NOT_A_NUMBER)]
         invalid = _invalid_of(point)
         if len(invalid) == 1:
-            tests.append((f"{raw} == {invalid[0]!r}", "NO_VALUE"))
+            tests.append((f"{raw} == {invalid[0]!r}", Reason.NO_VALUE))
         elif invalid:
             self.namespace[f"invalid{place}"] = frozenset(invalid)
-            tests.append((f"{raw} in invalid{place}", "NO_VALUE"))
+            tests.append((f"{raw} in invalid{place}", Reason.NO_VALUE))
         return tests
 
-    def _converted(self, place: int, point: Point, raw: str, tests: list[tuple[str, str]]) -> None:
+    def _converted(self, place: int, point: Point, raw: str, tests: list[tuple[str, Reason]]) -> None:
         word, conversion = "if", point.conversion
-        for condition, flaw in tests:
-            self._lines += [f"{word} {condition}:", f"    v{place} = None", f"    {self._flaw(place, flaw)}"]
+        for condition, reason in tests:
+            self._lines += [f"{word} {condition}:", f"    v{place} = None", f"    {self._flaw(place, reason)}"]
             word = "elif"
         scaled = conversion.scale_from
         if scaled:
-            self.namespace[f"absent{place}"] = Flaw(Quality.BAD, f"its scale factor, {scaled}, is not known")
             self.namespace["powers"] = _POWERS
             self._lines += [
                 f"{word} not -{LARGEST_EXPONENT} <= known.get({scaled!r}, 99) <= {LARGEST_EXPONENT}:",
                 f"    v{place} = None",
-                f"    {self._flaw(place, f'absent{place}')}",
+                f"    {self._flaw(place, Reason.NO_SCALE_FACTOR)}",
             ]
             word = "elif"
         lines = [f"v{place} = {conversion.source(raw, whole=point.is_whole)}"]
@@ -286,36 +281,28 @@ class _Source:
         self._lines += lines if word == "if" else ["else:", *(f"    {line}" for line in lines)]
 
     def _validity(self, place: int, low: float | None, high: float | None) -> list[str]:
-        lines = []
-        for end, sign, flaw in ((low, "<", _SMALL), (high, ">", _LARGE)):
-            if end is not None:
-                name = "SMALL" if sign == "<" else "LARGE"
-                self.namespace[name] = flaw
-                lines += [f"if v{place} {sign} {end!r}:", f"    {self._flaw(place, name)}"]
-        return lines
+        tests = [f"v{place} {sign} {end!r}" for end, sign in ((low, "<"), (high, ">")) if end is not None]
+        return [f"if {' or '.join(tests)}:", f"    {self._flaw(place, Reason.OUT_OF_RANGE)}"] if tests else []
 
-    def _flaw(self, place: int, name: str) -> str:
+    def _flaw(self, place: int, reason: Reason) -> str:
         self.namespace["noted"] = _noted
-        return f"flaws = noted(flaws, {place}, {name})"
+        return f"flaws = noted(flaws, {place}, {int(reason)})"
 
     def _typed(self, place: int, point: Point) -> None:
         """A point that its type decodes."""
         first = 2 * (point.start - self._start)
-        self.namespace[f"read{place}"] = _reader(point)
-        self.namespace["Flaw"] = Flaw
+        self.namespace |= {f"read{place}": _reader(point), "noted": _noted}
         self._lines += [
-            f"v{place} = read{place}(data[{first}:{first + 2 * point.count}])",
-            f"if v{place}.__class__ is Flaw:",
-            f"    {self._flaw(place, f'v{place}')}",
-            f"    v{place} = None",
+            f"v{place}, reason = read{place}(data[{first}:{first + 2 * point.width}])",
+            f"if reason: flaws = noted(flaws, {place}, reason)",
         ]
 
 
-def _noted(flaws: dict[int, Flaw] | None, place: int, flaw: Flaw) -> dict[int, Flaw]:
+def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
     """The flaws with one more; the dictionary is made for the first."""
     if flaws is None:
-        return {place: flaw}
-    flaws[place] = flaw
+        return {place: reason}
+    flaws[place] = reason
     return flaws
 
 
@@ -368,21 +355,20 @@ def _invalid_of(point: Point) -> list[float]:
     return [pattern(each, bits=bits, signed=signed) for each in point.conversion.invalid]
 
 
-def _reader(point: Point) -> Callable[[Wire], Any]:
-    """What decodes one point by its type: a value, or a `Flaw`."""
+def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
+    """What decodes one point by its type: the value, and why it is not good."""
     form, conversion = point.form, point.conversion
     assert form is not None
     convert = point.value if conversion.changes else None
     invalid = frozenset(conversion.invalid)
-    broken = Flaw(Quality.BAD, f"no {form.name}")
 
-    def read(data: Wire) -> Any:
+    def read(data: Wire) -> tuple[Any, int]:
         try:
             raw = form.decode(data)[0]
         except BadReply:
-            return broken
-        if raw in invalid:
-            return _NO_VALUE
-        return raw if convert is None else convert(raw)
+            return None, Reason.MEANINGLESS
+        if invalid and raw in invalid:
+            return None, Reason.NO_VALUE
+        return (raw if convert is None else convert(raw)), Reason.NONE
 
     return read

@@ -15,7 +15,7 @@ from ..values import Address, ValueType
 from ..values.orders import Wire
 from ..values.refusal import shown
 from .conversion import Conversion, value_of
-from .quality import Reading
+from .quality import Reading, Reason
 from .rules import ReportRule, WriteRule
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Point:
         form: the type of its registers, also of one bit of one (``bit:3``); None for a coil or discrete input.
         conversion: how raw numbers become values.
         unit_of_measure: ``V``, ``°C``.
-        group: the name of the atomic group that it belongs to; all of it is read in one request. Empty for none.
+        group: the name of the atomic group that it belongs to; all of it is read in one request. None for none.
         exists: the name of the point that holds how many of its group there are, and its own place among them, from
             1 on; None where it is always there.
         formula: the expression of a computed point; empty for one that is read.
@@ -57,7 +57,7 @@ class Point:
     form: ValueType[Any] | None = None
     conversion: Conversion = _PLAIN
     unit_of_measure: str = ""
-    group: str = ""
+    group: str | None = None
     exists: tuple[str, int] | None = None
     formula: str = ""
     rollover: float | None = None
@@ -69,14 +69,14 @@ class Point:
     meta: Mapping[str, Any] = field(default_factory=dict)  # Any: what TOML has
 
     @property
-    def count(self) -> int:
+    def width(self) -> int:
         """Registers, or bits of a table of bits, that it takes; 0 for a computed point."""
         return 0 if self.formula else 1 if self.form is None else self.form.registers
 
     @property
     def end(self) -> int:
         """The item after its last one."""
-        return self.start + self.count
+        return self.start + self.width
 
     @property
     def type(self) -> str:
@@ -118,8 +118,7 @@ class Point:
             InvalidRequest: there are not as many bytes as it takes.
         """
         found = _alone(self).decode(data, dict(known or {}))
-        flaw = found.flaws.get(0)
-        return Reading(found.values[0]) if flaw is None else Reading(found.values[0], flaw.quality, flaw.reason)
+        return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
 
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
         """The items that hold a value.
@@ -174,7 +173,7 @@ class Point:
             if unknown:
                 raise InvalidRequest(f"there is no flag {shown(unknown[0])}; there are {', '.join(conversion.flags)}")
             number = sum(1 << conversion.flags[each] for each in set(value))
-            bits = 16 * self.count
+            bits = 16 * self.width
             return (
                 number - (1 << bits)
                 if self.form and self.form.name.startswith("int") and number >> bits - 1
@@ -208,4 +207,4 @@ def _alone(point: Point) -> "ReadDecoder":
     """The decoder of a read of nothing but this point, compiled once."""
     from .decoder import ReadDecoder
 
-    return ReadDecoder([point], point.table, point.start, point.count)
+    return ReadDecoder([point], point.table, point.start, point.width)

@@ -1,8 +1,15 @@
-"""How sure a value is: its quality, and the reason where it is not good. Knows nothing else."""
+"""How sure a value is, and the reason where it is not good. Knows nothing else."""
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, Final
+
+from ..codes import exception_meaning
+from ..errors import InvalidRequest
+from ..values.refusal import shown
+
+_EXCEPTIONS: Final = 256
+"""A reason from here on is this plus the exception code that the device answered."""
 
 
 class Quality(IntEnum):
@@ -10,9 +17,9 @@ class Quality(IntEnum):
 
     GOOD = 0
     UNCERTAIN = 1
-    """There is a value, but it may be wrong: out of its valid range, held, or of a clock that is not set."""
+    """There is a value, but it may be wrong."""
     BAD = 2
-    """There is no value."""
+    """There is no value that may be relied on."""
 
     @property
     def label(self) -> str:
@@ -20,17 +27,85 @@ class Quality(IntEnum):
         return self.name.lower()
 
 
-@dataclass(frozen=True, slots=True)
-class Flaw:
-    """Why a value is not good.
+class Reason(IntEnum):
+    """Why a sample is not good, or why there are none; `exception_reason` makes those of exception codes.
 
-    Attributes:
-        quality: uncertain or bad.
-        reason: in words, one of a few for each point, so that a store can keep a number for it.
+    1 to 15 are uncertain, all from 16 on are bad.
     """
 
-    quality: Quality
-    reason: str
+    NONE = 0
+    HELD = 1
+    OUT_OF_RANGE = 2
+    CLOCK = 3
+    TIMEOUT = 16
+    BROKEN_REPLY = 17
+    IN_DOUBT = 18
+    NO_CONNECTION = 19
+    CONFIGURATION = 20
+    MAINTENANCE = 21
+    OWNERSHIP = 22
+    NO_VALUE = 23
+    NOT_A_NUMBER = 24
+    NO_SCALE_FACTOR = 25
+    MEANINGLESS = 26
+    NO_INPUT = 27
+    SKIPPED = 32
+    SUSPENDED = 33
+    STOPPED = 34
+    KILLED = 35
+    LOST = 36
+
+
+_TEXTS: Final[dict[int, str]] = {
+    Reason.NONE: "",
+    Reason.HELD: "held",
+    Reason.OUT_OF_RANGE: "out of range",
+    Reason.CLOCK: "clock not set",
+    Reason.TIMEOUT: "timeout",
+    Reason.BROKEN_REPLY: "broken reply",
+    Reason.IN_DOUBT: "in doubt",
+    Reason.NO_CONNECTION: "no connection",
+    Reason.CONFIGURATION: "wrong configuration",
+    Reason.MAINTENANCE: "maintenance",
+    Reason.OWNERSHIP: "gap of ownership",
+    Reason.NO_VALUE: "no value",
+    Reason.NOT_A_NUMBER: "not a number",
+    Reason.NO_SCALE_FACTOR: "scale factor not known",
+    Reason.MEANINGLESS: "bytes mean nothing in its type",
+    Reason.NO_INPUT: "computed from a point without value",
+    Reason.SKIPPED: "round skipped",
+    Reason.SUSPENDED: "device suspended",
+    Reason.STOPPED: "collector stopped",
+    Reason.KILLED: "collector ended unexpectedly",
+    Reason.LOST: "store could not be written",
+}
+
+
+def exception_reason(code: int) -> int:
+    """The reason of a sample whose read was answered with an exception; the code, 0…255, is kept as it came."""
+    if not 0 <= code <= 255:
+        raise InvalidRequest(f"an exception code is 0…255, not {shown(code)}")
+    return _EXCEPTIONS + code
+
+
+def exception_code_of(reason: int) -> int | None:
+    """The exception code, 0…255, behind a reason; None where it is another reason."""
+    return reason - _EXCEPTIONS if reason >= _EXCEPTIONS else None
+
+
+def quality_of(reason: int) -> Quality:
+    """The quality that follows from a reason."""
+    if reason == 0:
+        return Quality.GOOD
+    return Quality.UNCERTAIN if reason < Reason.TIMEOUT else Quality.BAD
+
+
+def reason_text(reason: int) -> str:
+    """A reason in words; empty for a good sample."""
+    if reason >= _EXCEPTIONS:
+        code = reason - _EXCEPTIONS
+        return f"exception {code:02X}, {exception_meaning(code)}"
+    return _TEXTS.get(reason) or (f"reason {reason}" if reason else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +113,14 @@ class Reading:
     """What a read says of one point.
 
     Attributes:
-        value: in the unit of measure; None where the quality is bad.
-        quality: how sure it is.
-        reason: why it is not good; empty where it is.
+        value: in the unit of measure; None where there is none.
+        reason: why it is not good: a `Reason`, or that of an exception code; 0 for good.
     """
 
     value: Any  # what the point's type says
-    quality: Quality = Quality.GOOD
-    reason: str = ""
+    reason: int = Reason.NONE
+
+    @property
+    def quality(self) -> Quality:
+        """How sure it is."""
+        return quality_of(self.reason)

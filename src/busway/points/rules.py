@@ -3,7 +3,8 @@
 Knows the rules and their ranges; applies only those that need nothing but a value.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
@@ -12,48 +13,56 @@ from ..values import Address
 from ..values.refusal import shown
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class ItemRange:
-    """Neighbouring items of a table: ``first``, 0-based, and how many."""
+    """Items from ``start`` up to but not including ``end``."""
 
-    table: Table
-    first: int
-    count: int
+    start: int
+    end: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start < self.end:
+            raise ValueError(f"a span has at least one item, not {self.start}…{self.end}")
+
+    def __contains__(self, other: "ItemRange") -> bool:
+        return self.start <= other.start and other.end <= self.end
 
     @property
-    def end(self) -> int:
-        """The item after the last one."""
-        return self.first + self.count
+    def width(self) -> int:
+        """How many items it has."""
+        return self.end - self.start
 
 
 @dataclass(frozen=True, slots=True)
-class ReadRule:
-    """How a unit lets itself be read.
+class ReadRules:
+    """What a device allows.
 
     Attributes:
-        registers, bits: the most that one request may ask for.
-        readable: where reads may go; empty for everywhere that is not forbidden.
-        forbidden: items that no read may touch.
-        bridge: whether items between points may be read, to save a request.
-        blocks: ranges that are read exactly as they are, or not at all.
-        single: whether each point takes a request of its own.
-        pause: seconds between the end of a reply and the next request to the unit.
-        poll_class: of points that name none.
+        max_registers: widest read of registers, 1…125.
+        max_bits: widest read of bits, 1…2000.
+        readable: by table, the ranges that exist: a read stays in one of them, and may read any hole in it. Without
+            any, the whole table exists, and nothing is known of its holes.
+        forbidden: by table, what no read may touch.
+        exact: by table, blocks that are read as a whole or not at all.
+        borders: by table, offsets that a read may end before or begin at, but not cross.
+        bridge: whether holes outside readable ranges may be read too.
+        one_point: whether each item takes a request of its own.
+        pause: seconds from the end of a reply to the next request to the device, at least.
     """
 
-    registers: int = MAX_READ_REGISTERS
-    bits: int = MAX_READ_BITS
-    readable: tuple[ItemRange, ...] = ()
-    forbidden: tuple[ItemRange, ...] = ()
+    max_registers: int = MAX_READ_REGISTERS
+    max_bits: int = MAX_READ_BITS
+    readable: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
+    forbidden: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
+    exact: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
+    borders: Mapping[Table, Collection[int]] = field(default_factory=dict)
     bridge: bool = False
-    blocks: tuple[ItemRange, ...] = ()
-    single: bool = False
+    one_point: bool = False
     pause: float = 0.0
-    poll_class: str = ""
 
-    def most(self, table: Table) -> int:
-        """The most items of a table that one request may ask for."""
-        return self.bits if table.holds_bits else self.registers
+    def limit(self, table: Table) -> int:
+        """The widest read of a table."""
+        return self.max_bits if table.holds_bits else self.max_registers
 
 
 @dataclass(frozen=True, slots=True)

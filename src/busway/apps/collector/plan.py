@@ -16,14 +16,28 @@ Knows items, what a device allows, and what a read costs; knows no clock, no soc
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
-from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
+from ...codes import Table
+from ...points.rules import ItemRange, ReadRules
 from .cost import ReadCost
+
+__all__ = [
+    "DevicePlan",
+    "ItemRange",
+    "PlainItem",
+    "PlannedRead",
+    "ReadItem",
+    "ReadRules",
+    "Unreadable",
+    "plan_reads",
+    "predicted",
+    "undeclared",
+]
 
 
 class ReadItem(Protocol):
@@ -63,56 +77,6 @@ class PlainItem:
     width: int = 1
     key: Hashable = None
     group: Hashable | None = None
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class ItemRange:
-    """Items from ``start`` up to but not including ``end``."""
-
-    start: int
-    end: int
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.start < self.end:
-            raise ValueError(f"a span has at least one item, not {self.start}…{self.end}")
-
-    def __contains__(self, other: "ItemRange") -> bool:
-        return self.start <= other.start and other.end <= self.end
-
-    @property
-    def width(self) -> int:
-        """How many items it has."""
-        return self.end - self.start
-
-
-@dataclass(frozen=True, slots=True)
-class ReadRules:
-    """What a device allows.
-
-    Attributes:
-        max_registers: widest read of registers, 1…125.
-        max_bits: widest read of bits, 1…2000.
-        readable: by table, the ranges that exist: a read stays in one of them, and may read any hole in it. Without
-            any, the whole table exists, and nothing is known of its holes.
-        forbidden: by table, what no read may touch.
-        exact: by table, blocks that are read as a whole or not at all.
-        borders: by table, offsets that a read may end before or begin at, but not cross.
-        bridge: whether holes outside readable ranges may be read too.
-        one_point: whether each item takes a request of its own.
-    """
-
-    max_registers: int = MAX_READ_REGISTERS
-    max_bits: int = MAX_READ_BITS
-    readable: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
-    forbidden: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
-    exact: Mapping[Table, Sequence[ItemRange]] = field(default_factory=dict)
-    borders: Mapping[Table, Collection[int]] = field(default_factory=dict)
-    bridge: bool = False
-    one_point: bool = False
-
-    def limit(self, table: Table) -> int:
-        """The widest read of a table."""
-        return self.max_bits if table.holds_bits else self.max_registers
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,102 +14,35 @@ Pure: knows no clock, file or socket. The poller makes these, the store keeps th
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
-from ...codes import exception_meaning
 from ...errors import InvalidRequest
+from ...points.quality import Quality, Reason, exception_code_of, exception_reason, quality_of, reason_text
 from ...values.refusal import shown
+
+__all__ = [
+    "NANOSECONDS",
+    "Gap",
+    "PointDescription",
+    "PointGroup",
+    "Quality",
+    "Reason",
+    "Sample",
+    "SampleBatch",
+    "StateInterval",
+    "Value",
+    "exception_code_of",
+    "exception_reason",
+    "failed_batch",
+    "quality_of",
+    "reason_text",
+]
 
 Value = bool | int | float | str
 """What a point can be: a state, a number, a text. Integers are of at most 64 bits."""
 
 NANOSECONDS: Final = 1_000_000_000
 """Nanoseconds in a second."""
-
-_EXCEPTIONS: Final = 256
-"""A reason from here on is this plus the exception code that the device answered."""
-
-
-class Quality(IntEnum):
-    """How sure a value is."""
-
-    GOOD = 0
-    UNCERTAIN = 1
-    BAD = 2
-
-
-class Reason(IntEnum):
-    """Why a sample is not good, or why there are none; `exception_reason` makes those of exception codes.
-
-    1 to 15 are uncertain, all from 16 on are bad.
-    """
-
-    NONE = 0
-    HELD = 1
-    OUT_OF_RANGE = 2
-    CLOCK = 3
-    TIMEOUT = 16
-    BROKEN_REPLY = 17
-    IN_DOUBT = 18
-    NO_CONNECTION = 19
-    CONFIGURATION = 20
-    MAINTENANCE = 21
-    OWNERSHIP = 22
-    NO_VALUE = 23
-    SKIPPED = 32
-    SUSPENDED = 33
-    STOPPED = 34
-    KILLED = 35
-    LOST = 36
-
-
-_TEXTS: Final[dict[int, str]] = {
-    Reason.NONE: "",
-    Reason.HELD: "held",
-    Reason.OUT_OF_RANGE: "out of range",
-    Reason.CLOCK: "clock not set",
-    Reason.TIMEOUT: "timeout",
-    Reason.BROKEN_REPLY: "broken reply",
-    Reason.IN_DOUBT: "in doubt",
-    Reason.NO_CONNECTION: "no connection",
-    Reason.CONFIGURATION: "wrong configuration",
-    Reason.MAINTENANCE: "maintenance",
-    Reason.OWNERSHIP: "gap of ownership",
-    Reason.NO_VALUE: "no value",
-    Reason.SKIPPED: "round skipped",
-    Reason.SUSPENDED: "device suspended",
-    Reason.STOPPED: "collector stopped",
-    Reason.KILLED: "collector ended unexpectedly",
-    Reason.LOST: "store could not be written",
-}
-
-
-def exception_reason(code: int) -> int:
-    """The reason of a sample whose read was answered with an exception; the code, 0…255, is kept as it came."""
-    if not 0 <= code <= 255:
-        raise InvalidRequest(f"an exception code is 0…255, not {shown(code)}")
-    return _EXCEPTIONS + code
-
-
-def exception_code_of(reason: int) -> int | None:
-    """The exception code, 0…255, behind a reason; None where it is another reason."""
-    return reason - _EXCEPTIONS if reason >= _EXCEPTIONS else None
-
-
-def quality_of(reason: int) -> Quality:
-    """The quality that follows from a reason."""
-    if reason == 0:
-        return Quality.GOOD
-    return Quality.UNCERTAIN if reason < Reason.TIMEOUT else Quality.BAD
-
-
-def reason_text(reason: int) -> str:
-    """A reason in words; empty for a good sample."""
-    if reason >= _EXCEPTIONS:
-        code = reason - _EXCEPTIONS
-        return f"exception {code:02X}, {exception_meaning(code)}"
-    return _TEXTS.get(reason) or (f"reason {reason}" if reason else "")
 
 
 @dataclass(frozen=True, slots=True)
