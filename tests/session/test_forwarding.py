@@ -42,7 +42,7 @@ class Way:
     def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
         self.bunches.append(len(reads))
         self.asked += [(asker, read) for read in reads]
-        asker.works[self] = None
+        asker.batches[self] = None
 
     def owed(self, asker: ForwardedReads) -> list[ForwardedRead]:
         return [read for one, read in self.asked if one is asker]
@@ -54,7 +54,7 @@ class Way:
         askers = dict.fromkeys(asker for asker, _ in self.asked)
         for asker in askers:
             reads = [read for one, read in self.asked if one is asker]
-            requests = [read[1].request for read in reads]
+            requests = [read[1].requests[0] for read in reads]
             asker.answer(reads, [data_of(self.unit, one.address, one.count) for one in requests])  # type: ignore[attr-defined]
             asker.send()
         self.asked.clear()

@@ -1,13 +1,13 @@
-"""Fast path of a gateway's listener: the reads that one segment brings are forwarded upstream in one step.
+"""Reads that a gateway forwards: those that one segment brings go upstream in one step.
 
-Knows the layout of a read and its answer on TCP, and the slots of a connection; knows no line and no route.
+Knows the layout of a read and its answer on TCP, and the slots of a connection; knows no upstream and no route.
 
 1. A read is recognised by the ten bytes after its transaction, like the reads of the server's cached path. The handler
    is asked once what they mean, for all clients with the same rights.
 2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). If none is left, the read goes
    to the generic path, which answers 06.
-3. Each read taken here is answered once, by `answer` or `refuse`, with the unit and the transaction of its request; or
-   it ends with the connection, and the upstream that works on it is told.
+3. Each read taken here is answered once, by `answer`, `reply` or `refuse`, with the unit and the transaction of its
+   request; or it ends with the connection, and the batch that works on it is told.
 4. Answers and counters are the same as on the generic path.
 """
 
@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from operator import itemgetter
 from struct import Struct
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from ..framing.mbap import HEAD
-from ..pdu.message import Request
+from ..pdu.message import Message, Request
 
 if TYPE_CHECKING:
     from .diagnostics import LineDiagnostics
@@ -41,15 +41,15 @@ DeliverTogether = Callable[[list[bytes]], None]
 """Takes the bytes of late replies to the connection."""
 
 
-class UpstreamReads(Protocol):
-    """The upstream that forwarded reads are sent to."""
+class ForwardTarget(Protocol):
+    """A unit upstream that reads are forwarded to."""
 
     def ask(self, asker: "ForwardedReads", reads: "list[ForwardedRead]") -> None:
-        """Send the reads upstream. ``asker`` gets the answer of each, perhaps before this returns."""
+        """Forward the reads. ``asker`` gets the answer of each, perhaps before this returns."""
 
 
-class AskedUpstream(Protocol):
-    """An upstream request that answers forwarded reads."""
+class ForwardedBatch(Protocol):
+    """Requests upstream that answer forwarded reads."""
 
     def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardedRead]":
         """The reads of a connection that have not been answered."""
@@ -62,26 +62,35 @@ class ForwardPlan:
     """How one particular read is forwarded.
 
     Args:
-        way: the upstream it is sent to.
+        target: the unit upstream it is sent to.
         unit: the unit that the client named.
-        request: the request sent upstream, prepared.
+        request: the request sent upstream, prepared; its reply is the data alone, or a message with ``data``.
 
     Attributes:
-        way, request: as above.
+        target: as above.
+        requests: the request, alone.
+        key: the bytes by which identical reads of a unit are recognised.
+        place: None: the data are not remembered.
         head: the bytes between the transaction and the data of its answer.
     """
 
-    __slots__ = ("head", "request", "way")
+    __slots__ = ("head", "key", "requests", "target")
+    place = None
 
-    def __init__(self, way: UpstreamReads, unit: int, request: Request) -> None:
-        self.way = way
-        self.request = request
+    def __init__(self, target: ForwardTarget, unit: int, request: Request) -> None:
+        self.target = target
+        self.requests = (request,)
+        self.key = request.wire
         # The data follow the head: the answer is as long as the reply that is expected from upstream.
         self.head = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
         """The bytes after the transaction of an exception reply with this code."""
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
+
+    def whole(self, replies: Sequence[Message]) -> Message:
+        """The reply: it was not split."""
+        return replies[0]
 
 
 ForwardedRead = tuple[bytes, ForwardPlan]
@@ -94,13 +103,13 @@ class ForwardPlans:
     Attributes:
         known: plans of the reads that are forwarded.
         others: reads that take the generic path.
-        sole_way: the upstream of all known reads; None if there are several.
+        sole_target: the target of all known reads; None if there are several.
     """
 
-    __slots__ = ("known", "others", "sole_way")
+    __slots__ = ("known", "others", "sole_target")
 
     def __init__(self) -> None:
-        self.sole_way: UpstreamReads | None = None
+        self.sole_target: ForwardTarget | None = None
         self.known: dict[bytes, ForwardPlan] = {}
         self.others: set[bytes] = set()
 
@@ -117,9 +126,9 @@ class ForwardPlans:
             if len(self.known) >= _PLAN_LIMIT:
                 self.known.clear()
             if not self.known:
-                self.sole_way = plan.way
-            elif plan.way is not self.sole_way:
-                self.sole_way = None
+                self.sole_target = plan.target
+            elif plan.target is not self.sole_target:
+                self.sole_target = None
             self.known[key] = plan
 
 
@@ -147,7 +156,7 @@ class ForwardedReads:
         peer: ``host:port`` of the client.
         is_priority: whether the client is a priority host.
         waiting: number of reads whose answer is still to come.
-        works: upstream requests that work on its reads; the upstream adds and removes them.
+        batches: the batches that work on its reads; they add and remove themselves.
     """
 
     __slots__ = (
@@ -156,11 +165,11 @@ class ForwardedReads:
         "_is_open",
         "_ready",
         "_slots",
+        "batches",
         "is_priority",
         "peer",
         "plans",
         "waiting",
-        "works",
     )
 
     def __init__(
@@ -182,7 +191,7 @@ class ForwardedReads:
         self._is_open = True
         self._ready: list[bytes] = []
         self.waiting = 0
-        self.works: dict[AskedUpstream, None] = {}
+        self.batches: dict[ForwardedBatch, None] = {}
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
         """Forward the known reads from ``at`` on, as many as there are slots. Returns where the first other begins."""
@@ -207,9 +216,9 @@ class ForwardedReads:
             self._diagnostics.arrived[keys[0][_UNIT_ASKED]] += 1
         else:
             self._diagnostics.arrived.update(map(_unit_asked, keys))
-        way = self.plans.sole_way
-        if way is not None:
-            way.ask(self, reads)
+        target = self.plans.sole_target
+        if target is not None:
+            target.ask(self, reads)
         else:
             self._ask_each(reads)
         return at + READ_SIZE * count
@@ -223,12 +232,12 @@ class ForwardedReads:
             yield transaction, plan
 
     def _ask_each(self, reads: list[ForwardedRead]) -> None:
-        """Send reads to their upstreams, those of each upstream together."""
-        by_way: dict[UpstreamReads, list[ForwardedRead]] = {}
+        """Forward reads to several targets, those of each together."""
+        by_target: dict[ForwardTarget, list[ForwardedRead]] = {}
         for read in reads:
-            by_way.setdefault(read[1].way, []).append(read)
-        for way, those in by_way.items():
-            way.ask(self, those)
+            by_target.setdefault(read[1].target, []).append(read)
+        for target, those in by_target.items():
+            target.ask(self, those)
 
     def answer(self, reads: Sequence[ForwardedRead], data: Sequence[bytes]) -> None:
         """Answer reads with their data; the answers leave with `send`."""
@@ -242,6 +251,10 @@ class ForwardedReads:
             else:
                 self._diagnostics.departed.update(map(_unit_answered, adus))
             self._ready += adus
+
+    def reply(self, read: ForwardedRead, reply: Any) -> None:  # Any: a message with ``data``, as reads are answered
+        """Answer a read with a reply that was decoded; the answer leaves with `send`."""
+        self.answer((read,), (reply.data,))
 
     def refuse(self, read: ForwardedRead, code: int) -> None:
         """Answer a read with an exception code, which leaves with `send`."""
@@ -264,11 +277,11 @@ class ForwardedReads:
         self._is_open = False
         self._slots.used -= self.waiting
         self.waiting = 0
-        works, self.works = self.works, {}
-        for work in works:
-            for _, plan in work.owed(self):
+        batches, self.batches = self.batches, {}
+        for batch in batches:
+            for _, plan in batch.owed(self):
                 self._diagnostics.of(plan.head[_UNIT_ASKED]).kept_silent()
-            work.asker_gone(self)
+            batch.asker_gone(self)
 
 
 def is_read(adu: bytes) -> bool:

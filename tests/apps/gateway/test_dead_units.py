@@ -10,6 +10,7 @@ import pytest
 from bus import Bus, MasterEnd
 
 import busway
+from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.routes import ListenerRoutes, Route
 from busway.apps.gateway.upstream import Upstream
@@ -127,7 +128,7 @@ def polled(dead: frozenset[int], *, asked: range = UNITS, timeout: float = 0.5) 
     line = Upstream("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
     line._links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(ListenerRoutes([Route(upstream="line", units=frozenset(UNITS))]), {"line": line})
+    handler.follow(ListenerRoutes([Route(upstream="line", units=frozenset(UNITS))]), {"line": Forwarder(line)})
     pollers = Pollers(bus, handler, port=_Nothing())
     bus.ends.append(pollers)
     for client in range(CLIENTS):

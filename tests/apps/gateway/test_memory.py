@@ -4,43 +4,54 @@ from busway.apps.gateway.memory import BLOCKS_PER_UNIT, Memory
 from busway.codes import Table
 
 HOLDING, COILS = Table.HOLDING_REGISTERS, Table.COILS
-KEY = (3, 0, 10, 0)
+KEY = b"\3\0\0\0\12"
+
+
+def read_begins(memory: Memory[str], unit: int, key: bytes, read: str) -> int:
+    """A read is sent; others may share it where the memory lets them."""
+    shared = memory.shared(unit)
+    if shared is not None:
+        shared[key] = read
+    return memory.changes(unit)
+
+
+def read_ended(memory: Memory[str], unit: int, key: bytes, read: str) -> None:
+    shared = memory.shared(unit)
+    if shared is not None and shared.get(key) == read:
+        del shared[key]
+
+
+def reading(memory: Memory[str], unit: int, key: bytes) -> str | None:
+    """The read in flight that a new one would share."""
+    return (memory.shared(unit) or {}).get(key)
 
 
 def _remembered(memory: Memory[str], unit: int = 1, place: tuple[Table, int, int] = (HOLDING, 100, 4)) -> None:
-    since = memory.read_begins(unit, KEY, "one")
+    since = read_begins(memory, unit, KEY, "one")
     memory.remember(unit, place, bytes(range(8)), since=since, read_at=10.0)
-    memory.read_ended(unit, KEY, "one")
+    read_ended(memory, unit, KEY, "one")
 
 
 def test_a_read_in_flight_may_be_shared_until_it_ends() -> None:
     memory: Memory[str] = Memory()
-    memory.read_begins(1, KEY, "one")
-    assert memory.reading(1, KEY) == "one"
-    assert memory.reading(2, KEY) is None
-    memory.read_ended(1, KEY, "one")
-    assert memory.reading(1, KEY) is None
-
-
-def test_the_end_of_an_old_read_does_not_end_a_new_one() -> None:
-    memory: Memory[str] = Memory()
-    memory.read_begins(1, KEY, "old")
-    memory.read_begins(1, KEY, "new")
-    memory.read_ended(1, KEY, "old")
-    assert memory.reading(1, KEY) == "new"
+    read_begins(memory, 1, KEY, "one")
+    assert reading(memory, 1, KEY) == "one"
+    assert reading(memory, 2, KEY) is None
+    read_ended(memory, 1, KEY, "one")
+    assert reading(memory, 1, KEY) is None
 
 
 def test_nothing_is_shared_from_the_asking_of_a_write_to_its_end() -> None:
     memory: Memory[str] = Memory()
-    memory.read_begins(1, KEY, "before")
+    read_begins(memory, 1, KEY, "before")
     memory.write_begins(1)
-    assert memory.reading(1, KEY) is None
-    memory.read_begins(1, KEY, "meanwhile")
-    assert memory.reading(1, KEY) is None
+    assert reading(memory, 1, KEY) is None
+    read_begins(memory, 1, KEY, "meanwhile")
+    assert reading(memory, 1, KEY) is None
     memory.write_ended(1)
-    assert memory.reading(1, KEY) is None
-    memory.read_begins(1, KEY, "after")
-    assert memory.reading(1, KEY) == "after"
+    assert reading(memory, 1, KEY) is None
+    read_begins(memory, 1, KEY, "after")
+    assert reading(memory, 1, KEY) == "after"
 
 
 def test_two_writes_at_once_both_have_to_end() -> None:
@@ -48,8 +59,8 @@ def test_two_writes_at_once_both_have_to_end() -> None:
     memory.write_begins(1)
     memory.write_begins(1)
     memory.write_ended(1)
-    memory.read_begins(1, KEY, "one")
-    assert memory.reading(1, KEY) is None
+    read_begins(memory, 1, KEY, "one")
+    assert reading(memory, 1, KEY) is None
 
 
 def test_a_write_to_one_unit_leaves_the_others() -> None:
@@ -64,8 +75,8 @@ def test_a_broadcast_concerns_all_units() -> None:
     _remembered(memory, unit=2)
     memory.write_begins(0)
     assert memory.recall(2, (HOLDING, 100, 4), 10.5, for_seconds=1) is None
-    memory.read_begins(2, KEY, "meanwhile")
-    assert memory.reading(2, KEY) is None
+    read_begins(memory, 2, KEY, "meanwhile")
+    assert reading(memory, 2, KEY) is None
 
 
 def test_a_value_is_recalled_until_its_time_is_over() -> None:
@@ -86,14 +97,14 @@ def test_a_part_is_recalled_out_of_a_larger_block() -> None:
 
 def test_bits_are_cut_out_of_a_larger_block() -> None:
     memory: Memory[str] = Memory()
-    since = memory.read_begins(1, KEY, "one")
+    since = read_begins(memory, 1, KEY, "one")
     memory.remember(1, (COILS, 8, 16), b"\x0f\xf0", since=since, read_at=0.0)
     assert memory.recall(1, (COILS, 10, 4), 0.5, for_seconds=1) == b"\x03"
 
 
 def test_a_read_that_was_asked_before_a_write_ended_is_not_remembered() -> None:
     memory: Memory[str] = Memory()
-    since = memory.read_begins(1, KEY, "one")
+    since = read_begins(memory, 1, KEY, "one")
     memory.write_begins(1)
     memory.write_ended(1)
     memory.remember(1, (HOLDING, 100, 4), bytes(8), since=since, read_at=10.0)
@@ -103,7 +114,7 @@ def test_a_read_that_was_asked_before_a_write_ended_is_not_remembered() -> None:
 def test_what_is_remembered_is_bounded() -> None:
     memory: Memory[str] = Memory()
     for first in range(BLOCKS_PER_UNIT + 1):
-        since = memory.read_begins(1, KEY, "one")
+        since = read_begins(memory, 1, KEY, "one")
         memory.remember(1, (HOLDING, first * 10, 4), bytes(8), since=since, read_at=0.0)
     assert memory.recall(1, (HOLDING, 0, 4), 0.5, for_seconds=1) is None
     assert memory.recall(1, (HOLDING, 10, 4), 0.5, for_seconds=1) is not None
@@ -113,19 +124,19 @@ def test_the_device_itself_may_be_any_of_its_units() -> None:
     memory: Memory[str] = Memory()
     _remembered(memory, unit=2)
     _remembered(memory, unit=255)
-    memory.read_begins(2, KEY, "meanwhile")
+    read_begins(memory, 2, KEY, "meanwhile")
     memory.write_begins(255)
-    assert memory.reading(2, KEY) is None
+    assert reading(memory, 2, KEY) is None
     assert memory.recall(2, (HOLDING, 100, 4), 10.5, for_seconds=1) is None
     memory.write_ended(255)
     _remembered(memory, unit=255)
     memory.write_begins(2)
     assert memory.recall(255, (HOLDING, 100, 4), 10.5, for_seconds=1) is None
-    memory.read_begins(255, KEY, "meanwhile")
-    assert memory.reading(255, KEY) is None
+    read_begins(memory, 255, KEY, "meanwhile")
+    assert reading(memory, 255, KEY) is None
     memory.write_ended(2)
-    memory.read_begins(255, KEY, "after")
-    assert memory.reading(255, KEY) == "after"
+    read_begins(memory, 255, KEY, "after")
+    assert reading(memory, 255, KEY) == "after"
 
 
 def test_a_write_to_one_unit_of_a_device_forgets_what_is_remembered_of_its_others() -> None:
@@ -141,9 +152,9 @@ def test_a_write_to_one_unit_of_a_device_forgets_what_is_remembered_of_its_other
 
 def test_while_one_unit_of_a_device_is_written_nothing_of_its_others_is_shared_or_remembered() -> None:
     memory: Memory[str] = Memory(same_device=[{1, 2}])
-    memory.read_begins(1, KEY, "before")
+    read_begins(memory, 1, KEY, "before")
     memory.write_begins(2)
-    assert memory.reading(1, KEY) is None
+    assert reading(memory, 1, KEY) is None
     assert memory.shared(1) is None
     _remembered(memory, unit=1)
     assert memory.recall(1, (HOLDING, 100, 4), 10.5, for_seconds=1) is None

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import busway
+from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
 from busway.apps.gateway.upstream import Upstream
@@ -226,7 +227,7 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
     model: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     lines = {name: _line(name, devices) for name, devices in behind.items()}
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(table.of_listener("office"), {name: line for name, (line, _) in lines.items()})
+    handler.follow(table.of_listener("office"), {name: Forwarder(line) for name, (line, _) in lines.items()})
     for unit, pdu in requests:
         for _, link in lines.values():
             link.asked.clear()
@@ -324,7 +325,7 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     line._links.append(link)  # type: ignore[arg-type]
     handler = ListenerHandler("office", busway.STANDARD)
     route = Route(upstream="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
-    handler.follow(RoutingTable((route,)).of_listener("office"), {"line": line})
+    handler.follow(RoutingTable((route,)).of_listener("office"), {"line": Forwarder(line)})
     written: dict[int, tuple[float, int]] = {}  # when somebody last saw a write end
     for action, number, extra in steps:
         if action == "wait":
@@ -352,7 +353,7 @@ def test_a_remembered_value_is_used_at_all() -> None:
     line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line._links.append(link)  # type: ignore[arg-type]
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(RoutingTable((Route(upstream="line", cache=1.0),)).of_listener("office"), {"line": line})
+    handler.follow(RoutingTable((Route(upstream="line", cache=1.0),)).of_listener("office"), {"line": Forwarder(line)})
     for seconds, requests in ((0.0, 1), (0.5, 1), (0.49, 1), (0.02, 2)):
         clock.advance(seconds)
         assert asked_by(handler, 1, bytes.fromhex("03 0001 0001")) == bytes.fromhex("03 02 0007")

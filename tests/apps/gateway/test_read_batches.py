@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import busway
 from busway.access.authorizer import PolicyHandler
+from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.routes import AddressRange, ListenerRoutes, Route, RouteAction
 from busway.apps.gateway.upstream import Upstream
@@ -150,7 +151,8 @@ class WireLink:
         self.session.finished.clear()
         for call in finished:
             call.owner.set_result(None)
-        self._line.batches.look(self.session)
+        assert self._line.watch is not None
+        self._line.watch(self.session)
 
 
 class LongRoad:
@@ -217,10 +219,11 @@ class Plant:
         **options: Any,
     ) -> None:
         options = {"max_transactions": 16, "retries": 0, "queue": 200, **options}
-        self.line = Upstream("line", link_settings("tcp://127.0.0.1:1", options), share_reads=share_reads)
+        self.line = Upstream("line", link_settings("tcp://127.0.0.1:1", options))
+        self.forwarder = Forwarder(self.line, share_reads=share_reads)
         self.link = WireLink(self.line)
         self.listener = ListenerHandler("office", busway.STANDARD)
-        self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.line})
+        self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.forwarder})
         self.handler: Any = self.listener if batches else LongRoad(self.listener)
         if policy is not None:
             self.handler = PolicyHandler(self.handler, policy)
@@ -280,7 +283,7 @@ def test_whoever_asks_gets_the_answers_of_the_long_road(
         assert [client.slots.used for client in clients] == [client.session.waiting for client in clients] == [0, 0, 0]
         assert (plant.line.open_requests, plant.link.session.queued) == (0, 0)
         reads = clients[0].session._reads
-        assert reads is None or not reads.works
+        assert reads is None or not reads.batches
     assert found[0] == found[1]
 
 
@@ -345,10 +348,10 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     queued = plant.link.session._queue
     assert asked == [{}, {}, {}]
     assert (plant.line.open_requests, queued.size, queued.waiting, len(queued.begun)) == (0, 0, 0, 0)
-    assert not any(unit.reading or unit.open_writes for unit in plant.line.memory._units.values())
+    assert not any(unit.reading or unit.open_writes for unit in plant.forwarder.memory._units.values())
     for client in clients:
         assert client.session._reads is not None
-        assert not client.session._reads.works
+        assert not client.session._reads.batches
 
 
 def test_what_comes_together_goes_behind_in_one_segment_and_comes_back_in_one() -> None:
@@ -555,6 +558,34 @@ def test_identical_reads_of_two_clients_are_asked_once_and_a_write_ends_the_shar
     assert (plant.line.counters.shared, plant.line.open_requests) == (3, 0)
 
 
+def test_the_end_of_a_read_from_before_a_write_leaves_the_one_after_it_to_be_shared() -> None:
+    plant = Plant()
+    one, two = plant.client("one"), plant.client("two")
+    one.ask(read(5))
+    one.ask(write(5))
+    plant.link.answer(1)
+    one.ask(read(5))
+    plant.link.answer(0)
+    two.ask(read(5))
+    assert plant.line.counters.shared == 1
+    plant.link.answer()
+    assert (sorted(one.got()), sorted(two.got())) == ([1, 2, 3], [1])
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_reads_of_the_generic_path_and_of_batches_share_with_each_other(first: int) -> None:
+    plant = Plant()
+    clients = [Client(handler, "client") for handler in (plant.listener, LongRoad(plant.listener))]
+    one, two = clients[first], clients[1 - first]
+    one.ask(read(5), read(6))
+    two.ask(read(6), read(5))
+    assert len(plant.link.asked) == plant.line.counters.shared == 2
+    plant.link.answer()
+    assert list(one.got().values()) == [answer_of(read(5)), answer_of(read(6))]
+    got = two.got()
+    assert [got[1], got[2]] == [answer_of(read(6)), answer_of(read(5))]
+
+
 def test_a_client_that_goes_away_takes_what_nobody_else_waits_for() -> None:
     plant = Plant(max_transactions=1)
     one, two = plant.client("one"), plant.client("two")
@@ -591,7 +622,7 @@ def test_new_routes_hold_from_the_next_request_on_and_what_is_on_its_way_is_answ
     plant = Plant()
     client = plant.client("client")
     client.ask(read(0), read(1))
-    plant.listener.follow(ListenerRoutes((Route(upstream="line", unit=9, shift=100),)), {"line": plant.line})
+    plant.listener.follow(ListenerRoutes((Route(upstream="line", unit=9, shift=100),)), {"line": plant.forwarder})
     client.ask(read(0))
     assert [(unit, pdu) for _, unit, pdu in plant.link.asked] == [(1, read(0)), (1, read(1)), (9, read(100))]
     plant.link.answer()
@@ -652,7 +683,7 @@ def test_a_flood_costs_another_client_at_most_one_burst_of_each_on_a_line_that_p
             free = client.slots.limit - client.slots.used
             client.ask(*(read(10 * number + at % 10) for at in range(free)))
 
-    plant.line.share_reads = False
+    plant.forwarder.share_reads = False
     flood()
     for _ in range(8):
         plant.link.answer()

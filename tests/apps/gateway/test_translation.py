@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 import busway
 from busway.apps.gateway.routes import Route
-from busway.apps.gateway.translation import client_reply, upstream_requests
+from busway.apps.gateway.translation import Translated
 from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.pdu.general import OpaqueRequest
@@ -52,9 +52,9 @@ def test_a_request_in_pieces_has_the_answer_and_effect_of_the_whole(
 ) -> None:
     route = Route(upstream="a", max_registers=registers, max_bits=bits, split_writes=True)
     whole, split = _Device(), _Device()
-    sent = upstream_requests(request, route)
-    replies = [split.ask(one) for one in sent]
-    assert client_reply(request, route, sent, replies) == whole.ask(request)
+    asked = Translated(request, route)
+    reply = asked.whole([split.ask(one) for one in asked.requests])
+    assert asked.client_reply(reply) == whole.ask(request)
     for table in Table:
         view = table.value
         assert getattr(whole.device, view)[0:2000] == getattr(split.device, view)[0:2000]
@@ -66,31 +66,32 @@ def test_a_shift_moves_the_addresses_and_the_answer_moves_them_back(request: bus
     address = request.spans()[0].address
     if address + shift < 0:
         with pytest.raises(InvalidRequest):
-            upstream_requests(request, route)
+            Translated(request, route)
         return
-    (moved,) = upstream_requests(request, route)
+    asked = Translated(request, route)
+    (moved,) = asked.requests
     assert moved.spans()[0].address == address + shift
-    reply = client_reply(request, route, (moved,), [_Device().ask(moved)])
+    reply = asked.client_reply(_Device().ask(moved))
     if request.spans()[0].writes:
         assert request.prepare()[:5] == reply.encode()[:5]
 
 
 def test_both_addresses_of_function_23_are_shifted() -> None:
-    (moved,) = upstream_requests(busway.ReadWriteMultipleRegisters.of(1, 2, 3, [4]), SHIFTED)
+    (moved,) = Translated(busway.ReadWriteMultipleRegisters.of(1, 2, 3, [4]), SHIFTED).requests
     assert isinstance(moved, busway.ReadWriteMultipleRegisters)
     assert (moved.read_address, moved.write_address) == (101, 103)
 
 
 def test_a_shift_beyond_the_table_is_refused() -> None:
     with pytest.raises(InvalidRequest):
-        upstream_requests(busway.ReadHoldingRegisters(65_500, 10), SHIFTED)
+        Translated(busway.ReadHoldingRegisters(65_500, 10), SHIFTED)
 
 
 def test_writes_are_not_split_unless_asked_for() -> None:
     request = busway.WriteMultipleRegisters.of(0, [1, 2, 3])
-    assert upstream_requests(request, Route(upstream="a", max_registers=1)) == (request,)
+    assert Translated(request, Route(upstream="a", max_registers=1)).requests == (request,)
 
 
 def test_a_function_without_addresses_goes_through_as_it_is() -> None:
     for request in (OpaqueRequest(0x41, b"abc"), busway.ReportServerId()):
-        assert upstream_requests(request, SHIFTED) == (request,)
+        assert Translated(request, SHIFTED).requests == (request,)

@@ -39,6 +39,7 @@ from ...session.breaker import OPEN_AFTER_BY_FRAMING
 from ...session.handler import Handler
 from ...session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ...session.reconnect import ConnectionState
+from .forwarding import Forwarder
 from .functions import RememberingTable
 from .handler import GatewayListenerCounters, ListenerHandler
 from .own_unit import STATES, own_device
@@ -298,7 +299,7 @@ class Gateway:
         self._rates: dict[str, Rates] = {}
         self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
         self._listeners: dict[str, _RunningListener] = {}
-        self._upstreams: dict[str, Upstream] = {}
+        self._forwarders: dict[str, Forwarder] = {}  # by the name of their upstream
         self._started = 0.0
         self._functions: FunctionTable = RememberingTable(plan.functions)
         self._own: Handler | None = None
@@ -323,7 +324,7 @@ class Gateway:
         if self.is_running:
             return
         try:
-            self._upstreams = {one.name: _opened(one) for one in self.plan.upstreams}
+            self._forwarders = {one.name: _opened(one) for one in self.plan.upstreams}
             self._follow(self._running.values())
             for name, each in self._running.items():
                 await each.server.start()
@@ -338,9 +339,9 @@ class Gateway:
         listeners, self._listeners = self._listeners, {}
         for each in listeners.values():
             await each.server.stop()
-        upstreams, self._upstreams = self._upstreams, {}
-        for upstream in upstreams.values():
-            await upstream.close()
+        forwarders, self._forwarders = self._forwarders, {}
+        for forwarder in forwarders.values():
+            await forwarder.upstream.close()
         self._started = 0.0
 
     async def drain(self, seconds: float = DRAIN_SECONDS) -> int:
@@ -353,7 +354,7 @@ class Gateway:
             await each.server.take_no_more()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                for upstream in self._upstreams.values():
+                for upstream in self._upstreams:
                     await upstream.wait_until_answered()
         left = self.open_requests
         await self.stop()
@@ -379,17 +380,17 @@ class Gateway:
         old_upstreams = {one.name: one for one in self.plan.upstreams}
         old_listeners = {one.name: one for one in self.plan.listeners}
         same_upstreams = {
-            one.name: self._upstreams[one.name] for one in plan.upstreams if old_upstreams.get(one.name) == one
+            one.name: self._forwarders[one.name] for one in plan.upstreams if old_upstreams.get(one.name) == one
         }
         same_listeners = {
             one.name: self._listeners[one.name]
             for one in plan.listeners
             if one.name in self._listeners and old_listeners[one.name].settings == one.settings
         }
-        closing = [upstream for name, upstream in self._upstreams.items() if name not in same_upstreams]
+        closing = [each.upstream for name, each in self._forwarders.items() if name not in same_upstreams]
         ports = [upstream for upstream in closing if upstream.settings.endpoint.carrier == "serial"]
         going = [each for name, each in self._listeners.items() if name not in same_listeners]
-        upstreams, listeners = dict(same_upstreams), dict(same_listeners)
+        forwarders, listeners = dict(same_upstreams), dict(same_listeners)
         try:
             # They may hold the very ports that new ones want.
             for each in going:
@@ -397,17 +398,17 @@ class Gateway:
             for upstream in ports:
                 await upstream.close()
             for settings in plan.upstreams:
-                if settings.name not in upstreams:
-                    upstreams[settings.name] = _opened(settings)
+                if settings.name not in forwarders:
+                    forwarders[settings.name] = _opened(settings)
             for listener in plan.listeners:
                 if listener.name not in listeners:
-                    listeners[listener.name] = made = self._made(listener, plan, upstreams, policy or self._policy)
+                    listeners[listener.name] = made = self._made(listener, plan, forwarders, policy or self._policy)
                     await made.server.start()
         except BaseException:
             for name in listeners.keys() - same_listeners.keys():
                 await listeners[name].server.stop()
-            for name in upstreams.keys() - same_upstreams.keys():
-                await upstreams[name].close()
+            for name in forwarders.keys() - same_upstreams.keys():
+                await forwarders[name].upstream.close()
             for upstream in ports:
                 _open(upstream, old_upstreams[upstream.name])
             for each in going:
@@ -417,7 +418,7 @@ class Gateway:
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
         self.plan = plan
-        self._upstreams = {one.name: upstreams[one.name] for one in plan.upstreams}
+        self._forwarders = {one.name: forwarders[one.name] for one in plan.upstreams}
         self._listeners = {one.name: listeners[one.name] for one in plan.listeners}
         self._running = dict(self._listeners)
         for listener in plan.listeners:
@@ -481,7 +482,7 @@ class Gateway:
         for each in self._running.values():
             each.server.reset_counters()
             _to_zero(each.handler.counters)
-        for upstream in self._upstreams.values():
+        for upstream in self._upstreams:
             _to_zero(upstream.counters)
 
     # Its state.
@@ -489,7 +490,7 @@ class Gateway:
     @property
     def open_requests(self) -> int:
         """Requests that are not answered yet."""
-        return sum(upstream.open_requests for upstream in self._upstreams.values())
+        return sum(upstream.open_requests for upstream in self._upstreams)
 
     @property
     def servers(self) -> list[Server]:
@@ -506,7 +507,7 @@ class Gateway:
                 GatewayListenerStatus(name, each.server.status(), each.handler.counters)
                 for name, each in self._running.items()
             ),
-            upstreams=tuple(upstream.status() for upstream in self._upstreams.values()),
+            upstreams=tuple(upstream.status() for upstream in self._upstreams),
             open_requests=self.open_requests,
         )
 
@@ -526,11 +527,15 @@ class Gateway:
     # Inside.
 
     @property
+    def _upstreams(self) -> list[Upstream]:
+        return [each.upstream for each in self._forwarders.values()]
+
+    @property
     def _is_guarded(self) -> bool:
         return self._policy is not None or self._audit is not None
 
     def _made(
-        self, listener: GatewayListener, plan: GatewayPlan, upstreams: Mapping[str, Upstream], policy: Policy | None
+        self, listener: GatewayListener, plan: GatewayPlan, forwarders: Mapping[str, Forwarder], policy: Policy | None
     ) -> _RunningListener:
         handler = ListenerHandler(
             listener.name,
@@ -540,7 +545,7 @@ class Gateway:
             deadline=listener.deadline,
             silent_broadcasts=listener.silent_broadcasts,
         )
-        handler.follow(plan.table.of_listener(listener.name), upstreams)
+        handler.follow(plan.table.of_listener(listener.name), forwarders)
         outer: Handler = handler
         guard = None
         if self._is_guarded:
@@ -558,7 +563,7 @@ class Gateway:
 
     def _follow(self, listeners: Iterable[_RunningListener]) -> None:
         for each in listeners:
-            each.handler.follow(self.plan.table.of_listener(each.listener.name), self._upstreams)
+            each.handler.follow(self.plan.table.of_listener(each.listener.name), self._forwarders)
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
@@ -583,17 +588,11 @@ def _to_zero(counters: object) -> None:
         setattr(counters, one.name, 0)
 
 
-def _opened(settings: UpstreamSettings) -> Upstream:
-    upstream = Upstream(
-        settings.name,
-        settings.link,
-        connections=settings.connections,
-        share_reads=settings.share_reads,
-        broadcast=settings.broadcast,
-        same_device=settings.same_device,
-    )
+def _opened(settings: UpstreamSettings) -> Forwarder:
+    upstream = Upstream(settings.name, settings.link, connections=settings.connections, broadcast=settings.broadcast)
+    forwarder = Forwarder(upstream, share_reads=settings.share_reads, same_device=settings.same_device)
     _open(upstream, settings)
-    return upstream
+    return forwarder
 
 
 def _open(upstream: Upstream, settings: UpstreamSettings) -> None:

@@ -22,9 +22,8 @@ from ...pdu.bits import slice_bits
 from ...pdu.wide import NARROW
 
 Shared = TypeVar("Shared")
-Key = tuple[int, int, int, int] | bytes
-"""Function, address, count, and the limit it was split by; or, of a read that is asked in a batch, its PDU. So the two
-never meet."""
+Key = bytes
+"""The PDU of a read as it is sent; of one that is split, those of all its parts."""
 Place = tuple[Table, int, int]
 """Table, address of the first item, count."""
 
@@ -118,25 +117,12 @@ class Memory(Generic[Shared]):
 
         It is the same one for ever, and empty when something was written.
         """
-        return self._unit(unit).reading if self._is_quiet(unit) else None
-
-    def reading(self, unit: int, key: Key) -> Shared | None:
-        """The read in flight that a new one may share."""
-        state = self._units.get(unit)
-        return None if state is None else state.reading.get(key)
-
-    def read_begins(self, unit: int, key: Key, shared: Shared) -> int:
-        """A read is asked. The number is to be handed to `remember`."""
         state = self._unit(unit)
-        if self._is_quiet(unit):
-            state.reading[key] = shared
-        return state.changes
+        return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
-    def read_ended(self, unit: int, key: Key, shared: Shared) -> None:
-        """It has ended, or nobody waits for it any more."""
-        state = self._unit(unit)
-        if state.reading.get(key) is shared:
-            del state.reading[key]
+    def changes(self, unit: int) -> int:
+        """A number that changes with every write that concerns a unit; `remember` wants what it was before the read."""
+        return self._unit(unit).changes
 
     # Values.
 
@@ -147,7 +133,7 @@ class Memory(Generic[Shared]):
             unit: the unit on the upstream.
             place: what was read there.
             data: the items, as a reply carries them.
-            since: what `read_begins` gave.
+            since: what `changes` gave before it was asked.
             read_at: when it was asked.
         """
         state = self._unit(unit)

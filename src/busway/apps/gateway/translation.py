@@ -1,13 +1,14 @@
-"""What a request looks like on the upstream, and its answer to the client.
+"""A client's request as it is asked upstream, and the reply as the client gets it.
 
-Knows requests and replies; knows no upstream. A shifted address is shifted back in the answer, a request that was
-split is answered whole.
+Knows requests, replies and routes; knows no upstream. A shifted address is shifted back in the reply, and a request
+that was split gets one reply.
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
+from ...codes import Table
 from ...errors import InvalidRequest
 from ...pdu.bits import slice_bits
 from ...pdu.general import OpaqueRequest
@@ -17,18 +18,58 @@ from ...pdu.wide import NARROW, wide
 from ...pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters
 from .routes import Route
 
+_READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 0.15 µs
 
-def upstream_requests(request: Request, route: Route, width: int = NARROW) -> tuple[Request, ...]:
-    """The requests to send for one that a route takes: itself, as a rule.
+
+class Translated:
+    """A client's request as it is asked upstream, and the way back for its reply.
 
     Args:
         request: as the client asks it.
         route: what becomes of it.
         width: bytes of the registers of the device, 2…12; it answers reads in its own width, which goes through.
 
+    Attributes:
+        requests: what is sent for it: itself, as a rule.
+        key: the bytes by which an identical read is recognised; empty for what is no read.
+        place: what it reads, if its data are to be remembered; otherwise None.
+
     Raises:
         InvalidRequest: an address that does not exist behind the shift.
     """
+
+    __slots__ = ("_request", "_route", "key", "place", "requests")
+
+    def __init__(self, request: Request, route: Route, width: int = NARROW) -> None:
+        self._request = request
+        self._route = route
+        self.requests = _upstream_requests(request, route, width)
+        self.key = b""
+        self.place: tuple[Table, int, int] | None = None
+        if isinstance(request, _READS):
+            self.key = b"".join(map(_wire, self.requests))
+            if route.cache is not None and request.reads is not None:
+                self.place = request.reads.table, request.address + route.shift, request.count
+
+    def of_data(self, data: bytes) -> Message:
+        """The client's reply with the data of a read."""
+        kind: Any = type(self.requests[0])  # as wide as the device's registers are
+        reply: Message = kind.Reply(data)
+        return reply
+
+    def whole(self, replies: Sequence[Message]) -> Message:
+        """The upstream's reply to the request as it was before it was split."""
+        return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
+
+    def client_reply(self, reply: Message) -> Message:
+        """The client's reply, from the upstream's to the request or to all its parts."""
+        if reply is self.requests[0]:  # no unit answers on unit 0 of a serial line: the request stands for its reply
+            return echo(self._request)
+        shift = self._route.shift
+        return _moved(reply, type(self._request), -shift) if shift else reply
+
+
+def _upstream_requests(request: Request, route: Route, width: int) -> tuple[Request, ...]:
     if width != NARROW and isinstance(request, ReadRegisters):
         request = wide(type(request), width)(request.address, request.count)
     if route.shift:
@@ -55,16 +96,6 @@ def upstream_requests(request: Request, route: Route, width: int = NARROW) -> tu
         for at in range(0, request.count, limit)
         for size in (min(limit, request.count - at),)
     )
-
-
-def client_reply(request: Request, route: Route, sent: Sequence[Request], replies: Sequence[Message]) -> Message:
-    """The answer to ``request`` from the answers to what was ``sent`` for it."""
-    if len(replies) > 1:
-        return _joined(request, sent, replies)
-    reply = replies[0]
-    if reply is sent[0]:  # nobody answers on unit 0 of a serial line: the request stands for its answer
-        return echo(request)
-    return _moved(reply, type(request), -route.shift) if route.shift else reply
 
 
 def echo(request: Request) -> Message:
@@ -99,7 +130,12 @@ def _read_pieces(kind: type[Any], address: int, count: int, limit: int) -> tuple
     return tuple(kind(address + at, min(limit, count - at)) for at in range(0, count, limit))
 
 
-def _joined(request: Request, sent: Sequence[Request], replies: Sequence[Any]) -> Message:
+def _wire(request: Request) -> bytes:
+    """The PDU; a poller's request is encoded once."""
+    return request.wire if hasattr(request, "wire") else request.prepare()
+
+
+def _joined(request: Request, route: Route, sent: Sequence[Request], replies: Sequence[Any]) -> Message:
     if isinstance(request, ReadRegisters):
         kind: Any = type(sent[0])  # as wide as the device's registers are
         joined: Message = kind.Reply(b"".join(reply.data for reply in replies))
@@ -112,7 +148,7 @@ def _joined(request: Request, sent: Sequence[Request], replies: Sequence[Any]) -
             at += count
         return request.Reply(bits.to_bytes((at + 7) >> 3, "little"))
     assert isinstance(request, WriteMultipleRegisters | WriteMultipleCoils)
-    return request.Reply(request.address, request.count)
+    return request.Reply(request.address + route.shift, request.count)
 
 
 def _moved(message: Message, kind: type[Request], shift: int) -> Message:
