@@ -12,8 +12,8 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.forwarding import Forwarder
+from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.handler import ListenerHandler
 from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, RoutingTable
 from busway.apps.gateway.upstream import Upstream
