@@ -104,6 +104,34 @@ def test_more_owed_replies_than_can_be_told_apart_make_a_doubt_longer_and_never_
     assert doubt.candidates(number) == []
 
 
+def test_attempts_of_one_read_push_no_other_owed_reply_out_of_a_full_list() -> None:
+    """Otherwise each would add one to those that it counts off, and the read would never end."""
+    doubt, call = UnitDoubt(), object()
+    for _ in range(OWED_LIMIT + 10):
+        doubt.owe(owed(READ))
+    counted = 0
+    while doubt.in_doubt(READ, call, 0):
+        counted += 1
+        assert counted < 1000
+        doubt.owe(owed(READ, question=call, sent=float(counted)))
+        if doubt.is_older(REPLY):
+            doubt.older_came(REPLY)
+        else:
+            doubt.came(doubt.candidates(REPLY)[0])
+    assert counted == OWED_LIMIT + 10
+    assert doubt.owed_count == counted
+    assert len(doubt.pending) <= OWED_LIMIT
+
+
+def test_requests_that_were_never_answered_take_a_bounded_place() -> None:
+    doubt = UnitDoubt()
+    for number in range(10 * OWED_LIMIT):
+        doubt.owe(owed(ReadHoldingRegisters(number, 1 + number % 100)))
+    assert len(doubt.owed) == len(doubt.pending) == OWED_LIMIT
+    doubt.owe(owed(READ, sent=100.0))
+    assert len(doubt.pending) == 1
+
+
 def test_what_two_links_were_owed_is_put_in_the_order_in_which_it_was_asked() -> None:
     ours, theirs = Doubts(), Doubts()
     ours.of(1).owe(owed(READ, sent=2.0))

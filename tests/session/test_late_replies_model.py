@@ -24,7 +24,9 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.session.breaker import BreakerParameters
+from busway.session.doubt import OWED_LIMIT
 from busway.session.parameters import ClientParameters
+from busway.session.serial_client import SerialClientParameters
 
 STEPS = 2000
 SEEDS = range(50)
@@ -346,6 +348,44 @@ def test_two_callers_of_a_slow_unit_with_little_room(seed: int, knows: str) -> N
         )
         world.run(chance.choice((0.001, 0.3, 1.0)))
     world.run(until=lambda: not world.live)
+
+
+@pytest.mark.parametrize("callers", [1, 2, 3])
+@pytest.mark.parametrize("trusts", [False, True])
+def test_reads_of_several_callers_end_where_one_reply_is_lost_and_no_marker_works(trusts: bool, callers: int) -> None:
+    """Each read has to be repeated, and the repetitions of two callers must not owe each other their replies."""
+    count = itertools.count(1)
+    world = World(
+        1,
+        UnitModel(1, lambda: None if next(count) == 3 else PROMPT, knows="silent"),
+        breaker=NO_BREAKER,
+        serial=SerialClientParameters(trust_reply_order=trusts),
+    )
+    for _ in range(2):
+        world.get(1, ReadHoldingRegisters(0, 1))
+    for _ in range(6):
+        questions = [world.ask(1, ReadHoldingRegisters(caller, 1), caller=caller) for caller in range(callers)]
+        world.run(until=lambda: not world.live)
+    assert all(question is not None and question.succeeded for question in questions)
+
+
+def test_a_read_ends_after_an_outage_with_more_owed_replies_than_are_kept_one_by_one() -> None:
+    """No marker works: the read is repeated once for each owed reply, and its own attempts must not add to them."""
+    mute = True
+    world = World(
+        1,
+        UnitModel(1, lambda: None if mute else PROMPT, knows="silent"),
+        breaker=NO_BREAKER,
+        parameters=ClientParameters(retries=0),
+        serial=SerialClientParameters(trust_reply_order=True),
+    )
+    for _ in range(OWED_LIMIT + 40):
+        world.get(1, ReadHoldingRegisters(0, 1))
+    mute = False
+    question = world.get(1, ReadHoldingRegisters(0, 1))
+    assert question is not None
+    assert question.succeeded
+    assert OWED_LIMIT < len(question.frames[0]) < OWED_LIMIT + 60
 
 
 # --- units that do not keep the order ---------------------------------------------------------------

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import heapq
 import random
-from collections import deque
+from bisect import bisect_left
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -243,6 +244,7 @@ class World:
         self.live: list[Question] = []
         self.frames: list[Frame] = []
         self.replies: deque[Reply] = deque(maxlen=200)
+        self.arrivals: defaultdict[tuple[int, int], list[float]] = defaultdict(list)
         self.own_frames = 0
         self.suspended = 0
         self.in_doubt = 0
@@ -456,10 +458,8 @@ class World:
         taken."""
         if pdu[0] in WRITES:
             return 0
-        return sum(
-            one.frame.unit == question.call.unit and one.pdu[0] & 0x7F == pdu[0] and one.arrived >= question.asked
-            for one in self.replies
-        )
+        arrivals = self.arrivals[question.call.unit, pdu[0]]
+        return len(arrivals) - bisect_left(arrivals, question.asked)
 
     def _told(self, question: Question, position: int) -> None:
         self._taken[question.call.unit, question.call.requests[position].encode()] = question, position
@@ -523,7 +523,7 @@ class World:
                 return
             reply.arrived = self.line.ports[1].write(data, self.now)
             self._say(f"the reply to #{reply.frame.number} arrives at {reply.arrived:.3f}: {reply.pdu.hex(' ')}")
-            self.replies.append(reply)
+            self._arrives(reply)
             return
         if not self.connected:
             if self._keeps:
@@ -545,9 +545,13 @@ class World:
         if reply is not None:
             reply.arrived = self.now
             self._say(f"the reply to #{reply.frame.number} arrives: {reply.pdu.hex(' ')}")
-            self.replies.append(reply)
+            self._arrives(reply)
         self.session.receive(data, len(data), self.now)
         self._pump()
+
+    def _arrives(self, reply: Reply) -> None:
+        self.replies.append(reply)
+        self.arrivals[reply.frame.unit, reply.pdu[0] & 0x7F].append(reply.arrived)
 
     # The oracle.
 

@@ -18,19 +18,21 @@ request at most once, and in the order in which it received them.
 5. A unit may break the order. So a request with a function that is owed a reply waits until twice the timeout has
    passed since the last attempt, or until as many replies have come as are owed. ``trust_reply_order`` skips that.
 6. If a unit answers no marker, the read itself is sent: replies are counted against the owed ones (rule 2), so
-   a read may have to be repeated, but its result is never wrong. A write is not sent.
+   a read may have to be repeated, but its result is never wrong. One call counts at a time: two would owe each other
+   their replies for ever. A write is not sent.
 7. A unit that sent a frame unasked, or too early, is in doubt for that function. Unasked replies may look like good
    ones: after `CHECK_EVERY` replies of one shape in a row a marker is sent, which reveals a shift.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
 from ..pdu.diagnostics import GetCommEventCounter, ReadExceptionStatus, ReturnQueryData
 from ..pdu.message import UNKNOWN_LENGTH, Request
 from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from .call import Call
 
 CHECK_EVERY: Final = 128
 """Replies of one shape in a row after which a marker is sent: costs less than a hundredth of a line's requests."""
@@ -74,6 +76,7 @@ class OwedReply:
         sent: when its last byte left, in seconds.
         until: when its reply must have come even from a unit that breaks the order (rule 5).
         call, position: the call that made the request; None for a marker, or for a cancelled call.
+        times: attempts in a row that this entry stands for; above 1 only when the list is full.
     """
 
     request: Request
@@ -82,6 +85,7 @@ class OwedReply:
     until: float
     call: object | None = None
     position: int = 0
+    times: int = 1
 
     def may_be(self, pdu: bytes) -> bool:
         """Whether this PDU may be the reply to this request."""
@@ -113,6 +117,7 @@ class UnitDoubt:
         silent: kinds of markers that it did not answer.
         works: the kind of marker that it answered last.
         good: a read that it answered.
+        counting: the call whose read is repeated to count off what is owed (rule 6); None without one.
     """
 
     owed: list[OwedReply] = field(default_factory=list)
@@ -125,16 +130,22 @@ class UnitDoubt:
     silent: set[MarkerKind] = field(default_factory=set)
     works: MarkerKind | None = None
     good: Request | None = None
+    counting: Call | None = None
 
     # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
         """Note a request that got no reply in time, or before the connection ended."""
-        if len(self.owed) >= OWED_LIMIT:
-            first = self.owed.pop(0)
-            self.older[first.function] = self.older.get(first.function, 0) + 1
-        self.owed.append(reply)
+        self.pending = [one for one in self.pending[1 - OWED_LIMIT :] if one.until > reply.sent]
         self.pending.append(reply)
+        if len(self.owed) >= OWED_LIMIT:
+            last = self.owed[-1]
+            if last.is_of(reply.call, reply.position):  # a read that counts off the others must not push them out
+                self.owed[-1] = replace(last, times=last.times + 1)
+                return
+            first = self.owed.pop(0)
+            self.older[first.function] = self.older.get(first.function, 0) + first.times
+        self.owed.append(reply)
 
     def is_older(self, pdu: bytes) -> bool:
         """Whether this PDU must be taken for one of the replies counted in ``older``.
@@ -157,7 +168,12 @@ class UnitDoubt:
 
     def came(self, reply: OwedReply) -> None:
         """Note that an owed reply has come; requests sent before it get no reply any more."""
-        del self.owed[: self.owed.index(reply) + 1]
+        index = self.owed.index(reply)
+        if reply.times > 1:
+            self.owed[index] = replace(reply, times=reply.times - 1)
+            del self.owed[:index]
+        else:
+            del self.owed[: index + 1]
         self.older.clear()
         self._count(reply.function)
 
@@ -192,6 +208,11 @@ class UnitDoubt:
         self.pending = [owed for owed in self.pending if owed.until > now]
         others = [owed for owed in self.pending if owed.function == function and not owed.is_of(call, position)]
         return max((owed.until for owed in others), default=now)
+
+    @property
+    def owed_count(self) -> int:
+        """How many replies are owed."""
+        return sum(one.times for one in self.owed) + sum(self.older.values())
 
     @property
     def is_owed(self) -> bool:

@@ -385,7 +385,18 @@ class SerialClientSession:
         return [self._send(call, now)]
 
     def _may_ask(self, call: Call, now: float) -> bool:
-        return self.breakers.suspended_for(call.unit, now) is None and self._askable_at(call, now) <= now
+        if self.breakers.suspended_for(call.unit, now) is not None or self._askable_at(call, now) > now:
+            return False
+        doubt = self.doubts.units.get(call.unit)
+        return doubt is None or doubt.counting in (None, call) or not self._waits_for_counting(doubt, call)
+
+    def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
+        """Whether a read has to wait, because another call's read is repeated to count off what the unit owes."""
+        if doubt.counting is None or doubt.counting.ended:
+            doubt.counting = None
+            return False
+        request = call.requests[call.next_position]
+        return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
         """The earliest time to send to the call's unit, because a reply of it may still be on its way."""
@@ -462,7 +473,7 @@ class SerialClientSession:
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
         doubt = self.doubts.of(call.unit)
-        why = "a check" if doubt.is_empty else f"it owes {len(doubt.owed) + sum(doubt.older.values())}"
+        why = "a check" if doubt.is_empty else f"it owes {doubt.owed_count}"
         self._note(f"unit {call.unit}: that was a request of the link's own, a marker ({why})")
         self.state = MasterState.WAITING_FOR_REPLY
         self._begin(_RequestInFlight(None, marker.request, 0, call.unit, frame, now, now, 0.0, call.timeout, marker))
@@ -587,6 +598,7 @@ class SerialClientSession:
             return
         self._owe(awaited)
         self._idle(frame.ended)
+        self.doubts.of(awaited.unit).counting = call
         self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
@@ -640,6 +652,8 @@ class SerialClientSession:
             outcome = BadReply(error.reason, raw=frame.raw)
         if not owes_own and (doubt.owed or doubt.unasked is not None):
             doubt.answered(awaited.request)
+        if doubt.counting is not None and awaited.call is doubt.counting:
+            doubt.counting = None
         self.valid_reply = True
         if self.breakers.answered(frame.unit):
             doubt.revived()
@@ -753,7 +767,7 @@ class SerialClientSession:
         return self._in_doubt(doubt, call, "the deadline of the call passed")
 
     def _in_doubt(self, doubt: UnitDoubt, call: Call, why: str) -> NoReply:
-        owed = len(doubt.owed) + sum(doubt.older.values())
+        owed = doubt.owed_count
         if call.next_position in call.attempts:
             return NoReply(
                 f"no reply, and {why} before the unit, which owes {owed} more, answered what tells its replies apart",
@@ -847,6 +861,9 @@ class SerialClientSession:
         """End the request in flight with an error, or repeat it."""
         self._try_at = 0.0
         if awaited.call is not None:
+            doubt = self.doubts.units.get(awaited.unit)
+            if doubt is not None:
+                doubt.counting = None
             self._tracker.failed(awaited.call, awaited.position, error, now, again=again)
 
 
