@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .access.audit import AuditLog
     from .access.authorizer import PolicyHandler
     from .access.rules import Policy, Rule
+    from .apps.collector.store.reading import Store
     from .apps.control.service import Control
     from .apps.gateway.assembly import load_gateway, simple_gateway
     from .apps.gateway.gateway import Gateway
@@ -110,6 +111,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "apps.server.configuration": ("Configuration", "load_configuration"),
+    "apps.collector.store.reading": ("Store",),
     "apps.gateway.assembly": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),
@@ -284,6 +286,7 @@ __all__ = [
     "ServerOptions",
     "ServerThread",
     "SingleBlock",
+    "Store",
     "Table",
     "TlsParameters",
     "Touch",

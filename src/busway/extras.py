@@ -18,6 +18,9 @@ EXTRA_OF: Final = {
     "starlette": "web",
     "uvicorn": "web",
     "websockets": "web",
+    "pyarrow": "store",
+    "pandas": "frames",
+    "polars": "frames",
 }
 """The extra that brings a package, by the name it is imported by."""
 

@@ -6,5 +6,6 @@
 `learning`      learning what reads cost, and which a device refuses
 `plan`          the cheapest reads for the points that are due
 `samples`       a sample, its quality and reason; the samples of one read; intervals without reads
+`store`         the folder that keeps samples: written, sealed, read
 ==============  =======================================================================
 """

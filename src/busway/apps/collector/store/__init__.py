@@ -1,0 +1,19 @@
+"""The store of the collector: a folder that keeps samples.
+
+==============  =======================================================================
+`folder`        names of its files, the lock with the pid of its writer, fsync of folders
+`manifest`      what is in the folder: parts, points, cursors, files to unlink
+`segment`       the part that is written: one SQLite file
+`sealing`       a finished segment → Parquet
+`writer`        commits, one after the other: rolls, seals, drops; survives a full disk
+`committing`    the thread that commits for an event loop, every quarter of a second
+`retention`     which parts are too old or too many
+`parts`         rows of one part, whatever its format
+`selection`     which points, which time
+`reading`       `Store`: rows and buckets of all parts as one
+`buckets`       minimum, maximum and mean per bucket
+`frames`        what a query gives; as Arrow, pandas or polars
+`commits`       rows in the order of their commits, for sinks
+`upkeep`        check, backup, restore, while it runs
+==============  =======================================================================
+"""

@@ -1,0 +1,257 @@
+"""The committer: a thread that makes samples of an event loop part of the store, several times a second.
+
+Knows when to commit, and what to do while that fails; knows nothing of segments.
+
+1. A sample is committed at most `INTERVAL` after it was added, while the disk keeps up. Then subscribers are told.
+2. While commits fail (a full disk), samples wait up to a bound. Beyond it the oldest are dropped and counted, and the
+   first commit that succeeds records the time of what was dropped as a gap with its number. Polling never waits.
+3. A second thread seals and drops parts, so that no sample waits for that.
+4. Without samples an empty commit every `ALIVE` seconds says that the collector lived.
+5. With ``durability = process`` the log is synced every `SYNC` seconds: that much a power failure costs.
+"""
+
+import logging
+import sqlite3
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from ..samples import Gap, Reason, SampleBatch, StateInterval
+from .writer import Commit, StoreWriter
+
+INTERVAL: Final = 0.2
+ALIVE: Final = 5.0
+SYNC: Final = 5.0
+UPKEEP: Final = 10.0
+"""Seconds between two looks for parts to seal or drop."""
+RETRY: Final = 1.0
+"""Seconds between two attempts at a store that cannot be written."""
+AT_ONCE: Final = 50_000
+"""Values that are committed without waiting for the interval."""
+MOST_WAITING: Final = 1_000_000
+"""Values that wait at most for a store that cannot be written: some 100 MB."""
+
+_log = logging.getLogger("busway.store")
+
+
+@dataclass(frozen=True, slots=True)
+class StoreStatus:
+    """How the committer does.
+
+    Attributes:
+        commits, samples: how many are in the store since the start.
+        waiting: samples that are not yet committed.
+        lost: samples that were dropped since the start because the store could not be written.
+        error: what is wrong with the store; None while it can be written.
+        upkeep_error: why parts could not be sealed or dropped when that was tried last; None if they could.
+    """
+
+    commits: int
+    samples: int
+    waiting: int
+    lost: int
+    error: str | None
+    upkeep_error: str | None
+
+
+class Committer:
+    """Commits for an event loop. `add` and `add_interval` return at once, and may be called from any thread."""
+
+    def __init__(
+        self,
+        writer: StoreWriter,
+        *,
+        now: Callable[[], int] = time.time_ns,
+        interval: float = INTERVAL,
+        most_waiting: int = MOST_WAITING,
+        retry: float = RETRY,
+    ) -> None:
+        """Start the threads.
+
+        Args:
+            writer: an open store; closed by `close`.
+            now: nanoseconds since 1970 UTC.
+            interval: seconds after which samples are committed.
+            most_waiting: values that wait at most while the store cannot be written.
+            retry: seconds between two attempts then.
+        """
+        self.writer = writer
+        self._now, self._interval, self._most, self._retry = now, interval, most_waiting, retry
+        self._subscribers: list[Callable[[Commit], None]] = []
+        self._changed = threading.Condition()
+        self._batches: deque[SampleBatch] = deque()
+        self._intervals: list[StateInterval | Gap] = []
+        self._waiting = 0
+        self._lost_now: Gap | None = None
+        self._commits = self._samples = self._lost = 0
+        self._error: str | None = None
+        self._upkeep_error: str | None = None
+        self._hurry = self._ending = self._committing = False
+        self._ended = threading.Event()
+        self._synced = time.monotonic()
+        self._threads = [
+            threading.Thread(target=self._commit_until_closed, name="busway-store-commits", daemon=True),
+            threading.Thread(target=self._keep_up_until_closed, name="busway-store-upkeep", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def subscribe(self, told: Callable[[Commit], None]) -> None:
+        """Call a function after each commit, in the thread of the committer; what it raises is logged."""
+        self._subscribers.append(told)
+
+    def add(self, batch: SampleBatch) -> None:
+        """Take the samples of one read."""
+        with self._changed:
+            self._batches.append(batch)
+            self._waiting += len(batch)
+            if self._waiting > self._most:
+                self._drop_oldest()
+            if len(self._batches) == 1 or self._waiting >= AT_ONCE:
+                self._changed.notify_all()
+
+    def add_interval(self, interval: StateInterval | Gap) -> None:
+        """Take an interval that begins (its end is None) or ends."""
+        with self._changed:
+            self._intervals.append(interval)
+            self._changed.notify_all()
+
+    def status(self) -> StoreStatus:
+        """How it does."""
+        with self._changed:
+            return StoreStatus(self._commits, self._samples, self._waiting, self._lost, self._error, self._upkeep_error)
+
+    def flush(self, timeout: float = 10.0) -> bool:
+        """Wait until all that was added is committed; False where ``timeout`` seconds did not do."""
+        until = time.monotonic() + timeout
+        with self._changed:
+            while self._batches or self._intervals or self._committing:
+                self._hurry = True
+                self._changed.notify_all()
+                if not self._changed.wait(min(0.05, max(0.0, until - time.monotonic()))) and time.monotonic() >= until:
+                    return False
+        return True
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Commit what waits, as far as ``timeout`` seconds allow, and close the store."""
+        self.flush(timeout)
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(timeout + 30.0)
+        try:
+            self.writer.close(self._now())
+        except (sqlite3.Error, OSError) as error:
+            _log.error("the store could not be closed: %s", error)
+
+    # Commits
+
+    def _commit_until_closed(self) -> None:
+        while self._wait_for_work():
+            if not self._commit_once():
+                self._ended.wait(self._retry)
+
+    def _wait_for_work(self) -> bool:
+        """Wait until a commit is due; False when the end has come."""
+        with self._changed:
+            idle_until = time.monotonic() + ALIVE
+            while not self._ending and not self._batches and not self._intervals:
+                left = idle_until - time.monotonic()
+                if left <= 0:
+                    return True
+                self._changed.wait(left)
+            due = time.monotonic() + self._interval
+            while not self._ending and not self._hurry and self._waiting < AT_ONCE:
+                left = due - time.monotonic()
+                if left <= 0:
+                    break
+                self._changed.wait(left)
+            self._hurry = False
+            return not self._ending
+
+    def _commit_once(self) -> bool:
+        """Commit what waits; False where the store could not be written, and all of it waits again."""
+        with self._changed:
+            batches, self._batches = list(self._batches), deque()
+            intervals, self._intervals = self._intervals, []
+            gap, self._lost_now = self._lost_now, None
+            self._committing = True
+        told = [*intervals, gap] if gap is not None else intervals
+        try:
+            commit = self.writer.commit(batches, told, self._now())
+            self._sync_when_due()
+        except (sqlite3.Error, OSError) as error:
+            self._put_back(batches, intervals, gap, str(error))
+            return False
+        with self._changed:
+            self._commits += 1
+            count = sum(map(len, batches))
+            self._samples += count
+            self._waiting -= count
+            if self._error is not None:
+                _log.warning("the store can be written again; %d samples were lost so far", self._lost)
+            self._error = None
+        self._tell(commit)
+        with self._changed:
+            self._committing = False
+            self._changed.notify_all()
+        return True
+
+    def _sync_when_due(self) -> None:
+        if self.writer.options.durability == "process" and time.monotonic() - self._synced > SYNC:
+            self._synced = time.monotonic()
+            self.writer.sync()
+
+    def _tell(self, commit: Commit) -> None:
+        for subscriber in self._subscribers:
+            try:
+                subscriber(commit)
+            except Exception:
+                _log.exception("a subscriber of commits failed")
+
+    def _put_back(
+        self, batches: list[SampleBatch], intervals: list[StateInterval | Gap], gap: Gap | None, error: str
+    ) -> None:
+        with self._changed:
+            self._committing = False
+            self._batches.extendleft(reversed(batches))
+            self._intervals[:0] = intervals
+            if gap is not None:
+                self._note_loss(gap)
+            if self._error is None:
+                _log.error("the store %s cannot be written: %s; samples wait in memory", self.writer.folder, error)
+            self._error = error
+            self._drop_oldest()
+
+    def _drop_oldest(self) -> None:
+        """Drop samples beyond the bound. The lock is held."""
+        while self._waiting > self._most and self._batches:
+            batch = self._batches.popleft()
+            self._waiting -= len(batch)
+            self._lost += len(batch)
+            self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
+
+    def _note_loss(self, loss: Gap) -> None:
+        known = self._lost_now
+        if known is not None:
+            loss = Gap(min(known.begin, loss.begin), max(known.end, loss.end), Reason.LOST, known.lost + loss.lost)
+        self._lost_now = loss
+
+    # Upkeep
+
+    def _keep_up_until_closed(self) -> None:
+        while not self._ended.wait(UPKEEP):
+            try:
+                self.writer.apply_retention(self._now())
+                self.writer.seal_closed()
+            except Exception as error:  # whatever it is, collecting goes on, and it is tried again
+                if self._upkeep_error is None:
+                    _log.exception("parts of the store could not be sealed or dropped")
+                self._upkeep_error = str(error)
+            else:
+                self._upkeep_error = None

@@ -1,0 +1,116 @@
+"""The folder of a store: how its files are called, who may write it, and how a folder is made durable.
+
+Knows names, descriptors and process ids; knows nothing of samples.
+"""
+
+import contextlib
+import fcntl
+import os
+from pathlib import Path
+from typing import Final
+
+from ....errors import ConfigError
+
+MANIFEST: Final = "manifest.sqlite"
+LOCK: Final = "lock"
+SEGMENTS: Final = "segments"
+UNFINISHED: Final = ".unfinished"
+"""The end of the name of a file that is being written; such files are removed when the store is opened."""
+
+
+class StoreLock:
+    """The right to write a store: held by one process, released by the system however that process ends."""
+
+    def __init__(self, folder: Path) -> None:
+        """Take the lock.
+
+        Raises:
+            ConfigError: another process holds it, and which; or the file cannot be opened.
+        """
+        path = folder / LOCK
+        try:
+            self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise ConfigError(f"the store cannot be locked: {error.strerror}", file=str(path)) from error
+        try:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = os.read(self._handle, 32).decode("ascii", "replace").strip()
+            os.close(self._handle)
+            who = f"process {holder}" if holder.isdigit() else "another process"
+            raise ConfigError(
+                f"{who} collects into this store; end it first, or name another folder", file=str(folder)
+            ) from error
+        os.ftruncate(self._handle, 0)
+        os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
+
+    def release(self) -> None:
+        """Let others write the store."""
+        os.ftruncate(self._handle, 0)
+        os.close(self._handle)
+
+
+def holder_of(folder: Path) -> int | None:
+    """The process that writes a store now; None if there is none."""
+    try:
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        text = os.read(handle, 32).decode("ascii", "replace").strip()
+        return int(text) if text.isdigit() else 0
+    finally:
+        os.close(handle)
+    return None
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder of a store, with rights for its owner alone where it is new. Raises `ConfigError`."""
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (path / SEGMENTS).mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"the store cannot be made: {error.strerror}", file=str(path)) from error
+    sync_folder(path)
+
+
+def check_store(path: Path) -> None:
+    """Raise `ConfigError` unless there is a store in this folder."""
+    if not (path / MANIFEST).is_file():
+        raise ConfigError("there is no store in this folder; `busway collect` makes one", file=str(path))
+
+
+def sync_folder(path: Path) -> None:
+    """Make the names in a folder durable."""
+    _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+
+
+def sync_file(path: Path) -> None:
+    """Make the content of a file durable; nothing happens where it is not there."""
+    with contextlib.suppress(FileNotFoundError):
+        _sync(path, os.O_RDONLY)
+
+
+def _sync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def unlink_part(path: Path) -> None:
+    """Remove a file of a part, with what SQLite keeps beside it; what is not there is fine."""
+    for name in (path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")):
+        name.unlink(missing_ok=True)
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a part on disk, with its write-ahead log."""
+    total = 0
+    for name in (path, path.with_name(path.name + "-wal")):
+        with contextlib.suppress(FileNotFoundError):
+            total += name.stat().st_size
+    return total

@@ -1,0 +1,161 @@
+"""What a query gives: columns of samples or of buckets; as Arrow, pandas or polars where those are installed.
+
+Knows columns; knows no file.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+from ....extras import require
+from ..samples import Gap, Quality, Sample, StateInterval, Value, quality_of, reason_text
+
+
+@dataclass(frozen=True, slots=True)
+class SampleTable:
+    """Samples in columns, ordered by time; one entry of each list for each sample.
+
+    Time without reads is there as samples without a value, one for each point at its begin, with its reason.
+
+    Attributes:
+        device, point: names.
+        time: nanoseconds since 1970 UTC, the middle of the transaction.
+        half_width: half the length of the transaction, nanoseconds.
+        value: values; None where there is none.
+        reason: numbers of reasons, 0 for good.
+        intervals: times in which a device was not read, as far as they concern what was asked.
+        gaps: times in which nothing was collected, likewise.
+    """
+
+    device: list[str] = field(default_factory=list)
+    point: list[str] = field(default_factory=list)
+    time: list[int] = field(default_factory=list)
+    half_width: list[int] = field(default_factory=list)
+    value: list[Value | None] = field(default_factory=list)
+    reason: list[int] = field(default_factory=list)
+    intervals: list[StateInterval] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __iter__(self) -> Iterator[Sample]:
+        columns = (self.device, self.point, self.time, self.half_width, self.value, self.reason)
+        for device, point, time, half_width, value, reason in zip(*columns, strict=True):
+            yield Sample(device, point, time, half_width, value, reason)
+
+    @property
+    def quality(self) -> list[Quality]:
+        """How sure each value is."""
+        return [quality_of(reason) for reason in self.reason]
+
+    def columns(self) -> dict[str, list[Any]]:  # columns have different types
+        """The columns by name, with quality and reason in words; values as numbers, and texts beside them."""
+        return {
+            "time": self.time,
+            "device": self.device,
+            "point": self.point,
+            "value": [_number(value) for value in self.value],
+            "text": [value if isinstance(value, str) else None for value in self.value],
+            "quality": [quality.name.lower() for quality in self.quality],
+            "reason": [reason_text(reason) for reason in self.reason],
+            "half_width": self.half_width,
+        }
+
+    def to_arrow(self) -> Any:  # pyarrow has no types of its own
+        """A `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
+        return _arrow_table(self.columns())
+
+    def to_pandas(self) -> Any:  # pandas may not be there to check
+        """A `pandas.DataFrame`. Raises `MissingExtra`."""
+        require("pandas", "a data frame")
+        return self.to_arrow().to_pandas()
+
+    def to_polars(self) -> Any:  # polars may not be there to check
+        """A `polars.DataFrame`. Raises `MissingExtra`."""
+        require("polars", "a data frame")
+        return import_module("polars").from_arrow(self.to_arrow())
+
+
+@dataclass(frozen=True, slots=True)
+class BucketTable:
+    """Buckets of points in columns, ordered by time and point; those without samples and outside of gaps are left out.
+
+    Attributes:
+        device, point: names.
+        time: nanoseconds since 1970 UTC at which the bucket begins.
+        minimum, maximum, mean: of the numbers that are not bad; None where there are none.
+        count: how many numbers these are.
+        samples: how many samples there are in all, bad ones and texts too; 0 in a gap.
+        reason: number of the worst reason, 0 where all were good.
+    """
+
+    device: list[str] = field(default_factory=list)
+    point: list[str] = field(default_factory=list)
+    time: list[int] = field(default_factory=list)
+    minimum: list[float | int | None] = field(default_factory=list)
+    maximum: list[float | int | None] = field(default_factory=list)
+    mean: list[float | None] = field(default_factory=list)
+    count: list[int] = field(default_factory=list)
+    samples: list[int] = field(default_factory=list)
+    reason: list[int] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def columns(self) -> dict[str, list[Any]]:  # columns have different types
+        """The columns by name, with the reason in words."""
+        return {
+            "time": self.time,
+            "device": self.device,
+            "point": self.point,
+            "minimum": self.minimum,
+            "maximum": self.maximum,
+            "mean": self.mean,
+            "count": self.count,
+            "samples": self.samples,
+            "quality": [quality_of(reason).name.lower() for reason in self.reason],
+            "reason": [reason_text(reason) for reason in self.reason],
+        }
+
+    def to_arrow(self) -> Any:  # pyarrow has no types of its own
+        """A `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
+        return _arrow_table(self.columns())
+
+    def to_pandas(self) -> Any:  # pandas may not be there to check
+        """A `pandas.DataFrame`. Raises `MissingExtra`."""
+        require("pandas", "a data frame")
+        return self.to_arrow().to_pandas()
+
+    def to_polars(self) -> Any:  # polars may not be there to check
+        """A `polars.DataFrame`. Raises `MissingExtra`."""
+        require("polars", "a data frame")
+        return import_module("polars").from_arrow(self.to_arrow())
+
+
+def _number(value: Value | None) -> float | int | None:
+    return None if value is None or isinstance(value, str) else value
+
+
+def _arrow_table(columns: dict[str, list[Any]]) -> Any:
+    require("pyarrow", "a table of Arrow")
+    pa = import_module("pyarrow")
+    arrays = {}
+    for name, values in columns.items():
+        if name == "time":
+            arrays[name] = pa.array(values, pa.timestamp("ns", "UTC"))
+        elif name in ("value", "minimum", "maximum", "mean"):
+            arrays[name] = _numbers(pa, values)
+        elif name in ("device", "point", "quality", "reason", "text"):
+            arrays[name] = pa.array(values, pa.string()).dictionary_encode()
+        else:
+            arrays[name] = pa.array(values, pa.int64())
+    return pa.table(arrays)
+
+
+def _numbers(pa: Any, values: list[Any]) -> Any:
+    """A column of numbers: integers where all are, else floats."""
+    if {type(value) for value in values} == {int} and max(values) < 2**63:
+        return pa.array(values, pa.int64())
+    return pa.array([None if value is None else float(value) for value in values], pa.float64())

@@ -1,0 +1,311 @@
+"""The manifest: one small SQLite file that says what is in a store.
+
+Knows parts, points, intervals of sealed parts, cursors and files that are to be unlinked. It alone says which files
+count: a reader reads it first, a writer changes it last.
+
+1. Every change is one transaction, and durable when it returns (``synchronous=FULL``); changes are rare.
+2. A file that a transaction makes superfluous is named in ``unlinks`` by that transaction, and unlinked after it. What
+   is found there at the start was left by a crash.
+3. Commit numbers are reserved in blocks, and a start goes on behind the block: a number is never used twice, even where
+   a power failure took the commits that had it.
+"""
+
+import sqlite3
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ..samples import PointDescription
+from .folder import MANIFEST, check_store
+
+FORMAT: Final = 1
+"""Of the folder; a store of a later format is refused."""
+RESERVED_NUMBERS: Final = 10_000
+"""Commit numbers that are reserved at once."""
+
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS facts (name TEXT PRIMARY KEY, value) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS parts (
+    id INTEGER PRIMARY KEY, segment INTEGER NOT NULL, file TEXT NOT NULL UNIQUE, kind TEXT NOT NULL,
+    low INTEGER, high INTEGER, first_commit INTEGER, last_commit INTEGER, alive INTEGER, rows INTEGER, bytes INTEGER
+);
+CREATE TABLE IF NOT EXISTS points (
+    id INTEGER PRIMARY KEY, device TEXT NOT NULL, point TEXT NOT NULL, unit_of_measure TEXT NOT NULL DEFAULT '',
+    is_state INTEGER NOT NULL DEFAULT 0, UNIQUE (device, point)
+);
+CREATE TABLE IF NOT EXISTS former_names (
+    point INTEGER NOT NULL, name TEXT NOT NULL, PRIMARY KEY (point, name)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS intervals (
+    device TEXT, begin INTEGER NOT NULL, "end" INTEGER, reason INTEGER NOT NULL, lost INTEGER NOT NULL DEFAULT 0,
+    commit_number INTEGER NOT NULL
+);
+CREATE INDEX IF NOT EXISTS intervals_by_end ON intervals ("end");
+CREATE TABLE IF NOT EXISTS cursors (
+    sink TEXT PRIMARY KEY, commit_number INTEGER NOT NULL, lost INTEGER NOT NULL DEFAULT 0
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS unlinks (file TEXT PRIMARY KEY) WITHOUT ROWID;
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A file with samples.
+
+    Attributes:
+        id: number of the part.
+        segment: number of the segment that its rows were written to.
+        file: name in the folder ``segments``.
+        kind: ``open`` (being written), ``closed`` (SQLite, finished) or ``sealed`` (Parquet).
+        low, high: nanoseconds since 1970 UTC of the first and last sample; None while it is open, or if it is empty.
+        first_commit, last_commit: commit numbers of its rows; None likewise.
+        alive: nanoseconds since 1970 UTC of its last commit; None likewise.
+        rows: number of samples; None while it is open.
+        bytes: size; None while it is open.
+    """
+
+    id: int
+    segment: int
+    file: str
+    kind: str
+    low: int | None
+    high: int | None
+    first_commit: int | None
+    last_commit: int | None
+    alive: int | None
+    rows: int | None
+    bytes: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalRow:
+    """A `StateInterval` of a device, or a `Gap` where ``device`` is None, with the commit that told it."""
+
+    device: str | None
+    begin: int
+    end: int | None
+    reason: int
+    lost: int
+    commit_number: int
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPoint:
+    """A point as the store knows it; the id stays when the name changes."""
+
+    id: int
+    device: str
+    point: str
+    unit_of_measure: str
+    is_state: bool
+
+    @property
+    def name(self) -> str:
+        """``device/point``."""
+        return f"{self.device}/{self.point}"
+
+
+class Manifest:
+    """The manifest of a store, for one writer and any number of readers."""
+
+    def __init__(self, folder: Path, *, writes: bool = False) -> None:
+        """Open it; with ``writes`` it is made where it is not there.
+
+        Raises:
+            ConfigError: there is no store, it is of a later format, or the file is damaged; names the folder.
+        """
+        if not writes:
+            check_store(folder)
+        self.path = folder / MANIFEST
+        self._lock = threading.RLock()
+        try:
+            self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=10.0)
+            self._database.execute("PRAGMA synchronous=FULL")
+            if writes:
+                self.path.chmod(0o600)
+                self._database.execute("PRAGMA journal_mode=WAL")
+                self._database.executescript(_SCHEMA)
+            self._check_format(writes)
+        except sqlite3.Error as error:
+            raise ConfigError(f"the manifest of the store cannot be read: {error}", file=str(self.path)) from error
+
+    def _check_format(self, writes: bool) -> None:
+        found = self.fact("format")
+        if found is None and writes:
+            self.set_fact("format", FORMAT)
+        elif found != FORMAT:
+            raise ConfigError(f"the store has format {found}, and this busway knows {FORMAT}", file=str(self.path))
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._database.close()
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """A transaction; durable when the block has ended, undone where it raises."""
+        with self._lock:
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._database
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+
+    def _all(self, sql: str, *values: object) -> list[Any]:  # rows of SQLite have any type
+        with self._lock:
+            return self._database.execute(sql, values).fetchall()
+
+    # Facts
+
+    def fact(self, name: str) -> int | None:
+        """A number that the store remembers under a name."""
+        rows = self._all("SELECT value FROM facts WHERE name = ?", name)
+        return None if not rows else rows[0][0]
+
+    def set_fact(self, name: str, value: int | None) -> None:
+        """Remember a number, or forget it."""
+        with self.transaction() as database:
+            if value is None:
+                database.execute("DELETE FROM facts WHERE name = ?", (name,))
+            else:
+                database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
+
+    def reserve_numbers(self) -> tuple[int, int]:
+        """Reserve commit numbers: the first, and the one behind the last."""
+        with self.transaction() as database:
+            row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
+            first = 1 if row is None else row[0]
+            database.execute("INSERT OR REPLACE INTO facts VALUES ('reserved', ?)", (first + RESERVED_NUMBERS,))
+        return first, first + RESERVED_NUMBERS
+
+    # Parts
+
+    def parts(self) -> list[Part]:
+        """All parts, in the order in which they were begun."""
+        return [Part(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
+
+    def add_segment(self) -> Part:
+        """List a new segment; its file does not exist yet."""
+        with self.transaction() as database:
+            row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
+            number = 1 if row is None else row[0] + 1
+            database.execute("INSERT OR REPLACE INTO facts VALUES ('segment', ?)", (number,))
+            file = f"{number:08d}.sqlite"
+            cursor = database.execute("INSERT INTO parts (segment, file, kind) VALUES (?, ?, 'open')", (number, file))
+            identity = cursor.lastrowid or 0
+        return Part(identity, number, file, "open", None, None, None, None, None, None, None)
+
+    def close_segment(self, part: Part) -> None:
+        """List what is known of a segment that is finished."""
+        with self.transaction() as database:
+            database.execute(
+                "UPDATE parts SET kind = 'closed', low = ?, high = ?, first_commit = ?, last_commit = ?, alive = ?,"
+                " rows = ?, bytes = ? WHERE id = ?",
+                (part.low, part.high, part.first_commit, part.last_commit, part.alive, part.rows, part.bytes, part.id),
+            )
+            database.execute("INSERT OR REPLACE INTO facts VALUES ('alive', ?)", (part.alive,))
+
+    def replace_part(self, old: Part, new: Sequence[Part], intervals: Iterable[IntervalRow]) -> None:
+        """List sealed parts instead of a closed one, whose file is to be unlinked then."""
+        with self.transaction() as database:
+            database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
+            for part in new:
+                database.execute(
+                    "INSERT INTO parts (segment, file, kind, low, high, first_commit, last_commit, alive, rows, bytes)"
+                    " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                    astuple(part)[1:],
+                )
+            database.executemany(
+                "INSERT INTO intervals VALUES (?, ?, ?, ?, ?, ?)",
+                [(row.device, row.begin, row.end, row.reason, row.lost, row.commit_number) for row in intervals],
+            )
+            database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
+
+    def drop_parts(self, parts: Iterable[Part], before: int) -> None:
+        """Take parts off the list, and intervals that ended before a time; their files are to be unlinked then."""
+        with self.transaction() as database:
+            for part in parts:
+                database.execute("DELETE FROM parts WHERE id = ?", (part.id,))
+                database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (part.file,))
+            database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
+
+    def files_to_unlink(self) -> list[str]:
+        """Names of files that no longer count."""
+        return [row[0] for row in self._all("SELECT file FROM unlinks")]
+
+    def unlinked(self, file: str) -> None:
+        """Note that a file is gone."""
+        with self.transaction() as database:
+            database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
+
+    def intervals(self) -> list[IntervalRow]:
+        """Intervals of parts that are sealed."""
+        return [IntervalRow(*row) for row in self._all("SELECT * FROM intervals ORDER BY commit_number")]
+
+    # Points
+
+    def points(self) -> list[StoredPoint]:
+        """All points, also those that are no longer read."""
+        rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
+        return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
+
+    def former_names(self) -> dict[str, int]:
+        """Names that points had before, as ``device/point``, and the ids of those points."""
+        rows = self._all(
+            "SELECT device, name, former_names.point FROM former_names JOIN points ON points.id = former_names.point"
+        )
+        return {f"{device}/{name}": point for device, name, point in rows}
+
+    def describe_points(self, descriptions: Iterable[PointDescription]) -> None:
+        """Note points with what is known of them; one that has a new name keeps its id, and so its history."""
+        with self.transaction() as database:
+            for one in descriptions:
+                if one.was is not None:
+                    _rename(database, one.device, one.was, one.point)
+                database.execute(
+                    "INSERT INTO points (device, point, unit_of_measure, is_state) VALUES (?, ?, ?, ?)"
+                    " ON CONFLICT (device, point) DO UPDATE SET unit_of_measure = excluded.unit_of_measure,"
+                    " is_state = excluded.is_state",
+                    (one.device, one.point, one.unit_of_measure, one.is_state),
+                )
+
+    def point_ids(self, device: str, points: Sequence[str], states: frozenset[str] = frozenset()) -> list[int]:
+        """The ids of points of a device; those that are new get one, and are states where ``states`` names them."""
+        found = dict(self._all("SELECT point, id FROM points WHERE device = ?", device))
+        new = [point for point in points if point not in found]
+        if new:
+            with self.transaction() as database:
+                for point in new:
+                    cursor = database.execute(
+                        "INSERT INTO points (device, point, is_state) VALUES (?, ?, ?)",
+                        (device, point, point in states),
+                    )
+                    found[point] = cursor.lastrowid or 0
+        return [found[point] for point in points]
+
+    # Cursors
+
+    def cursors(self) -> dict[str, tuple[int, int]]:
+        """How far each sink is: the last commit that it has, and samples that were dropped for it."""
+        return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
+
+    def set_cursor(self, sink: str, number: int, lost: int) -> None:
+        """Note how far a sink is."""
+        with self.transaction() as database:
+            database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
+
+
+def _rename(database: sqlite3.Connection, device: str, was: str, name: str) -> None:
+    old = database.execute("SELECT id FROM points WHERE device = ? AND point = ?", (device, was)).fetchone()
+    new = database.execute("SELECT id FROM points WHERE device = ? AND point = ?", (device, name)).fetchone()
+    if old is None or new is not None:
+        return
+    database.execute("UPDATE points SET point = ? WHERE id = ?", (name, old[0]))
+    database.execute("INSERT OR IGNORE INTO former_names VALUES (?, ?)", (old[0], was))

@@ -1,0 +1,179 @@
+"""Rows and sums of one part, whatever its format: SQLite for what is new, Parquet for what is sealed.
+
+Knows how to ask each format; knows nothing of how parts overlap.
+
+1. A question to a segment takes one short transaction, so that a reader does not hold the log of the writer.
+2. `FileNotFoundError` means that the part was sealed or dropped since the manifest was read.
+"""
+
+import json
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from ..samples import Reason
+from .folder import SEGMENTS
+from .manifest import IntervalRow, Part
+from .sealing import arrow
+from .segment import facts_of, intervals_of, open_for_reading
+
+Row = tuple[int, int, Any, int, int, int]
+"""Time, point, stored value, reason, half width, commit number: as a segment holds them, for loops over millions."""
+
+
+@dataclass(slots=True)
+class Sums:
+    """What is known of one point in one bucket; the same for a part of its rows, so that parts can be added up.
+
+    Attributes:
+        count: numbers that were not bad.
+        low, high: the least and the greatest of them.
+        total: their sum.
+        samples: all samples, bad ones and texts too.
+        reason: the worst reason, 0 where all were good.
+    """
+
+    count: int
+    low: float | int | None
+    high: float | int | None
+    total: float | int
+    samples: int
+    reason: int
+
+    def add(self, other: "Sums") -> None:
+        """Take in the sums of other rows."""
+        self.count += other.count
+        self.total += other.total
+        self.samples += other.samples
+        self.reason = max(self.reason, other.reason)
+        if other.low is not None:
+            self.low = other.low if self.low is None else min(self.low, other.low)
+        if other.high is not None:
+            self.high = other.high if self.high is None else max(self.high, other.high)
+
+
+SumsByBucket = dict[tuple[int, int], Sums]
+"""Number of the bucket and id of the point, and what is known of them."""
+
+_ROWS: Final = "SELECT time, point, value, reason, half_width, commit_number FROM samples WHERE time >= ? AND time < ?"
+_CHOSEN: Final = " AND point IN (SELECT value FROM json_each(?))"
+_SUMS: Final = f"""
+SELECT time / ?, point, count(number), min(number), max(number), total(number), count(*), max(reason) FROM (
+    SELECT time, point, reason,
+        CASE WHEN reason < {int(Reason.TIMEOUT)} AND typeof(value) IN ('integer', 'real') THEN value END AS number
+    FROM samples WHERE time >= ? AND time < ?"""
+_COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
+
+
+def open_part_facts(folder: Path, part: Part) -> Part:
+    """A part that is being written, with what its commits say so far."""
+    path = folder / SEGMENTS / part.file
+    with closing(open_for_reading(path)) as database:
+        return facts_of(database, part, path.stat().st_size)
+
+
+def part_intervals(folder: Path, part: Part) -> list[IntervalRow]:
+    """The intervals of a part that is not sealed."""
+    with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+        return intervals_of(database)
+
+
+def part_rows(folder: Path, part: Part, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
+    """The rows of a part from ``low`` up to ``high``, of some points or of all; in no order."""
+    if part.kind == "sealed":
+        return rows_of_table(_sealed(folder, part, ids, low, high, _COLUMNS))
+    with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+        if ids is None:
+            return database.execute(_ROWS, (low, high)).fetchall()
+        return database.execute(_ROWS + _CHOSEN, (low, high, json.dumps(list(ids)))).fetchall()
+
+
+def part_sums(folder: Path, part: Part, ids: Sequence[int] | None, low: int, high: int, bucket: int) -> SumsByBucket:
+    """The sums of a part from ``low`` up to ``high`` in buckets of ``bucket`` nanoseconds."""
+    if part.kind == "sealed":
+        return _sealed_sums(
+            _sealed(folder, part, ids, low, high, ["time", "point", "real", "integer", "large", "reason"]), bucket
+        )
+    chosen, values = ("", ()) if ids is None else (_CHOSEN, (json.dumps(list(ids)),))
+    with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+        found = database.execute(f"{_SUMS}{chosen}) GROUP BY 1, 2", (bucket, low, high, *values)).fetchall()
+    return {(number, point): Sums(*rest) for number, point, *rest in found}
+
+
+def _sealed(folder: Path, part: Part, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
+    """Columns of a Parquet file; row groups without a wanted point or time are not read."""
+    pa = arrow()
+
+    def moment(nanoseconds: int) -> Any:
+        return pa.scalar(nanoseconds, pa.timestamp("ns", "UTC"))
+
+    wanted = [("time", ">=", moment(low)), ("time", "<", moment(high))]
+    if ids is not None:
+        wanted.append(("point", "in", list(ids)))
+    return arrow("parquet").read_table(folder / SEGMENTS / part.file, columns=columns, filters=wanted)
+
+
+def rows_of_table(table: Any) -> list[Row]:
+    """The rows of a sealed part as a segment would give them."""
+    if not table.num_rows:
+        return []
+    columns = {name: table[name] for name in _COLUMNS if name != "time"}
+    values = columns["real"].to_pylist()
+    for name in ("integer", "text", "large"):
+        if columns[name].null_count < table.num_rows:
+            found = columns[name].to_pylist()
+            values = [value if value is not None else other for value, other in zip(values, found, strict=True)]
+    if columns["large"].null_count < table.num_rows:
+        values = [value.to_bytes(8, "big") if type(value) is int and value >= 2**63 else value for value in values]
+    times = table["time"].cast("int64").to_pylist()
+    rest = [columns[name].to_pylist() for name in ("reason", "half_width", "commit_number")]
+    return list(zip(times, columns["point"].to_pylist(), values, *rest, strict=True))
+
+
+def _sealed_sums(table: Any, bucket: int) -> SumsByBucket:
+    pa, pc = arrow(), arrow("compute")
+    number = pc.coalesce(
+        table["real"], table["integer"].cast("float64", safe=False), table["large"].cast("float64", safe=False)
+    )
+    number = pc.if_else(
+        pc.less(table["reason"], pa.scalar(int(Reason.TIMEOUT), pa.int16())), number, pa.scalar(None, pa.float64())
+    )
+    keyed = pa.table(
+        {
+            "bucket": pc.divide(table["time"].cast("int64"), bucket),
+            "point": table["point"],
+            "number": number,
+            "reason": table["reason"],
+        }
+    )
+    wanted = [
+        ("number", "count"),
+        ("number", "min"),
+        ("number", "max"),
+        ("number", "sum"),
+        ("reason", "count"),
+        ("reason", "max"),
+    ]
+    found = keyed.group_by(["bucket", "point"]).aggregate(wanted)
+    names = ["bucket", "point", "number_count", "number_min", "number_max", "number_sum", "reason_count", "reason_max"]
+    rows = zip(*(found[name].to_pylist() for name in names), strict=True)
+    return {
+        (number, point): Sums(count, low, high, total or 0, samples, reason)
+        for number, point, count, low, high, total, samples, reason in rows
+    }
+
+
+def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
+    """The sums of rows, where parts overlap and have to be merged first."""
+    found: SumsByBucket = {}
+    for time, point, value, reason, _, _ in rows:
+        usable = reason < Reason.TIMEOUT and type(value) in (int, float)
+        one = Sums(1, value, value, value, 1, reason) if usable else Sums(0, None, None, 0, 1, reason)
+        key = (time // bucket, point)
+        if key in found:
+            found[key].add(one)
+        else:
+            found[key] = one
+    return found

@@ -1,0 +1,340 @@
+"""`Store`: what a store holds, new and sealed parts as one, while it is written or not.
+
+Knows how parts overlap; knows no format.
+
+1. The axis of time is cut where parts begin and end. Where one part covers a piece, it is asked for rows or sums;
+   where several do, their rows are merged by key, and the later commit holds.
+2. Pieces are small enough for memory: `_PIECE` rows of each part, roughly.
+3. A part that is sealed or dropped while it is read is looked up again, from the time on that was reached.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final, TypeVar, overload
+
+from ....errors import InvalidRequest
+from ..samples import Gap, StateInterval
+from .folder import check_store
+from .frames import BucketTable, SampleTable
+from .manifest import IntervalRow, Manifest, Part, StoredPoint
+from .parts import (
+    Row,
+    Sums,
+    SumsByBucket,
+    open_part_facts,
+    part_intervals,
+    part_rows,
+    part_sums,
+    sums_of_rows,
+)
+from .segment import sample_value
+from .selection import EVER, Moment, chosen_points, moment, span
+
+MOST_SAMPLES: Final = 10_000_000
+"""Samples that one `Store.read` gives at most: some 2 GB."""
+MOST_BUCKETS: Final = 1_000_000
+_PIECE: Final = 200_000
+_TRIES: Final = 10
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A stretch of time from ``low`` up to ``high``, and the parts that have rows in it."""
+
+    low: int
+    high: int
+    parts: tuple[Part, ...]
+
+
+class Store:
+    """A store of the collector, for reading. It may be written meanwhile.
+
+    >>> frame = busway.Store("data").read("meter-7/*", since="1h")          # doctest: +SKIP
+    """
+
+    def __init__(self, folder: str | PathLike[str]) -> None:
+        """Name a store; nothing is read yet.
+
+        Raises:
+            ConfigError: there is no store in the folder.
+        """
+        self.folder = Path(folder)
+        check_store(self.folder)
+
+    def points(self) -> list[StoredPoint]:
+        """All points, also those that are no longer read. Raises `ConfigError`."""
+        return self._from_manifest(Manifest.points)
+
+    @overload
+    def read(
+        self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
+    ) -> SampleTable: ...
+
+    @overload
+    def read(
+        self,
+        points: str | Sequence[str] = "*",
+        *,
+        since: Moment | None = None,
+        until: Moment | None = None,
+        bucket: str | float,
+    ) -> BucketTable: ...
+
+    def read(
+        self,
+        points: str | Sequence[str] = "*",
+        *,
+        since: Moment | None = None,
+        until: Moment | None = None,
+        bucket: str | float | None = None,
+    ) -> SampleTable | BucketTable:
+        """Samples, or minimum, maximum and mean for each bucket.
+
+        Args:
+            points: ``device/point``, with ``*`` and ``?``; a device alone means all its points. Former names serve too.
+            since: from this time on: ``1h`` is an hour ago, or ISO 8601, a `datetime`, nanoseconds since 1970 UTC.
+            until: up to this time, without it.
+            bucket: length of a bucket: ``10s``, or seconds, 0.001 to 366 days.
+
+        Raises:
+            InvalidRequest: a pattern names no point, a time is none, or there is more than `MOST_SAMPLES` samples or
+                `MOST_BUCKETS` buckets.
+            ConfigError: the store cannot be read.
+            MissingExtra: parts are sealed, and pyarrow is not installed.
+        """
+        if bucket is not None:
+            return self._buckets(points, since, until, span(bucket))
+        whole = SampleTable()
+        for table in self.pieces(points, since=since, until=until):
+            _extend(whole, table)
+            if len(whole) > MOST_SAMPLES:
+                raise InvalidRequest(f"there are more than {MOST_SAMPLES} samples; ask for less time, or for buckets")
+        return whole
+
+    def pieces(
+        self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
+    ) -> Iterator[SampleTable]:
+        """The samples that `read` gives, in tables that memory holds, one after the other in the order of time."""
+        now = time.time_ns()
+        low = 0 if since is None else moment(since, now)
+        high = EVER if until is None else moment(until, now)
+        chosen = self._chosen(points)
+        by_id = {point.id: point for point in chosen}
+        ids = self._ids_of(points, chosen)
+        intervals = self._intervals({point.device for point in chosen}, low, high)
+        marks = _marks(intervals, chosen, low)
+        for piece, rows in self._walk(low, high, lambda piece: self._merged(piece, ids)):
+            before = [mark for mark in marks if mark[0] < piece.high]
+            marks = marks[len(before) :]
+            yield _table(sorted(rows + before, key=lambda row: row[:2]), by_id, [])
+        yield _table(marks, by_id, intervals)
+
+    def _buckets(
+        self, points: str | Sequence[str], since: Moment | None, until: Moment | None, bucket: int
+    ) -> BucketTable:
+        now = time.time_ns()
+        low = 0 if since is None else moment(since, now)
+        high = EVER if until is None else moment(until, now)
+        chosen = self._chosen(points)
+        ids = self._ids_of(points, chosen)
+        sums: SumsByBucket = {}
+        for _, found in self._walk(low, high, lambda piece: self._sums(piece, ids, bucket)):
+            _add_up(sums, found)
+            if len(sums) > MOST_BUCKETS:
+                raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
+        if until is None:
+            high = max([now, *((number + 1) * bucket for number, _ in sums)])
+        _add_gaps(sums, self._intervals({point.device for point in chosen}, low, high), chosen, (low, high), bucket)
+        return _bucket_table(sums, {point.id: point for point in chosen}, bucket)
+
+    # Parts
+
+    def _from_manifest(self, ask: Callable[[Manifest], Result]) -> Result:
+        manifest = Manifest(self.folder)
+        try:
+            return ask(manifest)
+        finally:
+            manifest.close()
+
+    def _chosen(self, points: str | Sequence[str]) -> list[StoredPoint]:
+        return self._from_manifest(lambda manifest: chosen_points(points, manifest.points(), manifest.former_names()))
+
+    def _ids_of(self, points: str | Sequence[str], chosen: list[StoredPoint]) -> list[int] | None:
+        return None if points in ("*", "*/*") else [point.id for point in chosen]
+
+    def _parts(self) -> list[Part]:
+        """The parts of the store, with what they hold at this moment."""
+        for _ in range(_TRIES):
+            try:
+                found = [
+                    open_part_facts(self.folder, part) if part.kind == "open" else part
+                    for part in self._from_manifest(Manifest.parts)
+                ]
+                return [part for part in found if part.low is not None]
+            except FileNotFoundError:  # sealed since, or not made yet
+                continue
+        return [part for part in self._from_manifest(Manifest.parts) if part.low is not None]
+
+    def _walk(self, low: int, high: int, ask: Callable[[Piece], Result]) -> Iterator[tuple[Piece, Result]]:
+        """Ask for each piece of a stretch of time; where a part has gone meanwhile, by the parts that are there now."""
+        reached, tries = low, 0
+        while True:
+            try:
+                for piece in pieces_of(self._parts(), reached, high):
+                    yield piece, ask(piece)
+                    reached, tries = piece.high, 0
+                return
+            except FileNotFoundError:
+                tries += 1
+                if tries > _TRIES:
+                    raise
+
+    def _merged(self, piece: Piece, ids: list[int] | None) -> list[Row]:
+        found = [part_rows(self.folder, part, ids, piece.low, piece.high) for part in piece.parts]
+        if len(found) == 1:
+            return found[0]
+        merged: dict[tuple[int, int], Row] = {}
+        for rows in found:
+            for row in rows:
+                other = merged.get(row[:2])
+                if other is None or other[5] < row[5]:
+                    merged[row[:2]] = row
+        return list(merged.values())
+
+    def _sums(self, piece: Piece, ids: list[int] | None, bucket: int) -> SumsByBucket:
+        if len(piece.parts) == 1:
+            return part_sums(self.folder, piece.parts[0], ids, piece.low, piece.high, bucket)
+        return sums_of_rows(self._merged(piece, ids), bucket)
+
+    def _intervals(self, devices: set[str], low: int, high: int) -> list[IntervalRow]:
+        """Intervals of these devices and of all, that touch a stretch of time, each once."""
+        rows: list[IntervalRow] = []
+        for _ in range(_TRIES):
+            try:
+                rows = self._from_manifest(Manifest.intervals)
+                for part in self._from_manifest(Manifest.parts):
+                    if part.kind != "sealed":
+                        rows += part_intervals(self.folder, part)
+                break
+            except FileNotFoundError:
+                continue
+        latest = {(row.device, row.begin, row.reason): row for row in sorted(rows, key=lambda row: row.commit_number)}
+        return sorted(
+            (
+                row
+                for row in latest.values()
+                if row.begin < high
+                and (row.end is None or row.end > low)
+                and (row.device is None or row.device in devices)
+            ),
+            key=lambda row: row.begin,
+        )
+
+
+def pieces_of(parts: Sequence[Part], low: int, high: int) -> Iterator[Piece]:
+    """Cut a stretch of time where parts begin and end, and further where they have many rows."""
+    spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
+    spans = [each for each in spans if each[0] < each[1]]
+    cuts = sorted({cut for begin, end, _ in spans for cut in (begin, end)})
+    for begin, end in pairwise(cuts):
+        covering = tuple(part for first, last, part in spans if first <= begin and last >= end)
+        if not covering:
+            continue
+        rows = sum(_share(part, begin, end) for part in covering)
+        count = max(1, min(-(-int(rows) // _PIECE), end - begin))
+        edges = [begin + (end - begin) * number // count for number in range(count + 1)]
+        for first, last in pairwise(edges):
+            yield Piece(first, last, covering)
+
+
+def _share(part: Part, begin: int, end: int) -> float:
+    """About how many rows of a part are in a stretch of time."""
+    return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
+
+
+def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
+    """A row without a value for each point at the begin of each interval that concerns it."""
+    found = [
+        (max(row.begin, low), point.id, None, row.reason, 0, row.commit_number)
+        for row in intervals
+        for point in points
+        if row.device is None or row.device == point.device
+    ]
+    return sorted(found, key=lambda row: row[:2])
+
+
+def _table(rows: Sequence[Row], points: dict[int, StoredPoint], intervals: list[IntervalRow]) -> SampleTable:
+    table = SampleTable()
+    if rows:
+        times, ids, values, reasons, widths, _ = (list(column) for column in zip(*rows, strict=True))
+        known = [points[number] for number in ids]
+        table = SampleTable(
+            [point.device for point in known],
+            [point.point for point in known],
+            times,
+            widths,
+            [
+                sample_value(value, reason, point.is_state)
+                for value, reason, point in zip(values, reasons, known, strict=True)
+            ],
+            reasons,
+        )
+    for row in intervals:
+        if row.device is None:
+            table.gaps.append(Gap(row.begin, row.end or row.begin, row.reason, row.lost))
+        else:
+            table.intervals.append(StateInterval(row.device, row.begin, row.end, row.reason))
+    return table
+
+
+def _extend(whole: SampleTable, other: SampleTable) -> None:
+    for name in SampleTable.__dataclass_fields__:
+        column: list[Any] = getattr(whole, name)
+        column.extend(getattr(other, name))
+
+
+def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
+    for key, one in found.items():
+        if key in sums:
+            sums[key].add(one)
+        else:
+            sums[key] = one
+
+
+def _add_gaps(
+    sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
+) -> None:
+    """Give buckets that an interval touches its reason where there are no samples."""
+    low, high = stretch
+    for row in intervals:
+        end = high if row.end is None else min(row.end, high)
+        first, last = max(row.begin, low) // bucket, max(end - 1, row.begin, low) // bucket
+        concerned = [point for point in points if row.device is None or row.device == point.device]
+        if len(sums) + (last - first + 1) * len(concerned) > MOST_BUCKETS:
+            raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
+        for number in range(first, last + 1):
+            for point in concerned:
+                sums.setdefault((number, point.id), Sums(0, None, None, 0, 0, row.reason))
+
+
+def _bucket_table(sums: SumsByBucket, points: dict[int, StoredPoint], bucket: int) -> BucketTable:
+    order = sorted((number, points[key].device, points[key].point, key) for number, key in sums)
+    table = BucketTable()
+    for number, device, point, key in order:
+        one = sums[number, key]
+        table.device.append(device)
+        table.point.append(point)
+        table.time.append(number * bucket)
+        table.minimum.append(one.low)
+        table.maximum.append(one.high)
+        table.mean.append(one.total / one.count if one.count else None)
+        table.count.append(one.count)
+        table.samples.append(one.samples)
+        table.reason.append(one.reason)
+    return table

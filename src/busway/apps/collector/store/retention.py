@@ -1,0 +1,53 @@
+"""Retention: which parts are dropped because they are too old, or because the store is too large.
+
+Pure. Knows parts; the writer drops them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ....errors import ConfigError
+from .manifest import Part
+
+
+@dataclass(frozen=True, slots=True)
+class Retention:
+    """How long and how much is kept.
+
+    Attributes:
+        age: seconds; None for ever.
+        size: bytes of all parts together, at least 1 MB; None for no limit.
+    """
+
+    age: float | None = None
+    size: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.age is not None and self.age <= 0:
+            raise ConfigError(f"samples are kept for more than {self.age:g} s", key="age")
+        if self.size is not None and self.size < 1_000_000:
+            raise ConfigError(f"a store has at least 1 MB, not {self.size} bytes", key="size")
+
+
+def parts_to_drop(parts: Sequence[Part], retention: Retention, now: int) -> list[Part]:
+    """The finished parts that retention does not keep, oldest first. The open one is never among them.
+
+    Args:
+        parts: all parts.
+        retention: the limits.
+        now: nanoseconds since 1970 UTC.
+    """
+    finished = sorted((part for part in parts if part.kind != "open"), key=lambda part: (part.high or 0, part.id))
+    dropped = []
+    if retention.age is not None:
+        oldest = now - int(retention.age * 1_000_000_000)
+        dropped = [part for part in finished if (part.high or part.alive or 0) < oldest]
+    if retention.size is not None:
+        left = [part for part in finished if part not in dropped]
+        total = sum(part.bytes or 0 for part in parts if part not in dropped)
+        for part in left:
+            if total <= retention.size:
+                break
+            dropped.append(part)
+            total -= part.bytes or 0
+    return dropped

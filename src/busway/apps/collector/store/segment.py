@@ -1,0 +1,204 @@
+"""A segment: the SQLite file that samples are written to, for ten minutes or 256 MB.
+
+Knows one file and its tables; knows nothing of the manifest.
+
+1. A commit is one transaction: samples, intervals, and one row that says which times it covers. So rows can be read
+   in the order of their commits without an index on each sample.
+2. The key is (time, point): rows arrive in the order of time, and only in that order can 400 000 of them be inserted in
+   a second. What has the same key replaces what was there.
+3. NULL for a value that is not bad is NaN: SQLite has none. Integers beyond 63 bits are stored as eight bytes.
+4. The write-ahead log is moved into the file when it is larger than `LOG_LIMIT`. Where a reader prevents that, the
+   writer goes on in another segment: see `Segment.is_stuck`.
+"""
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import repeat
+from pathlib import Path
+from typing import Final
+
+from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
+from .folder import size_of, sync_file
+from .manifest import IntervalRow, Part
+
+LOG_LIMIT: Final = 32 * 1024 * 1024
+"""Bytes of the write-ahead log from which on it is moved into the file after each commit."""
+LOG_STUCK: Final = 2 * LOG_LIMIT
+"""Bytes of the log that show that a reader holds it."""
+
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS samples (
+    time INTEGER NOT NULL, point INTEGER NOT NULL, value, reason INTEGER NOT NULL, half_width INTEGER NOT NULL,
+    commit_number INTEGER NOT NULL, PRIMARY KEY (time, point)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS commits (
+    number INTEGER PRIMARY KEY, at INTEGER NOT NULL, low INTEGER, high INTEGER, samples INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS intervals (
+    device TEXT, begin INTEGER NOT NULL, "end" INTEGER, reason INTEGER NOT NULL, lost INTEGER NOT NULL,
+    commit_number INTEGER NOT NULL
+);
+"""
+_INSERT: Final = "INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?, ?, ?)"
+
+KeyedBatch = tuple[Sequence[int], SampleBatch]
+"""The ids of the points of a batch, and the batch."""
+
+
+class Segment:
+    """A segment that is written. Not safe for several threads; every method may raise `sqlite3.Error`."""
+
+    def __init__(self, path: Path, *, every_commit_durable: bool) -> None:
+        self.path = path
+        self._log = path.with_name(path.name + "-wal")
+        self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
+        self._database.execute("PRAGMA journal_mode=WAL")
+        self._database.execute(f"PRAGMA synchronous={'FULL' if every_commit_durable else 'NORMAL'}")
+        self._database.execute("PRAGMA wal_autocheckpoint=0")
+        self._database.executescript(_SCHEMA)
+
+    def begin(
+        self, number: int, at: int, batches: Sequence[KeyedBatch], intervals: Sequence[StateInterval | Gap]
+    ) -> None:
+        """Write all of a commit but its end; `commit` or `rollback` follows."""
+        database = self._database
+        database.execute("BEGIN IMMEDIATE")
+        for ids, batch in batches:
+            insert_batch(database, ids, batch, number)
+        times = [batch.time for _, batch in batches]
+        low, high = (min(times), max(times)) if times else (None, None)
+        count = sum(len(ids) for ids, _ in batches)
+        database.execute("INSERT INTO commits VALUES (?, ?, ?, ?, ?)", (number, at, low, high, count))
+        database.executemany("INSERT INTO intervals VALUES (?, ?, ?, ?, ?, ?)", _interval_rows(intervals, number))
+
+    def commit(self) -> None:
+        """End the transaction, then move the log into the file where it has grown."""
+        self._database.execute("COMMIT")
+        if self.log_size() > LOG_LIMIT:
+            self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
+
+    def rollback(self) -> None:
+        """Undo what was begun."""
+        with contextlib.suppress(sqlite3.Error):
+            self._database.execute("ROLLBACK")
+
+    def log_size(self) -> int:
+        """Bytes of the write-ahead log."""
+        try:
+            return self._log.stat().st_size
+        except FileNotFoundError:
+            return 0
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the log grows because a reader holds what is in it."""
+        return self.log_size() > LOG_STUCK
+
+    def size(self) -> int:
+        """Bytes on disk."""
+        return size_of(self.path)
+
+    def sync(self) -> None:
+        """Make all commits so far durable."""
+        sync_file(self._log)
+        sync_file(self.path)
+
+    def limit_pages(self, pages: int) -> None:
+        """Let the file have so many pages at most, as on a full disk."""
+        self._database.execute(f"PRAGMA max_page_count={pages}")
+
+    def close(self) -> None:
+        """Close the file; a log that no reader holds is moved into it and removed."""
+        with contextlib.suppress(sqlite3.Error):
+            self._database.close()
+
+
+def insert_batch(database: sqlite3.Connection, ids: Sequence[int], batch: SampleBatch, number: int) -> None:
+    """Insert the samples of one read, in the columns' own order: a loop in C as long as SQLite takes the values."""
+    reasons = repeat(batch.reasons) if isinstance(batch.reasons, int) else batch.reasons
+    try:
+        _insert(database, ids, batch, batch.values, reasons, number)
+    except (OverflowError, sqlite3.Error) as error:
+        if isinstance(error, sqlite3.Error) and not isinstance(
+            error, sqlite3.ProgrammingError | sqlite3.InterfaceError
+        ):
+            raise
+        plain = [stored_value(value) for value in batch.values]
+        cannot = [
+            reason if is_storable(value) else Reason.CONFIGURATION
+            for value, reason in zip(batch.values, batch.reason_column(), strict=True)
+        ]
+        _insert(database, ids, batch, plain, cannot, number)
+
+
+def _insert(
+    database: sqlite3.Connection,
+    ids: Sequence[int],
+    batch: SampleBatch,
+    values: Sequence[object],
+    reasons: Iterable[int],
+    number: int,
+) -> None:
+    rows = zip(repeat(batch.time), ids, values, reasons, repeat(batch.half_width), repeat(number))
+    database.executemany(_INSERT, rows)
+
+
+def is_storable(value: object) -> bool:
+    """Whether a store can keep a value as it is: a state, a number, a text, an integer of at most 64 bits."""
+    if isinstance(value, int):
+        return -(2**63) <= value < 2**64
+    return value is None or isinstance(value, float | str)
+
+
+def stored_value(value: object) -> object:
+    """A value as SQLite takes it; None for one that no store can keep."""
+    if not is_storable(value):
+        return None
+    if isinstance(value, int) and value >= 2**63:
+        return value.to_bytes(8, "big")
+    return value
+
+
+def sample_value(stored: int | float | str | bytes | None, reason: int, is_state: bool) -> Value | None:
+    """The value that a row holds."""
+    if stored is None:
+        return None if quality_of(reason) is Quality.BAD else float("nan")
+    if isinstance(stored, bytes):
+        return int.from_bytes(stored, "big")
+    return bool(stored) if is_state and isinstance(stored, int) else stored
+
+
+def _interval_rows(
+    intervals: Sequence[StateInterval | Gap], number: int
+) -> list[tuple[str | None, int, int | None, int, int, int]]:
+    return [
+        (None, each.begin, each.end, each.reason, each.lost, number)
+        if isinstance(each, Gap)
+        else (each.device, each.begin, each.end, each.reason, 0, number)
+        for each in intervals
+    ]
+
+
+def open_for_reading(path: Path) -> sqlite3.Connection:
+    """A connection to a segment that writes nothing. Raises `FileNotFoundError` where the file is gone."""
+    if not path.exists():
+        raise FileNotFoundError(os.fspath(path))
+    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
+    database.execute("PRAGMA query_only=1")
+    return database
+
+
+def facts_of(database: sqlite3.Connection, part: Part, size: int) -> Part:
+    """The part with what its commits say."""
+    low, high, first, last, alive, rows = database.execute(
+        "SELECT min(low), max(high), min(number), max(number), max(at), coalesce(sum(samples), 0) FROM commits"
+    ).fetchone()
+    return replace(part, low=low, high=high, first_commit=first, last_commit=last, alive=alive, rows=rows, bytes=size)
+
+
+def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:
+    """The intervals of a segment, in the order of their commits."""
+    return [IntervalRow(*row) for row in database.execute("SELECT * FROM intervals ORDER BY commit_number")]

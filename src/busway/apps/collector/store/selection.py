@@ -1,0 +1,79 @@
+"""What is asked of a store: which points, and which time.
+
+Pure but for the clock of "an hour ago", which comes as an argument.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from typing import Final
+
+from ....errors import InvalidRequest
+from ....values.refusal import shown
+from ..samples import NANOSECONDS
+from .manifest import StoredPoint
+
+Moment = str | datetime | int
+"""A time: ``1h`` (an hour ago), ISO 8601 text, a `datetime`, or nanoseconds since 1970 UTC."""
+
+_SPAN: Final = re.compile(r"(\d{1,9}(?:\.\d{1,9})?)\s*(ms|s|min|m|h|d|w)")
+_SECONDS: Final = {"ms": 0.001, "s": 1, "m": 60, "min": 60, "h": 3600, "d": 86_400, "w": 604_800}
+EVER: Final = 2**63 - 1
+"""The last nanosecond that a store can name."""
+
+
+def moment(given: Moment, now: int) -> int:
+    """Nanoseconds since 1970 UTC of a time that was given.
+
+    Raises:
+        InvalidRequest: it is no time. Text without an offset is UTC.
+    """
+    if isinstance(given, int):
+        return given
+    if isinstance(given, str):
+        match = _SPAN.fullmatch(given.strip())
+        if match is not None:
+            return now - int(float(match[1]) * _SECONDS[match[2]] * NANOSECONDS)
+        try:
+            given = datetime.fromisoformat(given.strip())
+        except ValueError:
+            raise InvalidRequest(f"{shown(given)} is no time; write 1h for an hour ago, or 2026-11-22T14:00Z") from None
+    aware = given if given.tzinfo else given.replace(tzinfo=UTC)
+    whole = aware.replace(microsecond=0)
+    return int(whole.timestamp()) * NANOSECONDS + aware.microsecond * 1000
+
+
+def span(given: str | float) -> int:
+    """Nanoseconds of a length of time: ``10s``, ``5m``, or seconds. Raises `InvalidRequest`."""
+    match = _SPAN.fullmatch(given.strip()) if isinstance(given, str) else None
+    if isinstance(given, str):
+        length = 0.0 if match is None else float(match[1]) * _SECONDS[match[2]]
+    else:
+        length = float(given)
+    if not 0.001 <= length <= 366 * 86_400:
+        raise InvalidRequest(f"a bucket is 1ms to 366d, such as 10s or 5m, not {shown(given)}")
+    return round(length * NANOSECONDS)
+
+
+def chosen_points(
+    patterns: str | Sequence[str], points: Iterable[StoredPoint], former: Mapping[str, int]
+) -> list[StoredPoint]:
+    """The points that patterns such as ``meter-7/*`` name, also by names that they had before.
+
+    Raises:
+        InvalidRequest: a pattern names no point of the store.
+    """
+    known = list(points)
+    chosen: dict[int, StoredPoint] = {}
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        whole = pattern if "/" in pattern else f"{pattern}/*"
+        found = [point for point in known if fnmatchcase(point.name, whole)]
+        ids = {number for name, number in former.items() if fnmatchcase(name, whole)}
+        found += [point for point in known if point.id in ids]
+        if not found and whole != "*/*":
+            raise InvalidRequest(
+                f"{shown(pattern)} names no point of this store; `busway query STORE --list` lists them"
+            )
+        chosen.update((point.id, point) for point in found)
+    return sorted(chosen.values(), key=lambda point: (point.device, point.point))

@@ -1,0 +1,308 @@
+"""The writer of a store: one commit after the other, each into the open segment.
+
+Knows the order of steps that keeps a store whole; knows no thread and no clock. Times come as arguments.
+
+1. A point is in the manifest before its first sample is in a segment.
+2. A commit has a number, greater than all before. Only what `commit` returned may be shown or sent: it is in the store.
+3. A commit that fails (a full disk) is undone as a whole. The caller keeps its batches and tries again, and what must
+   be dropped meanwhile becomes a `Gap` with the number of samples lost.
+4. A segment ends after ten minutes, at 256 MB, or when a reader holds its log. Another thread can seal it then.
+5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open.
+"""
+
+import sqlite3
+import threading
+import weakref
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from ....errors import ConfigError
+from ..samples import Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
+from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
+from .manifest import Manifest, Part
+from .retention import Retention, parts_to_drop
+from .sealing import SLOT, Step, can_seal, remove_unfinished, remove_unlisted, seal
+from .segment import Segment, facts_of, intervals_of, open_for_reading
+
+SEGMENT_SIZE: Final = 256 * 1024 * 1024
+
+Durability = Literal["process", "power"]
+
+
+@dataclass(frozen=True, slots=True)
+class StoreOptions:
+    """How a store is written.
+
+    Attributes:
+        durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
+            seconds (see `Committer`); ``power``: it survives that too, because each commit waits for the disk.
+        retention: what is kept.
+        segment_size: bytes after which a segment ends.
+        seals: whether segments become Parquet files, where pyarrow is there.
+    """
+
+    durability: Durability = "process"
+    retention: Retention = field(default_factory=Retention)
+    segment_size: int = SEGMENT_SIZE
+    seals: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Commit:
+    """What became part of the store at once.
+
+    Attributes:
+        number: greater than that of every commit before.
+        at: nanoseconds since 1970 UTC.
+        batches: the samples.
+        intervals: intervals and gaps.
+    """
+
+    number: int
+    at: int
+    batches: Sequence[SampleBatch]
+    intervals: Sequence[StateInterval | Gap]
+
+
+def no_step(name: str) -> None:
+    """Nothing happens between the steps."""
+
+
+class StoreWriter:
+    """Writes a store. `commit` is for one thread; `seal_closed` and `apply_retention` may run in one other."""
+
+    def __init__(
+        self, folder: Path | str, options: StoreOptions | None = None, *, now: int, step: Step = no_step
+    ) -> None:
+        """Open a store, and make it where there is none.
+
+        Args:
+            folder: where it is.
+            options: how it is written.
+            now: nanoseconds since 1970 UTC.
+            step: told each step by name, for tests that end the process there.
+
+        Raises:
+            ConfigError: another process writes it (its pid is named), or it cannot be opened.
+        """
+        self.folder = Path(folder)
+        self.options = options or StoreOptions()
+        self._step = step
+        make_folder(self.folder)
+        self._lock = StoreLock(self.folder)
+        try:
+            self.manifest = Manifest(self.folder, writes=True)
+            remove_unfinished(self.folder)
+            remove_unlisted(self.folder, self.manifest)
+            self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
+            self._next, self._behind = self.manifest.reserve_numbers()
+            self._files = threading.Lock()
+            self._segment: Segment | None = None
+            self._part: Part | None = None
+            self._slot = 0
+            self._begin_again(now)
+        except (sqlite3.Error, OSError) as error:
+            self._lock.release()
+            raise ConfigError(f"the store cannot be written: {error}", file=str(self.folder)) from error
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._close_segment()
+        self.manifest.close()
+        self._lock.release()
+
+    def close(self, now: int) -> None:
+        """Note that the end is meant, and close all files. Raises `sqlite3.Error` where that cannot be written."""
+        try:
+            self.manifest.set_fact("ended", now)
+        finally:
+            self.__exit__()
+
+    # Start
+
+    def _begin_again(self, now: int) -> None:
+        """Close what an earlier run left open, and record the time in between."""
+        meant = self.manifest.fact("ended") is not None
+        left: list[StateInterval | Gap] = []
+        for part in self.manifest.parts():
+            if part.kind == "open":
+                self._finish_listing(part)
+        alive = self.manifest.fact("alive")
+        if alive is not None:
+            end = max(alive, now)
+            left = [replace(each, end=max(alive, each.begin)) for each in self._open_intervals()]
+            left.append(Gap(alive, end, Reason.STOPPED if meant else Reason.KILLED))
+        self.commit([], left, now)
+        self.manifest.set_fact("ended", None)
+
+    def _finish_listing(self, part: Part) -> None:
+        """List what the commits of a segment say; one that holds none (a crash at its begin) is taken off the list."""
+        path = self.folder / SEGMENTS / part.file
+        found = part
+        try:
+            with closing(open_for_reading(path)) as database:
+                found = facts_of(database, part, path.stat().st_size)
+        except FileNotFoundError:
+            pass
+        except sqlite3.OperationalError as error:
+            if "no such table" not in str(error):
+                raise
+        if found.last_commit is not None:
+            self.manifest.close_segment(found)
+            return
+        self.manifest.drop_parts([part], before=0)
+        remove_unlisted(self.folder, self.manifest)
+
+    def _open_intervals(self) -> list[StateInterval]:
+        """Intervals without an end, of any part."""
+        rows = list(self.manifest.intervals())
+        for part in self.manifest.parts():
+            if part.kind == "closed":
+                with closing(open_for_reading(self.folder / SEGMENTS / part.file)) as database:
+                    rows += intervals_of(database)
+        ended = {(row.device, row.begin, row.reason) for row in rows if row.end is not None}
+        return [
+            StateInterval(row.device, row.begin, None, row.reason)
+            for row in rows
+            if row.end is None and row.device is not None and (row.device, row.begin, row.reason) not in ended
+        ]
+
+    # Commits
+
+    def describe_points(self, descriptions: Iterable[PointDescription]) -> None:
+        """Note what is known of points; a point with a new name keeps its history."""
+        self.manifest.describe_points(descriptions)
+        self._groups.clear()
+
+    def commit(self, batches: Sequence[SampleBatch], intervals: Sequence[StateInterval | Gap], now: int) -> Commit:
+        """Make samples and intervals part of the store.
+
+        Args:
+            batches: samples, of any devices and times.
+            intervals: intervals that began or ended, and gaps.
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            sqlite3.Error, OSError: nothing of it was kept (the disk is full, for one); the store is as it was.
+        """
+        keyed = [(self._ids(batch), batch) for batch in batches]
+        number = self._take_number()
+        segment = self._segment_for(now)
+        try:
+            segment.begin(number, now, keyed, intervals)
+            self._step("before-commit")
+            segment.commit()
+        except BaseException:
+            segment.rollback()
+            self._forget_segment()
+            raise
+        self._step("after-commit")
+        return Commit(number, now, batches, intervals)
+
+    def sync(self) -> None:
+        """Make what was committed survive a power failure, where not every commit does. Raises `OSError`."""
+        if self._segment is not None:
+            self._segment.sync()
+
+    def limit_pages(self, pages: int) -> None:
+        """Let the open segment have so many pages at most, as on a full disk; for tests."""
+        if self._segment is not None:
+            self._segment.limit_pages(pages)
+
+    @property
+    def log_size(self) -> int:
+        """Bytes of the write-ahead log of the open segment."""
+        return 0 if self._segment is None else self._segment.log_size()
+
+    def _take_number(self) -> int:
+        if self._next >= self._behind:
+            self._next, self._behind = self.manifest.reserve_numbers()
+        self._next += 1
+        return self._next - 1
+
+    def _ids(self, batch: SampleBatch) -> tuple[int, ...]:
+        ids = self._groups.get(batch.group)
+        if ids is None:
+            pairs = zip(batch.points, batch.values, strict=True)
+            states = frozenset(point for point, value in pairs if isinstance(value, bool))
+            ids = tuple(self.manifest.point_ids(batch.device, batch.points, states))
+            self._groups[batch.group] = ids
+        return ids
+
+    # Segments
+
+    def _segment_for(self, now: int) -> Segment:
+        if self._segment is not None and self._is_over(self._segment, now):
+            self.roll()
+        if self._segment is None:
+            if self._part is None:
+                self._part = self.manifest.add_segment()
+                self._step("segment-listed")
+                self._slot = now // SLOT
+            path = self.folder / SEGMENTS / self._part.file
+            self._segment = Segment(path, every_commit_durable=self.options.durability == "power")
+            sync_folder(path.parent)
+            self._step("segment-made")
+        return self._segment
+
+    def _is_over(self, segment: Segment, now: int) -> bool:
+        return now // SLOT != self._slot or segment.size() > self.options.segment_size or segment.is_stuck
+
+    def _forget_segment(self) -> None:
+        """Close the file of the open segment; the next commit opens it again."""
+        if self._segment is not None:
+            self._segment.close()
+        self._segment = None
+
+    def roll(self) -> None:
+        """End the open segment; the next commit begins another."""
+        if self._part is None:
+            return
+        self._close_segment()
+        part, self._part = self._part, None
+        self._finish_listing(part)
+        self._step("segment-closed")
+
+    def _close_segment(self) -> None:
+        if self._segment is not None:
+            self._segment.sync()
+            self._segment.close()
+        self._segment = None
+
+    # Upkeep, in another thread
+
+    def seal_closed(self) -> int:
+        """Seal the segments that are finished; how many there were. Without pyarrow they stay as they are."""
+        if not self.options.seals or not can_seal():
+            return 0
+        with self._files:
+            closed = [part for part in self.manifest.parts() if part.kind == "closed"]
+            for part in closed:
+                seal(self.folder, self.manifest, part, self._step)
+            return len(closed)
+
+    def apply_retention(self, now: int) -> list[Part]:
+        """Drop the parts that are too old or too many; those."""
+        with self._files:
+            dropped = parts_to_drop(self._sized_parts(), self.options.retention, now)
+            age = self.options.retention.age
+            if not dropped and age is None:
+                return []
+            self.manifest.drop_parts(dropped, before=0 if age is None else now - int(age * 1_000_000_000))
+            self._step("drop-listed")
+            remove_unlisted(self.folder, self.manifest)
+            self._step("drop-unlinked")
+            return dropped
+
+    def _sized_parts(self) -> list[Part]:
+        segment = self._segment
+        size = 0 if segment is None else segment.size()
+        return [replace(part, bytes=size) if part.kind == "open" else part for part in self.manifest.parts()]

@@ -1,0 +1,117 @@
+"""The committer: told after the commit, patient with a full disk, counts what it drops."""
+
+import threading
+from pathlib import Path
+
+import pytest
+from collected import NOON, PUMP, at, meter_read, read_of
+
+from busway.apps.collector.samples import Gap, Reason, StateInterval
+from busway.apps.collector.store.committing import Committer
+from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.writer import Commit, StoreWriter
+
+
+def committer_of(folder: Path, **options: float) -> Committer:
+    return Committer(StoreWriter(folder, now=NOON), now=lambda: at(100), retry=0.01, **options)  # type: ignore[arg-type]
+
+
+def test_a_subscriber_is_told_what_is_in_the_store_by_then(tmp_path: Path) -> None:
+    committer = committer_of(tmp_path, interval=0.01)
+    seen: list[tuple[int, int]] = []
+    told = threading.Event()
+
+    def look(commit: Commit) -> None:
+        seen.append((sum(map(len, commit.batches)), len(Store(tmp_path).read())))
+        told.set()
+
+    committer.subscribe(look)
+    committer.add(meter_read(1))
+    assert told.wait(10)
+    committer.close()
+    assert seen[0] == (3, 3)
+    assert committer.status().samples == 3
+
+
+@pytest.mark.real_time
+def test_a_sample_is_committed_within_a_quarter_of_a_second(tmp_path: Path) -> None:
+    import time
+
+    committer = committer_of(tmp_path)
+    moments: list[float] = []
+    told = threading.Event()
+
+    def note(commit: Commit) -> None:
+        moments.append(time.monotonic())
+        told.set()
+
+    committer.subscribe(note)
+    added: list[float] = []
+    for number in range(3):
+        told.clear()
+        added.append(time.monotonic())
+        committer.add(meter_read(number))
+        assert told.wait(10)
+    committer.close()
+    assert sorted(now - then for now, then in zip(moments, added, strict=False))[1] < 0.25
+
+
+def test_a_subscriber_that_fails_stops_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+
+    def fail(commit: Commit) -> None:
+        raise RuntimeError("no")
+
+    committer.subscribe(fail)
+    for number in range(3):
+        committer.add(meter_read(number))
+        assert committer.flush()
+    committer.close()
+    assert len(Store(tmp_path).read("meter-7/voltage")) == 3
+    assert "a subscriber of commits failed" in caplog.text
+
+
+def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_number(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    committer = committer_of(tmp_path, interval=0.0, most_waiting=30)
+    committer.add(meter_read(0))
+    assert committer.flush()
+    full = threading.Event()
+    full.set()
+
+    def commit(*arguments: object) -> Commit:
+        if full.is_set():
+            committer.writer._segment_for(at(100))
+            committer.writer.limit_pages(1)
+            batches = [read_of(PUMP, 1000 + number, "x" * 4000) for number in range(100)]
+            return commit_really([*batches, *arguments[0]], *arguments[1:])  # type: ignore[misc]
+        return commit_really(*arguments)  # type: ignore[arg-type]
+
+    commit_really = committer.writer.commit
+    committer.writer.commit = commit  # type: ignore[method-assign]
+    for number in range(1, 21):
+        committer.add(meter_read(number))
+    assert not committer.flush(timeout=0.3)
+    status = committer.status()
+    assert "full" in (status.error or "")
+    assert status.waiting == 30
+    assert status.lost == 30
+    full.clear()
+    assert committer.flush()
+    assert committer.status().error is None
+    committer.close()
+    table = Store(tmp_path).read("meter-7/current")
+    assert table.gaps == [Gap(at(1), at(10) + 1, Reason.LOST, lost=30)]
+    assert [sample.time for sample in table if sample.value is not None] == [at(0), *map(at, range(11, 21))]
+    assert "cannot be written" in caplog.text
+    assert "30 samples were lost" in caplog.text
+
+
+def test_intervals_are_committed_like_samples(tmp_path: Path) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+    committer.add(read_of(PUMP, 1, 5))
+    committer.add_interval(StateInterval("pump-1", at(2), None, Reason.SUSPENDED))
+    assert committer.flush()
+    committer.close()
+    assert Store(tmp_path).read().intervals == [StateInterval("pump-1", at(2), None, Reason.SUSPENDED)]

@@ -1,0 +1,281 @@
+"""A store is written and read again: keys, kinds of values, segments, late rows, names, gaps, retention, the lock."""
+
+import math
+import os
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from collected import METER, NOON, PUMP, SECOND, at, filled, meter_read, read_of
+
+from busway.apps.collector.samples import (
+    Gap,
+    PointDescription,
+    PointGroup,
+    Quality,
+    Reason,
+    Sample,
+    StateInterval,
+    exception_reason,
+)
+from busway.apps.collector.store import segment
+from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.retention import Retention
+from busway.apps.collector.store.writer import StoreOptions, StoreWriter
+from busway.errors import ConfigError
+
+SLOT = 600
+
+
+def kinds(writer: StoreWriter) -> list[str]:
+    return [part.kind for part in writer.manifest.parts()]
+
+
+def test_what_was_committed_is_read_while_the_store_is_open(tmp_path: Path) -> None:
+    with filled(tmp_path, 3):
+        table = Store(tmp_path).read("meter-7/*")
+        assert len(table) == 9
+        assert [sample for sample in table if sample.point == "voltage"] == [
+            Sample("meter-7", "voltage", at(number), 5_000_000, 230.0 + number) for number in range(3)
+        ]
+
+
+def test_every_kind_of_value_comes_back_as_it_was(tmp_path: Path) -> None:
+    values = [True, False, 0, -1, 2**63 - 1, 2**63, 2**64 - 1, -(2**63), 0.5, math.inf, -0.0, "", "on", "ä\x00b", 1e300]
+    group = PointGroup("d", tuple(f"p{number:02}" for number in range(len(values))))
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(group, 1, *values)], [], at(1))
+        for _ in ("open", "closed", "sealed"):
+            found = Store(tmp_path).read("d").value
+            assert found == values
+            assert [type(value) for value in found] == [type(value) for value in values]
+            writer.roll()
+            writer.seal_closed()
+        assert kinds(writer) == ["sealed"]
+
+
+def test_a_nan_stays_a_nan_and_a_bad_value_stays_absent(tmp_path: Path) -> None:
+    group = PointGroup("d", ("nan", "bad"))
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(group, 1, math.nan, None, reasons=(0, exception_reason(2)))], [], at(1))
+        table = Store(tmp_path).read()
+    assert table.value[1] is None or table.value[0] is None
+    by_point = {sample.point: sample for sample in table}
+    assert isinstance(by_point["nan"].value, float)
+    assert math.isnan(by_point["nan"].value)
+    assert by_point["bad"].value is None
+    assert by_point["bad"].quality is Quality.BAD
+
+
+def test_a_value_that_no_store_can_keep_is_a_bad_sample_and_spoils_no_other(tmp_path: Path) -> None:
+    group = PointGroup("d", ("huge", "list", "fine"))
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(group, 1, 2**64, (True, False), 7)], [], at(1))  # type: ignore[arg-type]
+        by_point = {sample.point: sample for sample in Store(tmp_path).read()}
+    assert (by_point["huge"].value, by_point["huge"].reason) == (None, Reason.CONFIGURATION)
+    assert by_point["list"].reason == Reason.CONFIGURATION
+    assert (by_point["fine"].value, by_point["fine"].reason) == (7, 0)
+
+
+def test_the_same_key_again_replaces_the_sample(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 10)], [], at(1))
+        writer.commit([read_of(PUMP, 1, 11)], [], at(2))
+        assert Store(tmp_path).read().value == [11]
+
+
+def test_commit_numbers_rise_also_over_a_start(tmp_path: Path) -> None:
+    writer = filled(tmp_path, 2)
+    last = writer.commit([], [], at(5)).number
+    writer.close(at(6))
+    with StoreWriter(tmp_path, now=at(7)) as again:
+        assert again.commit([], [], at(8)).number > last
+
+
+@pytest.mark.parametrize("sealed", [False, True])
+def test_a_segment_ends_after_ten_minutes_and_nothing_is_lost_at_the_seam(tmp_path: Path, sealed: bool) -> None:
+    if sealed:
+        pytest.importorskip("pyarrow")
+    with filled(tmp_path, 25, step=60.0) as writer:
+        assert kinds(writer) == ["closed", "closed", "open"]
+        assert writer.seal_closed() == (2 if sealed else writer_seals())
+        table = Store(tmp_path).read("meter-7/voltage")
+        assert table.time == [at(number * 60) for number in range(25)]
+        assert table.value == [230.0 + number for number in range(25)]
+
+
+def writer_seals() -> int:
+    """How many of two segments are sealed here."""
+    from busway.apps.collector.store.sealing import can_seal
+
+    return 2 if can_seal() else 0
+
+
+def test_a_segment_ends_when_it_is_large(tmp_path: Path) -> None:
+    with filled(tmp_path, 5, options=StoreOptions(segment_size=1)) as writer:
+        assert kinds(writer).count("closed") == 5
+        assert len(Store(tmp_path).read()) == 15
+
+
+def test_without_pyarrow_segments_stay_sqlite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("busway.apps.collector.store.writer.can_seal", lambda: False)
+    with filled(tmp_path, 25, step=60.0) as writer:
+        assert writer.seal_closed() == 0
+        assert kinds(writer) == ["closed", "closed", "open"]
+        assert len(Store(tmp_path).read("meter-7/voltage")) == 25
+
+
+def test_late_rows_become_parts_of_their_own_and_are_merged_by_key(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 1), read_of(PUMP, 2, 2)], [], at(2))
+        writer.roll()
+        writer.seal_closed()
+        late = [read_of(PUMP, 2, 20), read_of(PUMP, 3, 30), read_of(PUMP, 2000, 9), read_of(PUMP, 700, 7)]
+        writer.commit(late, [], at(2000))
+        writer.roll()
+        writer.seal_closed()
+        files = sorted(part.file for part in writer.manifest.parts())
+        assert [file for file in files if "late" in file] == [
+            f"00000002-late-{NOON // SECOND // SLOT}.parquet",
+            f"00000002-late-{NOON // SECOND // SLOT + 1}.parquet",
+        ]
+        assert Store(tmp_path).read().value == [1, 20, 30, 7, 9]
+
+
+def test_a_point_with_a_new_name_keeps_its_history_and_answers_to_both(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 10)], [], at(1))
+        writer.describe_points([PointDescription("pump-1", "rpm", "1/min", was="speed")])
+        writer.commit([read_of(PointGroup("pump-1", ("rpm",)), 2, 11)], [], at(2))
+        store = Store(tmp_path)
+        assert store.read("pump-1/rpm").value == [10, 11]
+        assert store.read("pump-1/speed").value == [10, 11]
+        assert [(point.name, point.unit_of_measure) for point in store.points()] == [("pump-1/rpm", "1/min")]
+
+
+def test_the_time_between_two_runs_is_a_gap_that_says_whether_the_end_was_meant(tmp_path: Path) -> None:
+    filled(tmp_path, 2).close(at(5))
+    killed = StoreWriter(tmp_path, now=at(100))
+    killed.commit([meter_read(100)], [], at(100.1))
+    killed.__exit__()  # the process ends without a word
+    with StoreWriter(tmp_path, now=at(200)):
+        gaps = Store(tmp_path).read().gaps
+    assert gaps == [Gap(at(1.1), at(100), Reason.STOPPED), Gap(at(100.1), at(200), Reason.KILLED)]
+
+
+def test_an_interval_that_was_open_at_a_crash_ends_with_the_last_commit(tmp_path: Path) -> None:
+    killed = filled(tmp_path, 1)
+    killed.commit([], [StateInterval("pump-1", at(2), None, Reason.SUSPENDED)], at(3))
+    killed.commit([read_of(PUMP, 2, None, reasons=Reason.TIMEOUT)], [], at(4))
+    killed.__exit__()
+    with StoreWriter(tmp_path, now=at(50)):
+        assert Store(tmp_path).read("pump-1").intervals == [StateInterval("pump-1", at(2), at(4), Reason.SUSPENDED)]
+
+
+@pytest.mark.parametrize("sealed", [False, True])
+def test_an_interval_is_a_sample_without_a_value_for_each_point_at_its_begin(tmp_path: Path, sealed: bool) -> None:
+    if sealed:
+        pytest.importorskip("pyarrow")
+    with filled(tmp_path, 2) as writer:
+        writer.commit([], [StateInterval("meter-7", at(3), None, Reason.SUSPENDED)], at(3))
+        writer.commit([], [StateInterval("meter-7", at(3), at(8), Reason.SUSPENDED)], at(8))
+        writer.commit([meter_read(9, 9)], [], at(9))
+        if sealed:
+            writer.roll()
+            writer.seal_closed()
+        table = Store(tmp_path).read("meter-7/voltage")
+        assert [(sample.time, sample.value, sample.reason) for sample in table] == [
+            (at(0), 230.0, 0),
+            (at(1), 231.0, 0),
+            (at(3), None, Reason.SUSPENDED),
+            (at(9), 239.0, 0),
+        ]
+        assert table.intervals == [StateInterval("meter-7", at(3), at(8), Reason.SUSPENDED)]
+        from_five = Store(tmp_path).read("meter-7/voltage", since=at(5))
+        assert from_five.time == [at(5), at(9)], "what lasts when the question begins is told at its begin"
+
+
+def test_retention_drops_by_age_and_by_size_and_never_the_open_part(tmp_path: Path) -> None:
+    options = StoreOptions(seals=False, retention=Retention(age=1500))
+    with filled(tmp_path, 50, options=options, step=60.0) as writer:
+        assert kinds(writer) == ["closed"] * 4 + ["open"]
+        dropped = writer.apply_retention(at(3000))
+        assert [part.high for part in dropped] == [at(9 * 60), at(19 * 60)]
+        assert Store(tmp_path).read("meter-7/voltage").time[0] == at(20 * 60)
+        names = {path.name.partition(".")[0] for path in (tmp_path / SEGMENTS).iterdir()}
+        assert names == {"00000003", "00000004", "00000005"}
+    with filled(
+        tmp_path, 5, options=StoreOptions(seals=False, retention=Retention(size=1_000_000)), first=50
+    ) as writer:
+        assert writer.apply_retention(at(3000)) == []
+
+
+def test_a_second_collector_is_refused_with_the_pid_of_the_first(tmp_path: Path) -> None:
+    with filled(tmp_path, 1), pytest.raises(ConfigError, match=f"process {os.getpid()} collects into this store"):
+        StoreWriter(tmp_path, now=NOON)
+    StoreWriter(tmp_path, now=NOON).close(NOON)
+    program = f"""
+from busway.apps.collector.store.writer import StoreWriter
+import sys, time
+writer = StoreWriter({str(tmp_path)!r}, now=0)
+print("open", flush=True)
+sys.stdin.read()
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == b"open\n"
+        with pytest.raises(ConfigError, match=f"process {first.pid} collects"):
+            StoreWriter(tmp_path, now=NOON)
+        first.kill()
+    StoreWriter(tmp_path, now=NOON).close(NOON)
+
+
+def test_a_full_disk_undoes_the_commit_and_is_over_when_there_is_room(tmp_path: Path) -> None:
+    group = PointGroup("d", tuple(f"p{number}" for number in range(500)))
+    with filled(tmp_path, 1) as writer:
+        writer.limit_pages(1)
+        with pytest.raises(sqlite3.OperationalError, match="full"):
+            writer.commit([read_of(group, second, *range(500)) for second in range(20)], [], at(20))
+        assert len(Store(tmp_path).read("meter-7")) == 3
+        commit = writer.commit([read_of(group, 21, *range(500))], [], at(21))
+        assert len(commit.batches) == 1
+        assert len(Store(tmp_path).read("d")) == 500
+
+
+def test_the_log_stays_bounded_while_a_reader_holds_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segment, "LOG_LIMIT", 500_000)
+    monkeypatch.setattr(segment, "LOG_STUCK", 1_000_000)
+    group = PointGroup("d", tuple(f"p{number}" for number in range(120)))
+    with filled(tmp_path, 1) as writer:
+        open_part = writer.manifest.parts()[-1]
+        reader = sqlite3.connect(tmp_path / SEGMENTS / open_part.file, isolation_level=None)
+        reader.execute("BEGIN")
+        assert reader.execute("SELECT count(*) FROM samples").fetchone() == (3,)
+        most = 0
+        for round_number in range(50):
+            reads = [read_of(group, 1 + round_number + part / 20, *map(float, range(120))) for part in range(20)]
+            writer.commit(reads, [], at(1 + round_number))
+            most = max(most, writer.log_size)
+        assert 500_000 < most < 1_500_000
+        assert len(writer.manifest.parts()) == 2, "the writer goes on in one more segment, not in one for each commit"
+        assert reader.execute("SELECT count(*) FROM samples").fetchone() == (3,)
+        reader.close()
+        assert Store(tmp_path).read("d", bucket=1.0).samples == [20] * 50 * 120
+
+
+def test_a_store_of_a_later_format_is_refused(tmp_path: Path) -> None:
+    with filled(tmp_path, 1) as writer:
+        writer.manifest.set_fact("format", 99)
+    with pytest.raises(ConfigError, match="format 99"):
+        Store(tmp_path).read()
+    with pytest.raises(ConfigError, match="there is no store"):
+        Store(tmp_path / "nothing")
+
+
+def test_the_group_of_points_of_the_meter_is_as_the_tests_expect() -> None:
+    assert METER.points == ("voltage", "current", "state")
