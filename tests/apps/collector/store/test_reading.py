@@ -10,7 +10,7 @@ from collected import NOON, PUMP, SECOND, at, filled, meter_read, read_of
 
 import busway
 from busway.apps.collector.samples import Gap, PointGroup, Reason, SampleBatch, StateInterval
-from busway.apps.collector.store.manifest import Part
+from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store, pieces_of
 from busway.apps.collector.store.selection import moment, span
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
@@ -153,8 +153,8 @@ def test_a_reader_follows_a_part_that_is_sealed_while_it_reads(tmp_path: Path) -
 
 
 def test_pieces_are_small_and_cover_each_nanosecond_once() -> None:
-    def part(number: int, low: int, high: int, rows: int) -> Part:
-        return Part(number, number, f"{number}", "closed", low, high, 1, 1, high, rows, 1)
+    def part(number: int, low: int, high: int, rows: int) -> StorePart:
+        return StorePart(number, number, f"{number}", "closed", low, high, 1, 1, high, rows, 1)
 
     parts = [part(1, 0, 999, 1_000_000), part(2, 500, 1999, 10), part(3, 5000, 5000, 1)]
     pieces = list(pieces_of(parts, 100, 6000))

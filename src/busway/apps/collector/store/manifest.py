@@ -53,7 +53,7 @@ CREATE TABLE IF NOT EXISTS unlinks (file TEXT PRIMARY KEY) WITHOUT ROWID;
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class StorePart:
     """A file with samples.
 
     Attributes:
@@ -187,11 +187,11 @@ class Manifest:
 
     # Parts
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[StorePart]:
         """All parts, in the order in which they were begun."""
-        return [Part(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
+        return [StorePart(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
 
-    def add_segment(self) -> Part:
+    def add_segment(self) -> StorePart:
         """List a new segment; its file does not exist yet."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
@@ -200,9 +200,9 @@ class Manifest:
             file = f"{number:08d}.sqlite"
             cursor = database.execute("INSERT INTO parts (segment, file, kind) VALUES (?, ?, 'open')", (number, file))
             identity = cursor.lastrowid or 0
-        return Part(identity, number, file, "open", None, None, None, None, None, None, None)
+        return StorePart(identity, number, file, "open", None, None, None, None, None, None, None)
 
-    def close_segment(self, part: Part) -> None:
+    def close_segment(self, part: StorePart) -> None:
         """List what is known of a segment that is finished."""
         with self.transaction() as database:
             database.execute(
@@ -212,7 +212,7 @@ class Manifest:
             )
             database.execute("INSERT OR REPLACE INTO facts VALUES ('alive', ?)", (part.alive,))
 
-    def replace_part(self, old: Part, new: Sequence[Part], intervals: Iterable[IntervalRow]) -> None:
+    def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
         """List sealed parts instead of a closed one, whose file is to be unlinked then."""
         with self.transaction() as database:
             database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
@@ -228,7 +228,7 @@ class Manifest:
             )
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
-    def drop_parts(self, parts: Iterable[Part], before: int) -> None:
+    def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
         """Take parts off the list, and intervals that ended before a time; their files are to be unlinked then."""
         with self.transaction() as database:
             for part in parts:

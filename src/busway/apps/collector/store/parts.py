@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from ..samples import Reason
 from .folder import SEGMENTS
-from .manifest import IntervalRow, Part
+from .manifest import IntervalRow, StorePart
 from .sealing import arrow
 from .segment import facts_of, intervals_of, open_for_reading
 
@@ -67,20 +67,20 @@ SELECT time / ?, point, count(number), min(number), max(number), total(number), 
 _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
 
 
-def open_part_facts(folder: Path, part: Part) -> Part:
+def open_part_facts(folder: Path, part: StorePart) -> StorePart:
     """A part that is being written, with what its commits say so far."""
     path = folder / SEGMENTS / part.file
     with closing(open_for_reading(path)) as database:
         return facts_of(database, part, path.stat().st_size)
 
 
-def part_intervals(folder: Path, part: Part) -> list[IntervalRow]:
+def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
     """The intervals of a part that is not sealed."""
     with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
         return intervals_of(database)
 
 
-def part_rows(folder: Path, part: Part, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
+def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
     """The rows of a part from ``low`` up to ``high``, of some points or of all; in no order."""
     if part.kind == "sealed":
         return rows_of_table(_sealed(folder, part, ids, low, high, _COLUMNS))
@@ -90,7 +90,9 @@ def part_rows(folder: Path, part: Part, ids: Sequence[int] | None, low: int, hig
         return database.execute(_ROWS + _CHOSEN, (low, high, json.dumps(list(ids)))).fetchall()
 
 
-def part_sums(folder: Path, part: Part, ids: Sequence[int] | None, low: int, high: int, bucket: int) -> SumsByBucket:
+def part_sums(
+    folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, bucket: int
+) -> SumsByBucket:
     """The sums of a part from ``low`` up to ``high`` in buckets of ``bucket`` nanoseconds."""
     if part.kind == "sealed":
         return _sealed_sums(
@@ -102,7 +104,7 @@ def part_sums(folder: Path, part: Part, ids: Sequence[int] | None, low: int, hig
     return {(number, point): Sums(*rest) for number, point, *rest in found}
 
 
-def _sealed(folder: Path, part: Part, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
+def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
     """Columns of a Parquet file; row groups without a wanted point or time are not read."""
     pa = arrow()
 

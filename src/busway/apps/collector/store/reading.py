@@ -20,7 +20,7 @@ from ....errors import InvalidRequest
 from ..samples import Gap, StateInterval
 from .folder import check_store
 from .frames import BucketTable, SampleTable
-from .manifest import IntervalRow, Manifest, Part, StoredPoint
+from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import (
     Row,
     Sums,
@@ -44,12 +44,12 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class TimePiece:
     """A stretch of time from ``low`` up to ``high``, and the parts that have rows in it."""
 
     low: int
     high: int
-    parts: tuple[Part, ...]
+    parts: tuple[StorePart, ...]
 
 
 class Store:
@@ -168,7 +168,7 @@ class Store:
     def _ids_of(self, points: str | Sequence[str], chosen: list[StoredPoint]) -> list[int] | None:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
 
-    def _parts(self) -> list[Part]:
+    def _parts(self) -> list[StorePart]:
         """The parts of the store, with what they hold at this moment."""
         for _ in range(_TRIES):
             try:
@@ -181,7 +181,7 @@ class Store:
                 continue
         return [part for part in self._from_manifest(Manifest.parts) if part.low is not None]
 
-    def _walk(self, low: int, high: int, ask: Callable[[Piece], Result]) -> Iterator[tuple[Piece, Result]]:
+    def _walk(self, low: int, high: int, ask: Callable[[TimePiece], Result]) -> Iterator[tuple[TimePiece, Result]]:
         """Ask for each piece of a stretch of time; where a part has gone meanwhile, by the parts that are there now."""
         reached, tries = low, 0
         while True:
@@ -195,7 +195,7 @@ class Store:
                 if tries > _TRIES:
                     raise
 
-    def _merged(self, piece: Piece, ids: list[int] | None) -> list[Row]:
+    def _merged(self, piece: TimePiece, ids: list[int] | None) -> list[Row]:
         found = [part_rows(self.folder, part, ids, piece.low, piece.high) for part in piece.parts]
         if len(found) == 1:
             return found[0]
@@ -207,7 +207,7 @@ class Store:
                     merged[row[:2]] = row
         return list(merged.values())
 
-    def _sums(self, piece: Piece, ids: list[int] | None, bucket: int) -> SumsByBucket:
+    def _sums(self, piece: TimePiece, ids: list[int] | None, bucket: int) -> SumsByBucket:
         if len(piece.parts) == 1:
             return part_sums(self.folder, piece.parts[0], ids, piece.low, piece.high, bucket)
         return sums_of_rows(self._merged(piece, ids), bucket)
@@ -237,7 +237,7 @@ class Store:
         )
 
 
-def pieces_of(parts: Sequence[Part], low: int, high: int) -> Iterator[Piece]:
+def pieces_of(parts: Sequence[StorePart], low: int, high: int) -> Iterator[TimePiece]:
     """Cut a stretch of time where parts begin and end, and further where they have many rows."""
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
     spans = [each for each in spans if each[0] < each[1]]
@@ -250,10 +250,10 @@ def pieces_of(parts: Sequence[Part], low: int, high: int) -> Iterator[Piece]:
         count = max(1, min(-(-int(rows) // _PIECE), end - begin))
         edges = [begin + (end - begin) * number // count for number in range(count + 1)]
         for first, last in pairwise(edges):
-            yield Piece(first, last, covering)
+            yield TimePiece(first, last, covering)
 
 
-def _share(part: Part, begin: int, end: int) -> float:
+def _share(part: StorePart, begin: int, end: int) -> float:
     """About how many rows of a part are in a stretch of time."""
     return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ....errors import ConfigError
-from .manifest import Part
+from .manifest import StorePart
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Retention:
             raise ConfigError(f"a store has at least 1 MB, not {self.size} bytes", key="size")
 
 
-def parts_to_drop(parts: Sequence[Part], retention: Retention, now: int) -> list[Part]:
+def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) -> list[StorePart]:
     """The finished parts that retention does not keep, oldest first. The open one is never among them.
 
     Args:

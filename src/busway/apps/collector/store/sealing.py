@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from ....extras import require
 from .folder import SEGMENTS, UNFINISHED, size_of, sync_file, sync_folder, unlink_part
-from .manifest import Manifest, Part, StoredPoint
+from .manifest import Manifest, StoredPoint, StorePart
 from .segment import intervals_of, open_for_reading
 
 Step = Callable[[str], None]
@@ -47,7 +47,7 @@ def arrow(module: str = "") -> Any:  # pyarrow has no types of its own
     return import_module(f"pyarrow{'.' * bool(module)}{module}")
 
 
-def seal(folder: Path, manifest: Manifest, part: Part, step: Step) -> list[Part]:
+def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[StorePart]:
     """Turn a closed segment into sealed parts; the parts."""
     source = folder / SEGMENTS / part.file
     with closing(open_for_reading(source)) as database:
@@ -76,7 +76,7 @@ def remove_unfinished(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _write_part(folder: Path, part: Part, name: str, table: Any, step: Step) -> Part:
+def _write_part(folder: Path, part: StorePart, name: str, table: Any, step: Step) -> StorePart:
     target = folder / SEGMENTS / name
     unfinished = target.with_name(name + UNFINISHED)
     arrow("parquet").write_table(
@@ -100,10 +100,10 @@ def _write_part(folder: Path, part: Part, name: str, table: Any, step: Step) -> 
     return _part_of(table, part, name, size_of(target))
 
 
-def _part_of(table: Any, part: Part, name: str, size: int) -> Part:
+def _part_of(table: Any, part: StorePart, name: str, size: int) -> StorePart:
     bounds = arrow("compute").min_max(table["time"].cast("int64")).as_py()
     numbers = arrow("compute").min_max(table["commit_number"]).as_py()
-    return Part(
+    return StorePart(
         0,
         part.segment,
         name,
@@ -118,7 +118,7 @@ def _part_of(table: Any, part: Part, name: str, size: int) -> Part:
     )
 
 
-def _tables(database: sqlite3.Connection, part: Part, points: list[StoredPoint]) -> Iterator[tuple[str, Any]]:
+def _tables(database: sqlite3.Connection, part: StorePart, points: list[StoredPoint]) -> Iterator[tuple[str, Any]]:
     """The rows of a segment as tables with the names of their files: late ones by their ten minutes, then the rest."""
     begin = first_time_of(database)
     if begin is None:

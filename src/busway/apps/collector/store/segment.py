@@ -22,7 +22,7 @@ from typing import Final
 
 from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
 from .folder import size_of, sync_file
-from .manifest import IntervalRow, Part
+from .manifest import IntervalRow, StorePart
 
 LOG_LIMIT: Final = 32 * 1024 * 1024
 """Bytes of the write-ahead log from which on it is moved into the file after each commit."""
@@ -191,7 +191,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     return database
 
 
-def facts_of(database: sqlite3.Connection, part: Part, size: int) -> Part:
+def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
     """The part with what its commits say."""
     low, high, first, last, alive, rows = database.execute(
         "SELECT min(low), max(high), min(number), max(number), max(at), coalesce(sum(samples), 0) FROM commits"

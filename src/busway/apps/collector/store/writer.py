@@ -22,7 +22,7 @@ from typing import Final, Literal, Self
 from ....errors import ConfigError
 from ..samples import Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
-from .manifest import Manifest, Part
+from .manifest import Manifest, StorePart
 from .retention import Retention, parts_to_drop
 from .sealing import SLOT, Step, can_seal, remove_unfinished, remove_unlisted, seal
 from .segment import Segment, facts_of, intervals_of, open_for_reading
@@ -101,7 +101,7 @@ class StoreWriter:
             self._next, self._behind = self.manifest.reserve_numbers()
             self._files = threading.Lock()
             self._segment: Segment | None = None
-            self._part: Part | None = None
+            self._part: StorePart | None = None
             self._slot = 0
             self._begin_again(now)
         except (sqlite3.Error, OSError) as error:
@@ -143,7 +143,7 @@ class StoreWriter:
         self.commit([], left, now)
         self.manifest.set_fact("ended", None)
 
-    def _finish_listing(self, part: Part) -> None:
+    def _finish_listing(self, part: StorePart) -> None:
         """List what the commits of a segment say; one that holds none (a crash at its begin) is taken off the list."""
         path = self.folder / SEGMENTS / part.file
         found = part
@@ -289,7 +289,7 @@ class StoreWriter:
                 seal(self.folder, self.manifest, part, self._step)
             return len(closed)
 
-    def apply_retention(self, now: int) -> list[Part]:
+    def apply_retention(self, now: int) -> list[StorePart]:
         """Drop the parts that are too old or too many; those."""
         with self._files:
             dropped = parts_to_drop(self._sized_parts(), self.options.retention, now)
@@ -302,7 +302,7 @@ class StoreWriter:
             self._step("drop-unlinked")
             return dropped
 
-    def _sized_parts(self) -> list[Part]:
+    def _sized_parts(self) -> list[StorePart]:
         segment = self._segment
         size = 0 if segment is None else segment.size()
         return [replace(part, bytes=size) if part.kind == "open" else part for part in self.manifest.parts()]
