@@ -442,7 +442,8 @@ class AsyncLinkDriver:
             self._recycle(now)
         elif out:
             transport = self._transport
-            self._write_outgoing()  # keep the order of the calls
+            if self._outgoing:
+                self._write_outgoing()  # keep the order of the calls
             while self._spin and self._clock() < now:
                 pass
             if self._parameters.join:

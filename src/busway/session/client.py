@@ -372,14 +372,16 @@ class TcpClientSession:
             data = bytes(joined)
         else:
             data = buffer if isinstance(buffer, bytes) else bytes(memoryview(buffer)[:size])
+        at = good = 0
+        if self._batches:
+            at = self._receive_batches(data, size, now)
+            if at == size:
+                return
         pending = self._pending
         free = self._free
         tracker = self._tracker
         doubtful = self._doubtful
         last: RequestInFlight | None = None
-        at = good = 0
-        if self._batches:
-            at = self._receive_batches(data, size, now)
         # 1.0 µs per reply: a fitting reply is recognised by the seven bytes after its transaction, and
         # `Request.take` builds it from its data. Everything else goes through _odd_frame.
         while size - at >= 8:
@@ -434,26 +436,27 @@ class TcpClientSession:
             end = at + plan.reply_size
             replies = plan.replies(batch.transactions, buffer, at) if not answered and end <= size else None
             if replies is not None:
-                call.outcomes[batch.first : batch.first + len(replies)] = replies
+                taken = len(replies)
+                call.outcomes[batch.first : batch.first + taken] = replies
                 self._free += batch.places
-                batch.answered = len(replies)
+                batches.popleft()
             elif batch.expects(buffer, at):
                 end = at + plan.reply_sizes[answered]
                 if end > size:
                     break
-                replies = [plan.takers[answered](buffer[at + HEAD_SIZE : end])]
-                call.outcomes[batch.first + answered] = replies[0]
+                taken = 1
+                call.outcomes[batch.first + answered] = plan.takers[answered](buffer[at + HEAD_SIZE : end])
                 self._free.append(batch.places.pop())
                 batch.answered += 1
+                if not batch.places:
+                    batches.popleft()
             else:
                 self._split_batches()
                 self._launches_apart = _LAUNCHES_APART
                 break
             at = end
-            good += len(replies)
-            if batch.answered == len(plan.heads):
-                batches.popleft()
-            call.open -= len(replies)
+            good += taken
+            call.open -= taken
             if self.breakers is not None:
                 took, known = now - batch.sent, self._pace.get(call.unit, 0.0) * _PACE_FORGETS
                 self._pace[call.unit] = took if took > known else known
@@ -714,7 +717,8 @@ class TcpClientSession:
         self.counters.replies += good
         self._timeouts_in_row = self._timeouts_since_reply = self._foreign_in_row = 0
         self.valid_reply = True
-        self._start_gap(now)
+        if self.parameters.request_gap:
+            self._start_gap(now)
 
     def _start_gap(self, now: float) -> None:
         """Start the ``request_gap`` that the device needs after its reply."""

@@ -67,6 +67,13 @@ class _Caller:
                 chosen = call
         return chosen
 
+    def has_served(self, unit: int) -> None:
+        """Note that the unit has had its turn, where units are served in turn."""
+        served = self.served
+        if served is not None and len(self.units) > 1:
+            served.pop(unit, None)
+            served[unit] = None
+
     def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
         """The oldest call to the unit whose last turn is longest ago."""
         oldest: dict[int, Call] = {}
@@ -97,20 +104,6 @@ class _Round:
             self.callers.pop()
         else:
             self.callers.remove(caller)
-
-    def pick(self, eligible: Eligible | None) -> tuple[_Caller, Call] | None:
-        callers = self.callers
-        for _ in range(len(callers)):
-            caller = callers[0]
-            callers.rotate(-1)
-            call = caller.pick(eligible)
-            if call is not None:
-                self.last = caller
-                return caller, call
-        return None
-
-    def peek(self, eligible: Eligible | None) -> Call | None:
-        return next((call for caller in self.callers if (call := caller.pick(eligible)) is not None), None)
 
 
 class RequestQueue:
@@ -182,7 +175,8 @@ class RequestQueue:
         if self.units_in_turn:
             caller.served = {}
         round_.add(caller)
-        self._allowed = max(self._allowed, len(self._priority.callers))
+        if call.is_priority:
+            self._allowed = max(self._allowed, len(self._priority.callers))
         return caller
 
     def _count(self, caller: _Caller, call: Call) -> None:
@@ -217,40 +211,42 @@ class RequestQueue:
         if caller is None or not caller.calls:
             return None
         call = caller.pick(eligible)
-        if call is None:
-            return None
-        self._note_unit(caller, call)
+        if call is not None:
+            caller.has_served(call.unit)
         return call
-
-    def _note_unit(self, caller: _Caller, call: Call) -> None:
-        served = caller.served
-        if served is not None and len(caller.units) > 1:
-            served.pop(call.unit, None)
-            served[call.unit] = None
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
         """The call whose next request is to be sent, or None. Its caller goes to the end of the round."""
-        for round_ in self._rounds():
-            found = round_.pick(eligible)
-            if found is not None:
-                caller, call = found
-                self._last = caller
-                if round_ is self._priority and self._others.callers:
-                    self._passed += 1
-                else:
-                    self._passed, self._allowed = 0, len(self._priority.callers)
-                self._note_unit(caller, call)
-                return call
-        return None
+        call = self.peek(eligible)
+        if call is not None:
+            self.take_turn(call)
+        return call
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
         """The call that `pick` would return now, without ending its caller's turn."""
-        return next((call for one in self._rounds() if (call := one.peek(eligible)) is not None), None)
+        for round_ in self._rounds() if self._priority.callers else (self._others,):
+            for caller in round_.callers:
+                call = caller.pick(eligible)
+                if call is not None:
+                    return call
+        return None
+
+    def take_turn(self, call: Call) -> None:
+        """End the turn of a call's caller: those before and itself go to the end of the round."""
+        caller = self._last = self._callers[call.caller]
+        round_ = caller.round
+        round_.last = caller
+        if len(self._callers) > 1:
+            round_.callers.rotate(-1 - round_.callers.index(caller))
+        if round_ is self._priority and self._others.callers:
+            self._passed += 1
+        else:
+            self._passed, self._allowed = 0, len(self._priority.callers)
+        if caller.served is not None:
+            caller.has_served(call.unit)
 
     def _rounds(self) -> tuple[_Round, ...]:
-        """The rounds in the order in which they are asked for the next turn."""
-        if not self._priority.callers:
-            return (self._others,)
+        """Both rounds, in the order in which they are asked for the next turn."""
         if self._passed >= self._allowed:
             return self._others, self._priority
         return self._priority, self._others

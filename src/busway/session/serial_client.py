@@ -134,6 +134,7 @@ class SerialClientSession:
     __slots__ = (
         "_awaited",
         "_connected",
+        "_doubtful",
         "_drain_until",
         "_framing",
         "_last_byte",
@@ -189,6 +190,7 @@ class SerialClientSession:
         self.valid_reply = False
         self.state = MasterState.IDLE
         self.breakers = Breakers(breaker or BreakerParameters(), jitter)
+        self._doubtful = self.breakers.doubtful  # units that timed out and have not answered since
         self._not_asked_before: dict[int, float] = {}
         self._tracker = CallTracker(parameters, endpoint)
         self.counters = self._tracker.counters
@@ -222,10 +224,13 @@ class SerialClientSession:
             UnitSuspended: the unit's breaker is open.
             In all cases nothing was sent.
         """
-        self._check_unit(call)
-        pause = self.breakers.suspended_for(call.unit, now)
-        if pause is not None:
-            raise self._suspended(call, pause)
+        unit = call.unit
+        if not BROADCAST_UNIT < unit <= LAST_SERIAL_UNIT:
+            self._check_unit(call)
+        if unit in self._doubtful:
+            pause = self.breakers.suspended_for(unit, now)
+            if pause is not None:
+                raise self._suspended(call, pause)
         self._tracker.submit(call, now)
         self._try_at = 0.0
 
@@ -381,14 +386,18 @@ class SerialClientSession:
         marker = self._marker_before(call)
         if marker is not None:
             return [self._send_marker(marker, call, now)]
-        queue.pick(lambda one: one is call)
+        queue.take_turn(call)
         return [self._send(call, now)]
 
     def _may_ask(self, call: Call, now: float) -> bool:
-        if self.breakers.suspended_for(call.unit, now) is not None or self._askable_at(call, now) > now:
+        unit = call.unit
+        if unit in self._doubtful and self.breakers.suspended_for(unit, now) is not None:
             return False
-        doubt = self.doubts.units.get(call.unit)
-        return doubt is None or doubt.counting in (None, call) or not self._waits_for_counting(doubt, call)
+        doubt = self.doubts.units.get(unit)
+        if doubt is not None and doubt.counting not in (None, call) and self._waits_for_counting(doubt, call):
+            return False
+        is_clear = doubt is None or not doubt.pending
+        return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
         """Whether a read has to wait, because another call's read is repeated to count off what the unit owes."""
@@ -420,7 +429,7 @@ class SerialClientSession:
         if doubt is None or unit == BROADCAST_UNIT:
             return None
         if not (doubt.owed or doubt.unasked is not None or doubt.older) or not self._is_in_doubt(doubt, call):
-            if doubt.alike < CHECK_EVERY:
+            if doubt.alike < CHECK_EVERY:  # the usual case
                 return None
             marker = self.doubts.marker(unit, is_check=True)
             if marker is None:
@@ -488,8 +497,10 @@ class SerialClientSession:
             wait = self._serial.turnaround_delay
         else:
             self._receiver.expect(unit, awaited.request.wire[0], awaited.request.expected_size)
-            usual = self._pace.get(unit) or max(self._pace.values(), default=0.0)
-            wait = self.breakers.asked(unit, now, awaited.timeout, usual)
+            wait = awaited.timeout
+            if unit in self._doubtful:
+                usual = self._pace.get(unit) or max(self._pace.values(), default=0.0)
+                wait = self.breakers.asked(unit, now, wait, usual)
         awaited.expires = leaves + wait
         self._awaited = awaited
         self._last_unit = unit
@@ -655,7 +666,7 @@ class SerialClientSession:
         if doubt.counting is not None and awaited.call is doubt.counting:
             doubt.counting = None
         self.valid_reply = True
-        if self.breakers.answered(frame.unit):
+        if frame.unit in self._doubtful and self.breakers.answered(frame.unit):
             doubt.revived()
         self._learn_pace(awaited, frame, doubt)
         if self._unit_gaps:
@@ -722,17 +733,24 @@ class SerialClientSession:
 
     def deadline(self) -> float | None:
         """When `tick` or `transmit` has something to do, in the clock of ``now``; None for never."""
-        times = [time for time in (self._tracker.next_deadline(), self._receiver.deadline()) if time is not None]
-        awaited = self._awaited
-        if awaited is not None:
-            times.append(awaited.expires)
-            if awaited.deadline is not None and self.state is MasterState.WAITING_FOR_REPLY:
-                times.append(awaited.deadline)
-        elif self.state is MasterState.DRAINING:
-            times.append(self._drained_at())
-        elif self._tracker.queue.size and self._connected:
-            times.append(self._try_at)
-        return min(times, default=None)
+        first = self._next_step()
+        times = [self._receiver.deadline()]
+        if self._tracker.deadlines:
+            times.append(self._tracker.next_deadline())
+            if self._awaited is not None and self.state is MasterState.WAITING_FOR_REPLY:
+                times.append(self._awaited.deadline)
+        for time in times:
+            if time is not None and (first is None or time < first):
+                first = time
+        return first
+
+    def _next_step(self) -> float | None:
+        """When the state of the master changes by itself."""
+        if self._awaited is not None:
+            return self._awaited.expires
+        if self.state is MasterState.DRAINING:
+            return self._drained_at()
+        return self._try_at if self._tracker.queue.size and self._connected else None
 
     def _drained_at(self) -> float:
         return min(self._last_byte + self._serial.quiet_window, self._drain_until)
