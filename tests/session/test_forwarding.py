@@ -1,8 +1,9 @@
 """Reads that a handler hands on: the stream is cut as ever, each has its slot, and each is answered once."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -16,7 +17,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
 from busway.server.local import LocalHandler
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.forwarding import ForwardedRead, ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
+from busway.session.forwarding import ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
 from busway.session.handler import Outcome, RequestContext
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
@@ -35,27 +36,28 @@ class Way:
 
     def __init__(self, unit: int) -> None:
         self.unit = unit
-        self.asked: list[tuple[ForwardedReads, ForwardedRead]] = []
+        self.asked: list[tuple[ForwardedReads, bytes, ForwardPlan]] = []
         self.bunches: list[int] = []
         self.gone: list[ForwardedReads] = []
 
-    def ask(self, asker: ForwardedReads, reads: list[ForwardedRead]) -> None:
-        self.bunches.append(len(reads))
-        self.asked += [(asker, read) for read in reads]
+    def ask(self, asker: ForwardedReads, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
+        self.bunches.append(len(plans))
+        self.asked += [(asker, *read) for read in zip(transactions, plans, strict=True)]
         asker.batches[self] = None
 
-    def owed(self, asker: ForwardedReads) -> list[ForwardedRead]:
-        return [read for one, read in self.asked if one is asker]
+    def owed(self, asker: ForwardedReads) -> list[ForwardPlan]:
+        return [plan for one, _, plan in self.asked if one is asker]
 
     def asker_gone(self, asker: ForwardedReads) -> None:
         self.gone.append(asker)
 
     def answer(self) -> None:
-        askers = dict.fromkeys(asker for asker, _ in self.asked)
+        askers = dict.fromkeys(asker for asker, _, _ in self.asked)
         for asker in askers:
-            reads = [read for one, read in self.asked if one is asker]
-            requests = [read[1].requests[0] for read in reads]
-            asker.answer(reads, [data_of(self.unit, one.address, one.count) for one in requests])  # type: ignore[attr-defined]
+            transactions = [transaction for one, transaction, _ in self.asked if one is asker]
+            plans = self.owed(asker)
+            requests: list[Any] = [plan.requests[0] for plan in plans]
+            asker.answer(transactions, plans, [data_of(self.unit, one.address, one.count) for one in requests])
             asker.send()
         self.asked.clear()
 
@@ -227,8 +229,8 @@ def test_a_refusal_names_function_and_unit_and_is_counted() -> None:
     handler = HandingOn()
     client = Client(handler)
     client.send(read(1, unit=2))
-    ((asker, one),) = handler.ways[2].asked
-    asker.refuse(one, 0x0B)
+    ((asker, transaction, plan),) = handler.ways[2].asked
+    asker.refuse(transaction, plan, 0x0B)
     asker.send()
     assert client.got() == {1: bytes((2, 0x83, 0x0B))}
     assert client.diagnostics.counters.bus_exception_error_count == 1
@@ -245,7 +247,7 @@ def test_when_the_connection_ends_whoever_works_for_it_is_told_and_nothing_is_se
     assert (client.slots.used, client.session.waiting) == (0, 0)
     assert client.diagnostics.counters.server_no_response_count == 2
     handler.answer()
-    way.gone[0].refuse((b"\0\1", next(iter(handler.known.known.values()))), 4)
+    way.gone[0].refuse(b"\0\1", next(iter(handler.known.known.values())), 4)
     way.gone[0].send()
     assert not client.out
 

@@ -13,7 +13,7 @@ Knows the layout of a read and its answer on TCP, and the slots of a connection;
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -31,9 +31,9 @@ _READ_LENGTH = b"\0\0\0\6"
 """Protocol and length of such a read."""
 _UNIT_ASKED = 4
 """Offset of the unit in the key of a read, and in the head of its answer."""
-_UNIT_ANSWERED = 6
+_UNIT = 6
 """Offset of the unit in an ADU."""
-_unit_asked, _unit_answered = itemgetter(_UNIT_ASKED), itemgetter(_UNIT_ANSWERED)
+_head_of, _unit_of = attrgetter("head"), itemgetter(_UNIT_ASKED)
 _LAST_READ = 4
 """The largest function code of these reads."""
 _PLAN_LIMIT = 4096
@@ -44,15 +44,15 @@ DeliverTogether = Callable[[list[bytes]], None]
 class ForwardTarget(Protocol):
     """A unit upstream that reads are forwarded to."""
 
-    def ask(self, asker: "ForwardedReads", reads: "list[ForwardedRead]") -> None:
-        """Forward the reads. ``asker`` gets the answer of each, perhaps before this returns."""
+    def ask(self, asker: "ForwardedReads", transactions: Sequence[bytes], plans: "Sequence[ForwardPlan]") -> None:
+        """Forward reads. ``asker`` gets the answer of each, perhaps before this returns."""
 
 
 class ForwardedBatch(Protocol):
     """Requests upstream that answer forwarded reads."""
 
-    def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardedRead]":
-        """The reads of a connection that have not been answered."""
+    def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardPlan]":
+        """The plans of the reads of a connection that have not been answered."""
 
     def asker_gone(self, asker: "ForwardedReads") -> None:
         """The client disconnected: its reads need no answer any more."""
@@ -91,10 +91,6 @@ class ForwardPlan:
     def whole(self, replies: Sequence[Message]) -> Message:
         """The reply: it was not split."""
         return replies[0]
-
-
-ForwardedRead = tuple[bytes, ForwardPlan]
-"""A read to forward: the two bytes of its transaction, and its plan."""
 
 
 class ForwardPlans:
@@ -199,70 +195,86 @@ class ForwardedReads:
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
             return at
-        fields = _shape(count).unpack_from(buffer, at)
-        keys = fields[1::2]
-        try:
-            # No step of Python for a single read: a fifth less than the plain loop in `_known_ones`.
-            reads = list(zip(fields[0::2], map(self.plans.known.__getitem__, keys), strict=True))
-        except KeyError:
-            reads = list(self._known_ones(fields))
-            count = len(reads)
-            if not count:
+        known, arrived = self.plans.known, self._diagnostics.arrived
+        end = at + READ_SIZE * count
+        if count == 1:  # quicker than the steps for several: 0.4 µs
+            key = bytes(buffer[at + 2 : end])
+            plan = known.get(key)
+            if plan is None:
                 return at
-            keys = keys[:count]
+            transactions: Sequence[bytes] = (bytes(buffer[at : at + 2]),)
+            plans: Sequence[ForwardPlan] = (plan,)
+            arrived[key[_UNIT_ASKED]] += 1
+        else:
+            fields = _shape(count).unpack_from(buffer, at)
+            transactions = fields[0::2]
+            try:
+                plans = list(map(known.__getitem__, fields[1::2]))
+            except KeyError:
+                plans = list(self._known_ones(fields[1::2]))
+                count = len(plans)
+                if not count:
+                    return at
+                transactions = transactions[:count]
+                end = at + READ_SIZE * count
+            units = buffer[at + _UNIT : end : READ_SIZE]
+            if units.count(units[0]) == count:
+                arrived[units[0]] += count
+            else:
+                arrived.update(units)
         slots.used += count
         self.waiting += count
-        if count == 1:  # `Counter.update` takes 0.7 µs for one
-            self._diagnostics.arrived[keys[0][_UNIT_ASKED]] += 1
-        else:
-            self._diagnostics.arrived.update(map(_unit_asked, keys))
         target = self.plans.sole_target
         if target is not None:
-            target.ask(self, reads)
+            target.ask(self, transactions, plans)
         else:
-            self._ask_each(reads)
-        return at + READ_SIZE * count
+            self._ask_each(transactions, plans)
+        return end
 
-    def _known_ones(self, fields: tuple[bytes, ...]) -> Iterator[ForwardedRead]:
-        """The reads before the first unknown one."""
-        for transaction, key in zip(fields[0::2], fields[1::2], strict=True):
+    def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
+        """The plans of the reads before the first unknown one."""
+        for key in keys:
             plan = self.plans.known.get(key)
             if plan is None:
                 return
-            yield transaction, plan
+            yield plan
 
-    def _ask_each(self, reads: list[ForwardedRead]) -> None:
+    def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
         """Forward reads to several targets, those of each together."""
-        by_target: dict[ForwardTarget, list[ForwardedRead]] = {}
-        for read in reads:
-            by_target.setdefault(read[1].target, []).append(read)
-        for target, those in by_target.items():
-            target.ask(self, those)
+        by_target: dict[ForwardTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
+        for transaction, plan in zip(transactions, plans, strict=True):
+            those = by_target.setdefault(plan.target, ([], []))
+            those[0].append(transaction)
+            those[1].append(plan)
+        for target, (some, their_plans) in by_target.items():
+            target.ask(self, some, their_plans)
 
-    def answer(self, reads: Sequence[ForwardedRead], data: Sequence[bytes]) -> None:
+    def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
         """Answer reads with their data; the answers leave with `send`."""
         if self._is_open:
-            count = len(reads)
+            count = len(plans)
             self.waiting -= count
             self._slots.used -= count
-            adus = [transaction + plan.head + one for (transaction, plan), one in zip(reads, data, strict=True)]
             if count == 1:
-                self._diagnostics.departed[adus[0][_UNIT_ANSWERED]] += 1
+                head = plans[0].head
+                self._diagnostics.departed[head[_UNIT_ASKED]] += 1
+                self._ready.append(transactions[0] + head + data[0])
             else:
-                self._diagnostics.departed.update(map(_unit_answered, adus))
-            self._ready += adus
+                heads = list(map(_head_of, plans))
+                self._diagnostics.departed.update(map(_unit_of, heads))
+                self._ready += map(b"".join, zip(transactions, heads, data, strict=True))
 
-    def reply(self, read: ForwardedRead, reply: Any) -> None:  # Any: a message with ``data``, as reads are answered
+    def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
         """Answer a read with a reply that was decoded; the answer leaves with `send`."""
-        self.answer((read,), (reply.data,))
+        self.answer((transaction,), (plan,), (reply.data,))
 
-    def refuse(self, read: ForwardedRead, code: int) -> None:
+    def refuse(self, transaction: bytes, plan: ForwardPlan, code: int) -> None:
         """Answer a read with an exception code, which leaves with `send`."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
-            self._diagnostics.of(read[1].head[_UNIT_ASKED]).answered(exception=code)
-            self._ready.append(read[0] + read[1].refusal(code))
+            self._diagnostics.of(plan.head[_UNIT_ASKED]).answered(exception=code)
+            self._ready.append(transaction + plan.refusal(code))
 
     def send(self) -> None:
         """Send the answers that are ready, together."""
@@ -279,7 +291,7 @@ class ForwardedReads:
         self.waiting = 0
         batches, self.batches = self.batches, {}
         for batch in batches:
-            for _, plan in batch.owed(self):
+            for plan in batch.owed(self):
                 self._diagnostics.of(plan.head[_UNIT_ASKED]).kept_silent()
             batch.asker_gone(self)
 

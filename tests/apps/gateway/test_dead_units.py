@@ -126,7 +126,7 @@ def polled(dead: frozenset[int], *, asked: range = UNITS, timeout: float = 0.5) 
     master = bus.master(parameters=ClientParameters(timeout=timeout, retries=1, queue=1000))
     bus.servers({unit: busway.Device(holding_registers=1000) for unit in UNITS if unit not in dead})
     line = Upstream("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
-    line._links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
+    line.links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
     handler = ListenerHandler("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(upstream="line", units=frozenset(UNITS))]), {"line": Forwarder(line)})
     pollers = Pollers(bus, handler, port=_Nothing())

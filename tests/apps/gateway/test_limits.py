@@ -108,7 +108,7 @@ class Taking:
 def lines_of(connections: int) -> tuple[Upstream, list[Taking]]:
     line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), connections=connections)
     links = [Taking() for _ in range(connections)]
-    line._links.extend(links)  # type: ignore[arg-type]  # instead of connections
+    line.links.extend(links)  # type: ignore[arg-type]  # instead of connections
     return line, links
 
 
@@ -134,7 +134,7 @@ def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) 
         else:
             for link in links:
                 link.answer_all()
-        assert line.open_requests == 0
+        assert forwarder.open_requests == 0
 
     for first in range(0, 5000, 100):
         some_clients(first)

@@ -207,7 +207,7 @@ def _piece(pdu: bytes, at: int, count: int, address: int) -> bytes:
 def _line(name: str, devices: dict[int, PlainDevice]) -> tuple[Upstream, InstantLink]:
     line = Upstream(name, link_settings("tcp://127.0.0.1:1", {}))
     link = InstantLink(devices)
-    line._links.append(link)  # type: ignore[arg-type]  # instead of a connection
+    line.links.append(link)  # type: ignore[arg-type]  # instead of a connection
     return line, link
 
 
@@ -227,7 +227,8 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
     model: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     lines = {name: _line(name, devices) for name, devices in behind.items()}
     handler = ListenerHandler("office", busway.STANDARD)
-    handler.follow(table.of_listener("office"), {name: Forwarder(line) for name, (line, _) in lines.items()})
+    forwarders = {name: Forwarder(line) for name, (line, _) in lines.items()}
+    handler.follow(table.of_listener("office"), forwarders)
     for unit, pdu in requests:
         for _, link in lines.values():
             link.asked.clear()
@@ -253,7 +254,7 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
         assert {unit: (one.registers, one.coils) for unit, one in devices.items()} == {
             unit: (one.registers, one.coils) for unit, one in model[name].items()
         }
-        assert lines[name][0].open_requests == 0
+        assert forwarders[name].open_requests == 0
 
 
 def _whole(pdu: bytes, answers: list[bytes], pieces: list[bytes]) -> bytes:
@@ -322,7 +323,7 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     device = Chronicle(clock)
     link = InstantLink(dict.fromkeys((1, 255), device))  # type: ignore[arg-type]  # 255 is the device itself
     line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
-    line._links.append(link)  # type: ignore[arg-type]
+    line.links.append(link)  # type: ignore[arg-type]
     handler = ListenerHandler("office", busway.STANDARD)
     route = Route(upstream="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
     handler.follow(RoutingTable((route,)).of_listener("office"), {"line": Forwarder(line)})
@@ -351,7 +352,7 @@ def test_a_remembered_value_is_used_at_all() -> None:
     clock = FakeClock(100.0)
     link = InstantLink({1: PlainDevice()})
     line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
-    line._links.append(link)  # type: ignore[arg-type]
+    line.links.append(link)  # type: ignore[arg-type]
     handler = ListenerHandler("office", busway.STANDARD)
     handler.follow(RoutingTable((Route(upstream="line", cache=1.0),)).of_listener("office"), {"line": Forwarder(line)})
     for seconds, requests in ((0.0, 1), (0.5, 1), (0.49, 1), (0.02, 2)):

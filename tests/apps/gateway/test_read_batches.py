@@ -88,7 +88,7 @@ class WireLink:
         self.time = 0.0
         self.timers: list[WireTimer] = []
         self._line = line
-        line._links.append(self)  # type: ignore[arg-type]  # instead of a connection
+        line.links.append(self)  # type: ignore[arg-type]  # instead of a connection
 
     def now(self) -> float:
         return self.time
@@ -281,7 +281,7 @@ def test_whoever_asks_gets_the_answers_of_the_long_road(
         found.append([client.got() for client in clients])
         assert [len(got) for got in found[-1]] == [client.transaction for client in clients]
         assert [client.slots.used for client in clients] == [client.session.waiting for client in clients] == [0, 0, 0]
-        assert (plant.line.open_requests, plant.link.session.queued) == (0, 0)
+        assert (plant.forwarder.open_requests, plant.link.session.queued) == (0, 0)
         reads = clients[0].session._reads
         assert reads is None or not reads.batches
     assert found[0] == found[1]
@@ -347,7 +347,7 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     look()
     queued = plant.link.session._queue
     assert asked == [{}, {}, {}]
-    assert (plant.line.open_requests, queued.size, queued.waiting, len(queued.begun)) == (0, 0, 0, 0)
+    assert (plant.forwarder.open_requests, queued.size, queued.waiting, len(queued.begun)) == (0, 0, 0, 0)
     assert not any(unit.reading or unit.open_writes for unit in plant.forwarder.memory._units.values())
     for client in clients:
         assert client.session._reads is not None
@@ -409,7 +409,7 @@ def test_no_read_waits_for_the_others_of_its_bunch() -> None:
         plant.link.answer(1)
         first = client.got()
         assert list(first.values()) == [answer_of(read(1))]
-        assert (plant.line.open_requests, client.slots.used) == (2, 2)
+        assert (plant.forwarder.open_requests, client.slots.used) == (2, 2)
         plant.link.answer()
         assert list(client.got().values()) == [answer_of(read(0)), answer_of(read(2))]
 
@@ -422,7 +422,7 @@ def test_only_what_gets_no_reply_is_answered_0b() -> None:
     client.got()
     plant.link.wait(1.1)
     assert client.got() == {2: bytes((0x83, 0x0B))}
-    assert (plant.line.open_requests, client.slots.used, plant.line.counters.no_answer) == (0, 0, 1)
+    assert (plant.forwarder.open_requests, client.slots.used, plant.line.counters.no_answer) == (0, 0, 1)
 
 
 class ReadKnownValues(ReadRegisters):
@@ -466,7 +466,7 @@ def test_what_has_failed_for_good_does_not_wait_for_what_is_asked_again() -> Non
     plant.link.wait(1.1)
     answers |= client.got()
     assert list(answers.values()) == [bytes((0x83, 0x0B))] * 2
-    assert plant.line.open_requests == 0
+    assert plant.forwarder.open_requests == 0
 
 
 def test_exceptions_of_the_device_go_through_each_in_its_place() -> None:
@@ -555,7 +555,7 @@ def test_identical_reads_of_two_clients_are_asked_once_and_a_write_ends_the_shar
     plant.link.answer()
     assert one.got() == {1: answer_of(read(5)), 2: answer_of(read(6)), 3: write(5)}
     assert sorted(two.got()) == [1, 2, 3, 4]
-    assert (plant.line.counters.shared, plant.line.open_requests) == (3, 0)
+    assert (plant.line.counters.shared, plant.forwarder.open_requests) == (3, 0)
 
 
 def test_the_end_of_a_read_from_before_a_write_leaves_the_one_after_it_to_be_shared() -> None:
@@ -600,7 +600,7 @@ def test_a_client_that_goes_away_takes_what_nobody_else_waits_for() -> None:
     assert list(two.got().values()) == [answer_of(read(1))]
     two.ask(read(7), read(8))
     two.session.close()
-    assert plant.line.open_requests == 0
+    assert plant.forwarder.open_requests == 0
     while plant.link.asked:
         plant.link.answer()
     assert not two.writes
@@ -615,7 +615,7 @@ def test_a_client_that_shares_and_goes_away_leaves_the_first_one_its_answer() ->
     two.session.close()
     plant.link.answer()
     assert list(one.got().values()) == [answer_of(read(0))]
-    assert (two.writes, plant.line.open_requests) == ([], 0)
+    assert (two.writes, plant.forwarder.open_requests) == ([], 0)
 
 
 def test_new_routes_hold_from_the_next_request_on_and_what_is_on_its_way_is_answered() -> None:
@@ -749,7 +749,7 @@ def test_priority_host_shares_what_was_sent_and_not_what_waits_for_others(batche
     while plant.link.asked:
         plant.link.answer()
     assert sorted(one.got()) == [1, 2, 3]
-    assert plant.line.open_requests == 0
+    assert plant.forwarder.open_requests == 0
 
 
 @pytest.mark.parametrize("batches", [True, False])

@@ -12,8 +12,12 @@ Knows upstreams, calls and who asked; knows no route and no listener.
 5. Clients that share a read have a deadline each; the read goes on for the others.
 """
 
-from collections.abc import Iterator, MutableMapping, Sequence
+import asyncio
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence, Set
 from functools import partial
+from itertools import chain
+from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 from ...client.link import AsyncLinkDriver
@@ -55,12 +59,10 @@ class Asked(Protocol):
         """The reply to the request as it was before it was split."""
 
 
-Ticket = tuple[Any, Asked]  # Any: what the asker finds its request by; nobody else looks at it
-"""A request of an asker."""
-
-
 class Asker(Protocol):
     """Who gets the answers to forwarded requests: a connection with its reads, or a single request.
+
+    ``tag`` is what it finds a request by; here nothing looks into it.
 
     Attributes:
         peer: ``host:port`` of the client.
@@ -75,17 +77,24 @@ class Asker(Protocol):
     @property
     def batches(self) -> dict[Any, None]: ...  # Any: see `ForwardedReads`
 
-    def answer(self, tickets: Sequence[Any], data: Sequence[bytes]) -> None:
+    def answer(self, tags: Sequence[Any], asked: Sequence[Any], data: Sequence[bytes]) -> None:
         """Answer reads with their data; the answers leave with `send`."""
 
-    def reply(self, ticket: Any, reply: Message) -> None:
+    def reply(self, tag: Any, asked: Any, reply: Message) -> None:
         """Answer a request with the reply from upstream."""
 
-    def refuse(self, ticket: Any, code: int) -> None:
+    def refuse(self, tag: Any, asked: Any, code: int) -> None:
         """Answer a request with an exception code."""
 
     def send(self) -> None:
         """Send the answers that are ready, together."""
+
+
+Waiter = tuple[Asker, Any, Asked]
+"""An asker, and which of its requests waits."""
+_requests_of, _key_of = attrgetter("requests"), attrgetter("key")
+_NO_POSITIONS: frozenset[int] = frozenset()
+_NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
 
 
 class Batch(Call):
@@ -93,16 +102,18 @@ class Batch(Call):
 
     Attributes:
         asker: the client; None when it has disconnected.
-        tickets: its requests. Their positions are those of ``requests``, unless a single one was split.
+        tags, asked: its requests. Their positions are those of ``requests``, unless a single one was split.
         told: positions that were answered one by one; empty if all are answered together.
         joined: other clients that wait for a read, by its position.
-        deadlines: of all that wait, where several do.
+        deadlines: of all that wait, where several do: of one that joined, or of the first with all its requests.
         keys, shared: by which its reads are found, and where, if they may be shared.
         place, since, read_at: what is remembered of a read, and which moment its value is of.
     """
 
     # What most batches never set is a class attribute until it is set, as in `Call`.
-    deadlines: WaiterDeadlines[tuple[Asker, Ticket | None]] | None = None
+    told: Set[int] = _NO_POSITIONS
+    joined: Mapping[int, list[Waiter]] = _NONE_JOINED
+    deadlines: WaiterDeadlines[Waiter | None] | None = None
     keys: Sequence[Key] = ()
     shared: MutableMapping[Key, "Batch"] | None = None
     place: Place | None = None
@@ -110,30 +121,22 @@ class Batch(Call):
     read_at: float = 0.0
 
     def __init__(
-        self,
-        target: "ForwardTarget",
-        link: AsyncLinkDriver,
-        asker: Asker,
-        tickets: Sequence[Ticket],
-        deadline: float | None,
+        self, target: "ForwardTarget", link: AsyncLinkDriver, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]
     ) -> None:
-        if len(tickets) == 1:
-            requests: Sequence[Request] = tickets[0][1].requests
-        else:
-            requests = [asked.requests[0] for _, asked in tickets]
+        requests = asked[0].requests if len(asked) == 1 else list(chain.from_iterable(map(_requests_of, asked)))
+        deadline = None if target.deadline is None else link.now() + target.deadline
         super().__init__(
             target.unit, requests, requests[0].is_write, target.timeout, target.retries, False, asker.peer, deadline
         )
         self.owner = self
-        self.places = len(tickets)
+        self.places = len(tags)
         if asker.is_priority:
             self.is_priority = True
         self.forwarder = target.forwarder
         self.link = link
         self.asker: Asker | None = asker
-        self.tickets = tickets
-        self.told: set[int] = set()
-        self.joined: dict[int, list[tuple[Asker, Ticket]]] = {}
+        self.tags = tags
+        self.asked = asked
 
     def done(self) -> bool:
         """Never: `set_result` is called once."""
@@ -143,11 +146,11 @@ class Batch(Call):
         """All outcomes are there. The link calls it, as it would complete a future."""
         self.forwarder.answer(self)
 
-    def owed(self, asker: Asker) -> Iterator[Ticket]:
+    def owed(self, asker: Asker) -> Iterator[Asked]:
         """The requests of a client that have not been answered."""
-        for position in range(len(self.tickets)):
+        for position in range(len(self.tags)):
             if position not in self.told:
-                yield from (ticket for waiter, ticket in self.waiters(position) if waiter is asker)
+                yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: Asker) -> None:
         """A client has disconnected."""
@@ -160,11 +163,11 @@ class Batch(Call):
     @property
     def left(self) -> int:
         """How many requests have not been answered."""
-        return len(self.tickets) - len(self.told)
+        return len(self.tags) - len(self.told)
 
-    def waiters(self, position: int) -> list[tuple[Asker, Ticket]]:
+    def waiters(self, position: int) -> list[Waiter]:
         """The clients that wait for a request."""
-        own = [] if self.asker is None else [(self.asker, self.tickets[position])]
+        own = [] if self.asker is None else [(self.asker, self.tags[position], self.asked[position])]
         return own + self.joined.get(position, [])
 
 
@@ -188,113 +191,110 @@ class ForwardTarget:
         self.retries = parameters.retries
         self.deadline = deadline
 
-    def ask(self, asker: Asker, tickets: Sequence[Ticket]) -> None:
+    def ask(self, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]) -> None:
         """Forward requests of one client; each gets its answer, perhaps before this returns."""
         forwarder = self.forwarder
-        link = forwarder.upstream.link_for(asker.peer)
+        links = forwarder.upstream.links
+        link = links[0] if len(links) == 1 else forwarder.upstream.link_for(asker.peer)
         if link is None:
-            forwarder.upstream.counters.no_path += len(tickets)
-            for ticket in tickets:
-                forwarder.refuse(asker, ticket, NO_PATH)
-        elif len(tickets) == 1 or forwarder.upstream.pipelines:
-            self._share_or_send(link, asker, tickets)
+            forwarder.upstream.counters.no_path += len(tags)
+            for tag, one in zip(tags, asked, strict=True):
+                forwarder.refuse((asker, tag, one), NO_PATH)
+        elif len(tags) == 1 or forwarder.upstream.pipelines:
+            self._share_or_send(link, asker, tags, asked)
         else:
-            for ticket in tickets:
-                self._share_or_send(link, asker, (ticket,))
+            for tag, one in zip(tags, asked, strict=True):
+                self._share_or_send(link, asker, (tag,), (one,))
         if forwarder.answered:
             forwarder.send()
 
-    def _share_or_send(self, link: AsyncLinkDriver, asker: Asker, tickets: Sequence[Ticket]) -> None:
+    def _share_or_send(self, link: AsyncLinkDriver, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]) -> None:
         """Let reads wait for identical ones in flight, and send the others."""
         forwarder = self.forwarder
-        keys: Sequence[Key] = ()
-        shared = forwarder.memory.shared(self.unit) if forwarder.share_reads else None
-        if shared is not None:
-            keys = [asked.key for _, asked in tickets]
-            if not shared.keys().isdisjoint(keys) or len(set(keys)) < len(keys):
-                tickets, twice = self._join(shared, asker, tickets)
-                if tickets:
-                    self._send(link, asker, tickets, [asked.key for _, asked in tickets], shared)
-                if twice:  # now the first of those that are alike is in flight
-                    self._share_or_send(link, asker, twice)
-                return
-        self._send(link, asker, tickets, keys, shared)
+        shared = forwarder.memory.shared(self.unit) if forwarder.share_reads and asked[0].key else None
+        if shared is None:
+            self._send(link, asker, tags, asked, None)
+            return
+        keys = list(map(_key_of, asked))
+        if shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys):
+            self._send(link, asker, tags, asked, shared)
+            return
+        left: dict[Key, tuple[Any, Asked]] = {}
+        twice: list[tuple[Any, Asked]] = []
+        for tag, one in zip(tags, asked, strict=True):
+            batch = shared.get(one.key)
+            if batch is not None and (
+                not asker.is_priority or batch.is_priority or batch.is_sent(_position(batch, one))
+            ):
+                self._join(batch, (asker, tag, one))
+            elif one.key in left:
+                twice.append((tag, one))
+            else:
+                left[one.key] = tag, one
+        if left:
+            kept, them = zip(*left.values(), strict=True)
+            self._send(link, asker, kept, them, shared)
+        if twice:  # now the first of those that are alike is in flight
+            self._share_or_send(link, asker, *zip(*twice, strict=True))
 
     def _send(
         self,
         link: AsyncLinkDriver,
         asker: Asker,
-        tickets: Sequence[Ticket],
-        keys: Sequence[Key],
+        tags: Sequence[Any],
+        asked: Sequence[Asked],
         shared: MutableMapping[Key, Batch] | None,
     ) -> None:
-        """Hand requests to the link; refuse those that it does not take."""
+        """Hand requests to the link; refuse those that it does not take. Reads are found in ``shared`` by others."""
         forwarder = self.forwarder
-        upstream = forwarder.upstream
-        now = link.now()
-        batch = Batch(self, link, asker, tickets, None if self.deadline is None else now + self.deadline)
+        batch = Batch(self, link, asker, tags, asked)
         # All before it begins: it may end at once, while a connection is made anew.
-        upstream.add_open(len(tickets))
+        forwarder.open[batch] = None
         asker.batches[batch] = None
         if batch.is_write:
             forwarder.memory.write_begins(self.unit)
-        elif shared is not None and keys[0]:
+        elif shared is not None:
             batch.shared = shared
-            batch.keys = keys
-            shared.update(dict.fromkeys(keys, batch))
-        place = tickets[0][1].place
-        if place is not None:
-            batch.place, batch.since, batch.read_at = place, forwarder.memory.changes(self.unit), upstream.clock()
+            batch.keys = list(map(_key_of, asked))
+            shared.update(dict.fromkeys(batch.keys, batch))
+        if asked[0].place is not None:
+            batch.place = asked[0].place
+            batch.since, batch.read_at = forwarder.memory.changes(self.unit), forwarder.upstream.clock()
         try:
-            link.begin(batch, now)
+            link.begin(batch, link.now())
         except ModbusError as error:
             forwarder.leave(batch)
             error.with_traceback(None)  # its frames hold the one that holds it
-            if isinstance(error, Overloaded) and len(tickets) > 1:  # some of them may have room
-                for at, ticket in enumerate(tickets):
-                    self._send(link, asker, (ticket,), keys[at : at + 1], shared)
-                return
-            for ticket in tickets:
-                forwarder.refuse(asker, ticket, upstream.refused(error))
+            for tag, one in zip(tags, asked, strict=True):
+                if isinstance(error, Overloaded) and len(tags) > 1:  # some of them may have room
+                    self._send(link, asker, (tag,), (one,), shared)
+                else:
+                    forwarder.refuse((asker, tag, one), forwarder.upstream.refused(error))
         else:
-            upstream.counters.forwarded += len(tickets)
+            forwarder.upstream.counters.forwarded += len(tags)
 
-    def _join(
-        self, shared: MutableMapping[Key, Batch], asker: Asker, tickets: Sequence[Ticket]
-    ) -> tuple[list[Ticket], list[Ticket]]:
-        """Let reads wait for others in flight; returns what has to be sent, and what is the same as one of those."""
-        left: dict[Key, Ticket] = {}
-        twice: list[Ticket] = []
-        others: list[Ticket] = []
-        for ticket in tickets:
-            key = ticket[1].key
-            batch = shared.get(key)
-            if not key:
-                others.append(ticket)
-            elif batch is not None and (
-                not asker.is_priority or batch.is_priority or batch.is_sent(batch.keys.index(key))
-            ):
-                self._join_one(batch, asker, ticket)
-            elif key in left:
-                twice.append(ticket)
-            else:
-                left[key] = ticket
-        return [*left.values(), *others], twice
-
-    def _join_one(self, batch: Batch, asker: Asker, ticket: Ticket) -> None:
+    def _join(self, batch: Batch, waiter: Waiter) -> None:
+        """Let a client wait for a read in flight."""
+        asker, _, asked = waiter
         self.forwarder.upstream.counters.shared += 1
-        batch.joined.setdefault(batch.keys.index(ticket[1].key), []).append((asker, ticket))
+        position = _position(batch, asked)
+        batch.joined = {**batch.joined, position: [*batch.joined.get(position, ()), waiter]}
         asker.batches[batch] = None
         now, within = batch.link.now(), self.deadline
         if batch.deadlines is None:
             give_up = partial(self.forwarder.give_up_one, batch)
             batch.deadlines = WaiterDeadlines(batch.link.now, batch.link.call_at, give_up)
             if batch.deadline is not None and batch.asker is not None:
-                batch.deadlines.add((batch.asker, None), batch.deadline)
+                batch.deadlines.add(None, batch.deadline)
         if within is not None:
-            batch.deadlines.add((asker, ticket), now + within)
+            batch.deadlines.add(waiter, now + within)
         if batch.deadline is not None:  # the first client may have less time than this one
             batch.deadline = max(batch.deadline, now + (FOR_EVER if within is None else within))
+
+
+def _position(batch: Batch, asked: Asked) -> int:
+    """Where a read stands in a batch."""
+    return batch.keys.index(asked.key)
 
 
 class Forwarder:
@@ -307,6 +307,7 @@ class Forwarder:
 
     Attributes:
         memory: reads in flight and remembered values.
+        open: the batches that have not ended.
         answered: clients with answers that have not been sent yet.
     """
 
@@ -316,8 +317,21 @@ class Forwarder:
         self.upstream = upstream
         self.share_reads = share_reads
         self.memory: Memory[Batch] = Memory(upstream.register_width, same_device)
+        self.open: dict[Batch, None] = {}
         self.answered: dict[Asker, None] = {}
+        self._all_answered: asyncio.Event | None = None  # while `wait_until_answered` waits
         upstream.watch = self.look
+
+    @property
+    def open_requests(self) -> int:
+        """Requests that are not answered yet."""
+        return sum(batch.left for batch in self.open)
+
+    async def wait_until_answered(self) -> None:
+        """Wait until no request is open."""
+        if self.open:
+            self._all_answered = asyncio.Event()
+            await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
         """The data of a read, if they are remembered and not older than ``seconds``."""
@@ -335,7 +349,7 @@ class Forwarder:
                     isinstance(call, Batch)
                     and call.owner is not None
                     and len(call.outcomes) - call.open != len(call.told)
-                    and len(call.tickets) == len(call.outcomes)
+                    and len(call.tags) == len(call.outcomes)
                 ):
                     self.answer(call)
         if self.answered:
@@ -350,15 +364,14 @@ class Forwarder:
     def answer(self, batch: Batch) -> None:
         """Answer what has an outcome."""
         asker = batch.asker
-        if not (batch.open or batch.told or batch.joined or asker is None):
-            data: list[Any] = batch.outcomes  # Any: bytes where the request has asked for them, see `as_bytes`
-            if set(map(type, data)) == _GOOD:
-                self.upstream.counters.answered += len(data)
-                self.leave(batch)
-                asker.answer(batch.tickets, data)
-                self.answered[asker] = None
-                return
-        if len(batch.tickets) < len(batch.outcomes):
+        data: list[Any] = batch.outcomes  # Any: bytes where the request has asked for them, see `as_bytes`
+        if set(map(type, data)) == _GOOD and asker is not None and not (batch.told or batch.joined):
+            self.upstream.counters.answered += len(data)
+            self.leave(batch)
+            asker.answer(batch.tags, batch.asked, data)
+            self.answered[asker] = None
+            return
+        if len(batch.tags) < len(batch.outcomes):
             self._answer_one(batch, 0, batch.outcomes)
         else:
             for position, outcome in enumerate(batch.outcomes):
@@ -369,64 +382,60 @@ class Forwarder:
 
     def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
         """Answer all clients that wait for a request, of which all outcomes are there."""
-        batch.told.add(position)
-        self._left(batch, position)
+        batch.told = {*batch.told, position}
+        if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
+            del batch.shared[batch.keys[position]]  # no other client may join it any more
         waiters = batch.waiters(position)
         error = next((one for one in outcomes if isinstance(one, ModbusError)), None)
         if error is not None:
             code = self.upstream.refused(error)
-            for asker, ticket in waiters:
-                self.refuse(asker, ticket, code)
+            for waiter in waiters:
+                self.refuse(waiter, code)
             return
         self.upstream.counters.answered += 1
         reply = outcomes[0]
         if len(outcomes) > 1:
-            reply = batch.tickets[0][1].whole([one for one in outcomes if isinstance(one, Message)])
+            reply = batch.asked[0].whole([one for one in outcomes if isinstance(one, Message)])
         if batch.place is not None and isinstance(reply, _REPLIES):
             self.memory.remember(batch.unit, batch.place, reply.data, since=batch.since, read_at=batch.read_at)
-        for asker, ticket in waiters:
+        for asker, tag, asked in waiters:
             if isinstance(reply, bytes):
-                asker.answer((ticket,), (reply,))
+                asker.answer((tag,), (asked,), (reply,))
             elif isinstance(reply, Message):
-                asker.reply(ticket, reply)
+                asker.reply(tag, asked, reply)
             self.answered[asker] = None
 
-    def refuse(self, asker: Asker, ticket: Ticket, code: int) -> None:
+    def refuse(self, waiter: Waiter, code: int) -> None:
         """Answer a request with an exception code."""
-        asker.refuse(ticket, code)
+        asker, tag, asked = waiter
+        asker.refuse(tag, asked, code)
         self.answered[asker] = None
-
-    def _left(self, batch: Batch, position: int) -> None:
-        """A single request has its answer: no other may join it any more."""
-        self.upstream.add_open(-1)
-        if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
-            del batch.shared[batch.keys[position]]
 
     # Clients that wait no longer.
 
-    def give_up_one(self, batch: Batch, waiter: tuple[Asker, Ticket | None]) -> None:
-        """The deadline of a client that shares has passed: for a read that it joined, or for all that are its own."""
-        asker, ticket = waiter
-        late: list[tuple[int, Ticket]] = []
-        if ticket is None:
-            if batch.asker is asker:
-                late = [(at, one) for at, one in enumerate(batch.tickets) if at not in batch.told]
-                batch.asker = None
+    def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
+        """The deadline of a client that shares has passed: for a read that it joined (None: for its own requests)."""
+        asker = batch.asker if waiter is None else waiter[0]
+        if asker is None:
+            return  # it has disconnected
+        if waiter is None:
+            late = [
+                (at, (asker, tag, one))
+                for at, (tag, one) in enumerate(zip(batch.tags, batch.asked, strict=True))
+                if at not in batch.told
+            ]
+            batch.asker = None
         else:
-            for position, others in batch.joined.items():
-                if position not in batch.told and waiter in others:
-                    others.remove((asker, ticket))
-                    late = [(position, ticket)]
+            late = [(at, waiter) for at, others in batch.joined.items() if at not in batch.told and waiter in others]
+            batch.joined = {at: [one for one in others if one is not waiter] for at, others in batch.joined.items()}
         for position, one in late:
             error = (
                 NoReply("no answer before the deadline of the call", attempt=1)
                 if batch.is_sent(position)
                 else NoReply("the deadline passed in the queue; nothing was sent")
             )
-            self.refuse(asker, one, self.upstream.refused(error))
-        if asker is not batch.asker and all(
-            asker is not other for others in batch.joined.values() for other, _ in others
-        ):
+            self.refuse(one, self.upstream.refused(error))
+        if asker is not batch.asker and all(asker is not one[0] for others in batch.joined.values() for one in others):
             asker.batches.pop(batch, None)
         self._withdraw_if_alone(batch)
         self.send()
@@ -437,10 +446,10 @@ class Forwarder:
         if batch.asker is asker:
             batch.asker = None
             counters.abandoned += batch.left
-        for position, others in list(batch.joined.items()):
-            staying = [one for one in others if one[0] is not asker]
-            counters.abandoned += 0 if position in batch.told else len(others) - len(staying)
-            batch.joined[position] = staying
+        for position, others in batch.joined.items():
+            gone = sum(one[0] is asker for one in others)
+            counters.abandoned += 0 if position in batch.told else gone
+        batch.joined = {at: [one for one in others if one[0] is not asker] for at, others in batch.joined.items()}
         self._withdraw_if_alone(batch)
 
     def _withdraw_if_alone(self, batch: Batch) -> None:
@@ -454,7 +463,7 @@ class Forwarder:
 
     def leave(self, batch: Batch) -> None:
         """A batch has ended, or no client waits for it any more."""
-        self.upstream.add_open(-batch.left)
+        del self.open[batch]
         if batch.is_write:
             self.memory.write_ended(batch.unit)
         if batch.deadlines is not None:
@@ -468,10 +477,11 @@ class Forwarder:
         if batch.asker is not None:
             batch.asker.batches.pop(batch, None)
         if batch.joined:
-            for others in batch.joined.values():
-                for asker, _ in others:
-                    asker.batches.pop(batch, None)
+            for asker, _, _ in chain.from_iterable(batch.joined.values()):
+                asker.batches.pop(batch, None)
         batch.owner = None  # it is its own owner: else only the collector of garbage would free it
+        if self._all_answered is not None and not self.open:
+            self._all_answered.set()
 
 
-__all__ = ["Asked", "Asker", "Batch", "ForwardTarget", "Forwarder", "Ticket"]
+__all__ = ["Asked", "Asker", "Batch", "ForwardTarget", "Forwarder"]

@@ -354,8 +354,8 @@ class Gateway:
             await each.server.take_no_more()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                for upstream in self._upstreams:
-                    await upstream.wait_until_answered()
+                for forwarder in self._forwarders.values():
+                    await forwarder.wait_until_answered()
         left = self.open_requests
         await self.stop()
         return left
@@ -490,7 +490,7 @@ class Gateway:
     @property
     def open_requests(self) -> int:
         """Requests that are not answered yet."""
-        return sum(upstream.open_requests for upstream in self._upstreams)
+        return sum(forwarder.open_requests for forwarder in self._forwarders.values())
 
     @property
     def servers(self) -> list[Server]:

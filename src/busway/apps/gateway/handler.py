@@ -200,7 +200,7 @@ class ListenerHandler:
             if data is not None:
                 return asked.of_data(data)
         asker = _SingleRequest(context)
-        target.ask(asker, ((None, asked),))
+        target.ask(asker, (None,), (asked,))
         return asker.outcome()
 
     def _no_route(self, context: RequestContext, found: Straddles | None) -> Outcome:
@@ -339,15 +339,15 @@ class _SingleRequest:
         self._is_late = True
         return self._outcome
 
-    def answer(self, tickets: Sequence[tuple[None, Translated]], data: Sequence[bytes]) -> None:
+    def answer(self, tags: Sequence[None], asked: Sequence[Translated], data: Sequence[bytes]) -> None:
         """Answer with the data of a read."""
-        self._give(tickets[0][1].of_data(data[0]))
+        self._give(asked[0].of_data(data[0]))
 
-    def reply(self, ticket: tuple[None, Translated], reply: Message) -> None:
+    def reply(self, tag: None, asked: Translated, reply: Message) -> None:
         """Answer with a reply of the upstream."""
-        self._give(ticket[1].client_reply(reply))
+        self._give(asked.client_reply(reply))
 
-    def refuse(self, ticket: tuple[None, Translated], code: int) -> None:
+    def refuse(self, tag: None, asked: Translated, code: int) -> None:
         """Answer with an exception code."""
         self._give(ExceptionResponse(self._context.function, code))
 

@@ -153,7 +153,7 @@ class Upstream:
         self._connections = connections
         self.clock = clock
         self.watch: Callable[[ClientSession], None] | None = None
-        self._links: list[AsyncLinkDriver] = []
+        self.links: list[AsyncLinkDriver] = []
         self._keeper: asyncio.Task[None] | None = None  # of a serial port
         self._port_gone = asyncio.Event()
         is_port = settings.endpoint.carrier == "serial"
@@ -162,14 +162,12 @@ class Upstream:
         self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
         self.register_width = settings.parameters.register_width
         self.pipelines = settings.line is None  # whether it takes several requests at once
-        self._open = 0
-        self._answered: asyncio.Event | None = None  # where somebody waits until nothing is open
 
     # Its life.
 
     def open(self) -> None:
         """Make the links; a port is opened soon, the others connect at need. In a coroutine. Raises `ConfigError`."""
-        if self._links:
+        if self.links:
             return
         for _ in range(self._connections):
             session = conversation_for(self.settings)
@@ -179,7 +177,7 @@ class Upstream:
             if self.watch is not None:
                 link.watch = partial(self.watch, session)
             link.told = self._told
-            self._links.append(link)
+            self.links.append(link)
             if self.settings.endpoint.carrier == "serial":
                 self._keeper = asyncio.get_running_loop().create_task(self._keep_open(link))
 
@@ -206,7 +204,7 @@ class Upstream:
 
     def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
         """Leave units alone for so many seconds after their replies; on serial lines only."""
-        for link in self._links:
+        for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.leave_alone(unit_gaps)
 
@@ -216,29 +214,12 @@ class Upstream:
         if keeper is not None:
             keeper.cancel()
             await asyncio.gather(keeper, return_exceptions=True)
-        links, self._links = self._links, []
+        links, self.links = self.links, []
         self._link_of.clear()
         self._users.clear()
         for link in links:
             link.told = None  # that we close it is no news
             await link.close()
-
-    async def wait_until_answered(self) -> None:
-        """Wait until no request is open."""
-        if self._open:
-            self._answered = asyncio.Event()
-            await self._answered.wait()
-
-    def add_open(self, count: int) -> None:
-        """So many requests more are open; fewer, if the number is negative."""
-        self._open += count
-        if not self._open and self._answered is not None:
-            self._answered.set()
-
-    @property
-    def open_requests(self) -> int:
-        """Requests that are not answered yet."""
-        return self._open
 
     def status(self) -> UpstreamStatus:
         """How it stands."""
@@ -253,13 +234,13 @@ class Upstream:
                 link.next_attempt,
                 _in_doubt(link),
             )
-            for link in self._links
+            for link in self.links
         )
         return UpstreamStatus(self.name, self.settings.endpoint.url, links, self.counters, _indicators(links))
 
     def link_for(self, client: str) -> AsyncLinkDriver | None:
         """The connection that the requests of a client (``host:port``) use; None while the upstream is closed."""
-        links = self._links
+        links = self.links
         if len(links) < 2:
             return links[0] if links else None
         link = self._link_of.get(client)
