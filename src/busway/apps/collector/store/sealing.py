@@ -70,10 +70,15 @@ def remove_unlisted(folder: Path, manifest: Manifest) -> None:
         manifest.unlinked(file)
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Unlink files that were being written when a process ended."""
-    for path in (folder / SEGMENTS).glob(f"*{UNFINISHED}"):
-        path.unlink(missing_ok=True)
+def remove_unfinished(folder: Path, manifest: Manifest) -> None:
+    """Unlink files that were being written when a process ended: their rows are still in the segment that is listed."""
+    parts = manifest.parts()
+    listed = {part.file for part in parts}
+    segments = {part.file.removesuffix(".sqlite") for part in parts if part.kind != "sealed"}
+    for path in (folder / SEGMENTS).iterdir():
+        is_left_over = path.suffix == ".parquet" and path.name not in listed and path.name[:8] in segments
+        if path.name.endswith(UNFINISHED) or is_left_over:
+            path.unlink(missing_ok=True)
 
 
 def _write_part(folder: Path, part: StorePart, name: str, table: Any, step: Step) -> StorePart:

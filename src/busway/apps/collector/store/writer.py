@@ -95,7 +95,7 @@ class StoreWriter:
         self._lock = StoreLock(self.folder)
         try:
             self.manifest = Manifest(self.folder, writes=True)
-            remove_unfinished(self.folder)
+            remove_unfinished(self.folder, self.manifest)
             remove_unlisted(self.folder, self.manifest)
             self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
             self._next, self._behind = self.manifest.reserve_numbers()

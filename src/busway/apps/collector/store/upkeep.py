@@ -1,0 +1,179 @@
+"""Check, backup and restore of a store, also while it is written.
+
+Knows files and what the manifest says of them; changes nothing in the store that it looks at.
+
+1. A check reads every part, and tells each problem in one sentence. It takes no lock.
+2. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. SQLite copies the
+   open segment, so it has every commit up to a moment not before that of the manifest.
+3. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
+"""
+
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from ....errors import ConfigError
+from .folder import LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, holder_of, make_folder, sync_file, sync_folder
+from .manifest import Manifest, StorePart
+from .sealing import arrow, can_seal
+from .segment import facts_of, open_for_reading
+
+_TRIES = 10
+
+
+def check_store_files(folder: Path) -> list[str]:
+    """What is wrong with a store, one sentence each; empty where all is well.
+
+    Raises:
+        ConfigError: there is no store, or its manifest cannot be read.
+    """
+    manifest = Manifest(folder)
+    try:
+        for _ in range(_TRIES):
+            try:
+                return list(_problems(folder, manifest))
+            except FileNotFoundError:  # a part was sealed meanwhile: from the start
+                continue
+        return list(_problems(folder, manifest, tolerant=True))
+    finally:
+        manifest.close()
+
+
+def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> Iterator[str]:
+    parts = manifest.parts()
+    known = {point.id for point in manifest.points()}
+    seen: dict[int, str] = {}
+    for part in parts:
+        path = folder / SEGMENTS / part.file
+        if not path.exists():
+            if part.kind == "open" and holder_of(folder) is not None:
+                continue  # listed, and not made yet
+            if not tolerant and not any(each.file == part.file for each in manifest.parts()):
+                raise FileNotFoundError(part.file)
+            yield f"{part.file} is listed, but the file is not there"
+            continue
+        if part.kind == "sealed":
+            yield from _problems_of_sealed(path, part, known)
+        else:
+            yield from _problems_of_segment(path, part, known)
+        if part.first_commit is not None and part.kind != "sealed":
+            other = seen.setdefault(part.first_commit, part.file)
+            if other != part.file:
+                yield f"{part.file} and {other} have the same commits"
+    listed = {part.file for part in manifest.parts()} | {part.file for part in parts} | set(manifest.files_to_unlink())
+    for path in sorted((folder / SEGMENTS).iterdir()):
+        name = path.name.removesuffix("-wal").removesuffix("-shm").removesuffix(UNFINISHED)
+        if name not in listed and path.exists() and holder_of(folder) is None:
+            yield f"{path.name} is in the folder, but not listed"
+
+
+def _problems_of_segment(path: Path, part: StorePart, known: set[int]) -> Iterator[str]:
+    try:
+        with closing(open_for_reading(path)) as database:
+            database.execute("BEGIN")
+            for (sentence,) in database.execute("PRAGMA quick_check(5)"):
+                if sentence != "ok":
+                    yield f"{part.file} is damaged: {sentence}"
+            facts = facts_of(database, part, 0)
+            (rows,) = database.execute("SELECT count(*) FROM samples").fetchone()
+            if part.kind == "closed" and part.rows != facts.rows:
+                yield f"{part.file} has {facts.rows} samples, but {part.rows} are listed"
+            if rows > (facts.rows or 0):
+                yield f"{part.file} has {rows} samples, but its commits made {facts.rows}"
+            found = {row[0] for row in database.execute("SELECT DISTINCT point FROM samples")}
+            if found - known:
+                yield f"{part.file} has samples of points that are not listed: {sorted(found - known)[:5]}"
+    except sqlite3.DatabaseError as error:
+        yield f"{part.file} cannot be read: {error}"
+
+
+def _problems_of_sealed(path: Path, part: StorePart, known: set[int]) -> Iterator[str]:
+    if not can_seal():
+        yield f"{part.file} cannot be checked without pyarrow: pip install 'busway[store]'"
+        return
+    try:
+        table = arrow("parquet").read_table(path, columns=["point", "time"])
+    except (OSError, ValueError) as error:  # pyarrow's own errors are these
+        yield f"{part.file} cannot be read: {error}"
+        return
+    if table.num_rows != part.rows:
+        yield f"{part.file} has {table.num_rows} samples, but {part.rows} are listed"
+    found = set(arrow("compute").unique(table["point"]).to_pylist())
+    if found - known:
+        yield f"{part.file} has samples of points that are not listed: {sorted(found - known)[:5]}"
+    bounds = arrow("compute").min_max(table["time"].cast("int64")).as_py()
+    if (bounds["min"], bounds["max"]) != (part.low, part.high):
+        yield f"{part.file} has other times than are listed"
+
+
+def back_up(folder: Path, target: Path) -> int:
+    """Copy a store, also while it is written, into a folder that is not there yet; how many parts there are.
+
+    Raises:
+        ConfigError: there is no store, or the target exists or cannot be written.
+    """
+    check_store(folder)
+    if target.exists():
+        raise ConfigError("exists already; a backup makes a folder of its own", file=str(target))
+    unfinished = target.with_name(target.name + UNFINISHED)
+    try:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        make_folder(unfinished)
+        for _ in range(_TRIES):
+            copied = _copied(folder, unfinished)
+            if copied is not None:
+                break
+        else:
+            raise ConfigError("parts were sealed faster than they could be copied; try again", file=str(folder))
+        sync_folder(unfinished)
+        unfinished.rename(target)
+        sync_folder(target.parent)
+    except (OSError, sqlite3.Error) as error:
+        raise ConfigError(f"the backup cannot be written: {error}", file=str(target)) from error
+    return copied
+
+
+def _copied(folder: Path, target: Path) -> int | None:
+    """Copy the manifest and the parts it lists; None where one has gone meanwhile."""
+    _copy_database(folder / MANIFEST, target / MANIFEST)
+    manifest = Manifest(target)
+    parts = manifest.parts()
+    manifest.close()
+    for part in parts:
+        source, copy = folder / SEGMENTS / part.file, target / SEGMENTS / part.file
+        try:
+            if part.kind == "sealed":
+                shutil.copyfile(source, copy)
+                sync_file(copy)
+            else:
+                with closing(open_for_reading(source)):
+                    _copy_database(source, copy)
+        except FileNotFoundError:
+            if part.kind != "open":
+                return None
+    return len(parts)
+
+
+def _copy_database(source: Path, target: Path) -> None:
+    target.unlink(missing_ok=True)
+    with closing(sqlite3.connect(source, timeout=10.0)) as read, closing(sqlite3.connect(target)) as written:
+        read.backup(written)
+    sync_file(target)
+
+
+def restore(backup: Path, folder: Path) -> int:
+    """Make a store of a backup, in a folder that is not there yet or is empty; how many parts there are.
+
+    Raises:
+        ConfigError: the backup is none or is damaged, or the folder is in use.
+    """
+    problems = check_store_files(backup)
+    if problems:
+        raise ConfigError(f"the backup is not whole: {problems[0]}", file=str(backup))
+    if folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
+        raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
+    if folder.exists():
+        shutil.rmtree(folder)
+    return back_up(backup, folder)

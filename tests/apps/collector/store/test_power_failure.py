@@ -1,0 +1,108 @@
+"""``durability = power``: what was handed on is in the store wherever the power fails.
+
+A program writes, seals and drops while its writes are recorded; then the record is cut at many points, and each
+folder that a power failure could have left there is opened and compared with what was handed on before the cut.
+"""
+
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import store_worker
+from power_failure import PowerFailure, Record, build, environment, lay_out, records_of
+from store_checker import check_after_crash
+
+from busway.apps.collector.store.folder import MANIFEST
+
+pytest.importorskip("pyarrow")
+if shutil.which("gcc") is None:
+    pytest.skip("gcc is not installed", allow_module_level=True)
+
+CUTS = 25
+
+
+def recorded(folder: Path, durability: str) -> tuple[Path, list[Record]]:
+    store = folder / "store"
+    store.mkdir()
+    log = folder / "log"
+    command = [sys.executable, store_worker.__file__, str(store), "--durability", durability, "--commits", "10"]
+    subprocess.run(command, env=environment(build(folder), store, log), check=True, timeout=60)
+    return store, records_of(log)
+
+
+def cuts(records: list[Record], store: Path, seed: int) -> Iterator[tuple[int, PowerFailure, list[int]]]:
+    """Points at which the power fails, the state there, and what was handed on before."""
+    moments = random.Random(seed)
+    wanted = set(moments.sample(range(len(records)), CUTS))
+    state, handed_on = PowerFailure(), []
+    for index, record in enumerate(records):
+        if record.path == str(store / store_worker.HANDED_ON):
+            handed_on += [int(record.data)] if record.operation == "w" else []
+        else:
+            state.apply(record)
+        if index in wanted:
+            yield index, state, handed_on
+
+
+def test_the_record_has_commits_syncs_renames_and_unlinks(tmp_path: Path) -> None:
+    store, records = recorded(tmp_path, "power")
+    assert {record.operation for record in records} == set("cwtsdru") - ({"t"} - {r.operation for r in records})
+    state = PowerFailure()
+    for record in records:
+        state.apply(record)
+    for name, content in state.names.items():
+        if name.endswith((".parquet", ".sqlite")):
+            assert not content.pending, name
+            assert Path(name).read_bytes() == content.durable
+    assert str(store / MANIFEST) in state.durable_names
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_was_handed_on_survives_a_power_failure_anywhere(tmp_path: Path, seed: int) -> None:
+    store, records = recorded(tmp_path, "power")
+    for index, state, handed_on in cuts(records, store, seed):
+        for variant in range(2):
+            target = tmp_path / f"{index}-{variant}"
+            target.mkdir()
+            lay_out(state.left(random.Random(index) if variant else None), store, target)
+            check_after_crash(target, handed_on, begins=10_000)
+            shutil.rmtree(target)
+
+
+def test_without_it_a_power_failure_costs_the_end_and_leaves_a_whole_store(tmp_path: Path) -> None:
+    store, records = recorded(tmp_path, "process")
+    lost = 0
+    for index, state, handed_on in cuts(records, store, 1):
+        target = tmp_path / str(index)
+        target.mkdir()
+        lay_out(state.left(None), store, target)
+        kept = kept_of(target, handed_on)
+        check_after_crash(target, kept, begins=10_000, crashes=1)
+        lost += len(handed_on) - len(kept)
+        shutil.rmtree(target)
+    assert lost > 0, "then this test would show nothing"
+
+
+def kept_of(folder: Path, handed_on: list[int]) -> list[int]:
+    """Those of the commits that are in the store: all up to one, and none after it."""
+    from collected import NOON, SECOND
+
+    from busway.apps.collector.store.reading import Store
+    from busway.apps.collector.store.writer import StoreWriter
+
+    copy = folder.with_name(folder.name + "-copy")
+    shutil.copytree(folder, copy)
+    StoreWriter(copy, now=NOON + 10**6 * SECOND).__exit__()
+    found = {
+        (sample.time - NOON) // SECOND // store_worker.SECONDS_PER_COMMIT
+        for sample in Store(copy).read()
+        if sample.value is not None
+    }
+    shutil.rmtree(copy)
+    kept = [number for number in handed_on if number in found]
+    assert kept == handed_on[: len(kept)], "a commit is missing before one that is there"
+    return kept
