@@ -1,0 +1,106 @@
+"""The admission test: whether a link can do what its devices are to be asked, told before it starts.
+
+Pure: knows plans and periods; knows no clock and no socket.
+
+1. The load of a link is the seconds that its reads take in each second. Above `MOST_LOAD` rounds will be late, because
+   silent devices, repetitions and writes need the rest.
+2. A class whose period is not longer than its own reads, the longest other read and one timeout may miss rounds even
+   on a quiet link.
+3. Each class is counted by itself, as if no reads were shared. So the real load is that or less.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from .plans import PlanBook
+
+MOST_LOAD: Final = 0.85
+"""Seconds of reads in each second that a link may be planned for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """What a link is asked to do.
+
+    Attributes:
+        link: its name.
+        load: seconds of reads in each second.
+        by_class: the same for each class.
+        problems: what does not fit, each as a sentence that says what to change; none where all fits.
+    """
+
+    link: str
+    load: float
+    by_class: Mapping[str, float] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> bool:
+        """Whether every class keeps its period."""
+        return not self.problems
+
+
+def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> Admission:
+    """Judge a link.
+
+    Args:
+        link: its name.
+        devices: name, plans and periods (seconds by class) of each device.
+        timeout: seconds that a silent read takes.
+    """
+    load: dict[str, float] = {}
+    own: dict[str, tuple[float, str]] = {}  # by class, the longest round and whose it is
+    longest: list[tuple[float, str]] = []  # the longest read of each device
+    periods: dict[str, float] = {}
+    for device, book, classes in devices:
+        widest = 0.0
+        for name, period in classes.items():
+            if name not in book.classes:
+                continue
+            plan = book.plan_for(frozenset({name}))
+            load[name] = load.get(name, 0.0) + plan.seconds / period
+            own[name] = max(own.get(name, (0.0, "")), (plan.seconds, device))
+            periods[name] = period
+            widest = max([widest, *(read.seconds for read in plan.reads)])
+        longest.append((widest, device))
+    problems = [*_overload(link, load, periods), *_too_fast(own, periods, longest, timeout)]
+    return Admission(link, sum(load.values()), load, tuple(problems))
+
+
+def _overload(link: str, load: Mapping[str, float], periods: Mapping[str, float]) -> Iterable[str]:
+    total = sum(load.values())
+    if total <= MOST_LOAD:
+        return
+    worst = max(load, key=lambda name: load[name])
+    said = f"link {link} would need {total:.2f} s of every second, and {MOST_LOAD} is the most"
+    room = MOST_LOAD - (total - load[worst])
+    if room > 0.05 * load[worst]:
+        yield f"{said}: give class {worst} a period of {_rounded(periods[worst] * load[worst] / room)} s or more"
+    else:
+        both = _rounded(total / MOST_LOAD)
+        yield f"{said}: give class {worst}, and then the others, a period {both} times as long, or split the link"
+
+
+def _too_fast(
+    own: Mapping[str, tuple[float, str]],
+    periods: Mapping[str, float],
+    longest: Iterable[tuple[float, str]],
+    timeout: float,
+) -> Iterable[str]:
+    reads = sorted(longest, reverse=True)[:2]
+    for name, (seconds, device) in own.items():
+        other = next((each for each, whose in reads if whose != device), 0.0)
+        needed = seconds + other + timeout
+        if periods[name] <= needed:
+            yield (
+                f"class {name} has a period of {periods[name]:g} s; {device} needs {seconds:.3f} s for it, another"
+                f" device may hold the link for {other:.3f} s, and a silent one for {timeout:g} s: give it"
+                f" {_rounded(needed)} s or more, or the link a shorter timeout"
+            )
+
+
+def _rounded(value: float) -> str:
+    """Two digits, upwards."""
+    text = f"{value * 1.05:.2g}"
+    return text if "e" not in text else f"{float(text):.0f}"

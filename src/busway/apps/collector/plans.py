@@ -1,0 +1,216 @@
+"""The read plans of one device, by the classes that are due, and when they are made anew.
+
+Pure: knows items, rules and what is learnt; knows no clock and no socket.
+
+1. A plan is made for a set of classes, not for each class; points of other classes come with it where they are free.
+2. Plans are kept by that set, `MOST_PLANS` of them.
+3. A plan is made anew where what was learnt makes the predicted time fall by more than `WORTH`, once the cost counts as
+   known, and whenever a hole or limit was learnt.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from .cost import ReadCost
+from .knowledge import DeviceKnowledge
+from .learning import CostLearner, MapLearner, ReadOutcome, probes_for, read_of, with_knowledge
+from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, plan_reads, predicted
+
+WORTH: Final = 0.05
+"""Part of the predicted time that a new plan has to save."""
+CHECKED_EVERY: Final = 16
+"""Reads between two looks at whether new plans are worth it."""
+MOST_PLANS: Final = 32
+"""Plans of a device that are kept. Classes have few periods, so there are few sets of them."""
+PROBES: Final = 4
+"""How often each width is probed at the beginning."""
+
+Classes = frozenset[str]
+
+
+class PlanBook:
+    """The plans of one device.
+
+    Args:
+        items: by class, the points that it polls.
+        rules: what the device allows.
+        assumed: what its reads cost until that is known.
+        fixed: whether the price of a register is known, which it is on a line.
+        knowledge: what is known of the device from before.
+
+    Attributes:
+        made: how many plans were made so far.
+    """
+
+    def __init__(
+        self,
+        items: Mapping[str, Sequence[ReadItem]],
+        rules: ReadRules,
+        assumed: ReadCost,
+        *,
+        fixed: bool = True,
+        knowledge: DeviceKnowledge | None = None,
+    ) -> None:
+        known = knowledge or DeviceKnowledge()
+        if known.base is not None:
+            assumed = assumed.with_base(known.base)
+        self._items = {name: list(each) for name, each in items.items()}
+        self._all = _once(one for each in self._items.values() for one in each)
+        self._rules = rules
+        self._cost = assumed
+        self._learner = CostLearner(assumed, fixed=fixed)
+        self._map = MapLearner(known, assumed)
+        self._plans: dict[Classes, DevicePlan] = {}
+        self._since_check = 0
+        self._is_settled = False
+        self._probes: list[PlannedRead] | None = None
+        self._probe: PlannedRead | None = None
+        self._cheapest: PlannedRead | None = None
+        self.made = 0
+
+    @property
+    def cost(self) -> ReadCost:
+        """What reads cost, as far as it is known."""
+        return self._learner.cost
+
+    @property
+    def classes(self) -> Classes:
+        """The classes that have points."""
+        return frozenset(name for name, items in self._items.items() if items)
+
+    @property
+    def knowledge(self) -> DeviceKnowledge:
+        """What is known of the device, to be kept; with the base once that counts as known."""
+        known = self._map.knowledge
+        if not self._learner.is_settled:
+            return known
+        return DeviceKnowledge(
+            known.profile, known.firmware, round(self._learner.cost.base, 6), known.holes, known.limits
+        )
+
+    @property
+    def rules(self) -> ReadRules:
+        """What the device allows, with what was learnt."""
+        return with_knowledge(self._rules, self._map.knowledge)
+
+    def points(self) -> list[Any]:  # the caller's kind of ReadItem
+        """All points, each once."""
+        return list(self._all)
+
+    def plan_for(self, classes: Classes) -> DevicePlan:
+        """The reads for the points of some classes."""
+        plan = self._plans.get(classes)
+        if plan is None:
+            if len(self._plans) >= MOST_PLANS:
+                self._plans.clear()
+            plan = self._plans[classes] = self._make(classes)
+        return plan
+
+    def set_class(self, name: str, items: Sequence[ReadItem]) -> None:
+        """Give a class other points; none removes it."""
+        self._items[name] = list(items)
+        self._plans.clear()
+        self.made = 0
+
+    def _make(self, classes: Classes) -> DevicePlan:
+        self.made += 1
+        due = _once(one for name in sorted(classes) for one in self._items.get(name, ()))
+        wanted = {id(one) for one in due}
+        others = [one for one in self._all if id(one) not in wanted]
+        return plan_reads(due, self.rules, self._cost, others=others)
+
+    @property
+    def cheapest(self) -> PlannedRead | None:
+        """The cheapest read that has succeeded, or else that of the narrowest point; None without points."""
+        if self._cheapest is None:
+            plan = plan_reads(self._all, self.rules, self._cost)
+            narrowest = min(
+                (one for read in plan.reads for one in read.items if one.group is None),
+                key=lambda one: one.width,
+                default=None,
+            )
+            if narrowest is not None and not self._rules.exact:
+                return read_of(narrowest.table, [narrowest], self._cost)
+            return min(plan.reads, key=lambda read: read.seconds, default=None)
+        return self._cheapest
+
+    def succeeded(self, read: PlannedRead, seconds: float) -> None:
+        """Note a read that succeeded at its first attempt."""
+        self._learner.observe(read.table, read.width, seconds)
+        self._map.observe(read, ReadOutcome.SUCCESS)
+        if self._cheapest is None or read.seconds < self._cheapest.seconds:
+            self._cheapest = read
+        self._since_check += 1
+        if self._since_check >= CHECKED_EVERY:
+            self._since_check = 0
+            self._look_at_cost()
+
+    def failed(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
+        """Note a read that failed, with its exception code where there is one."""
+        self._map.observe(read, outcome, code)
+
+    def _look_at_cost(self) -> None:
+        """Make plans anew where that is worth it (rule 3)."""
+        settled = self._learner.is_settled
+        cost = self._learner.cost
+        first, self._is_settled = settled and not self._is_settled, settled
+        old = self._cost
+        if not first and abs(cost.base - old.base) <= 0.02 * old.base and cost.per_register == old.per_register:
+            return
+        self._cost = cost
+        for classes, plan in list(self._plans.items()):
+            better = self._make(classes)
+            if first or predicted(plan.reads, cost) > (1 + WORTH) * better.seconds:
+                self._plans[classes] = better
+
+    # What is asked to learn.
+
+    @property
+    def may_ask(self) -> bool:
+        """Whether `question` may give a read now."""
+        return self._probes is None or bool(self._probes) or self._map.is_asking
+
+    def question(self) -> PlannedRead | None:
+        """A read to make at low priority, or None."""
+        asked = self._map.question()
+        if asked is not None:
+            return asked
+        if self._probes is None:
+            if not self._plans:
+                return None
+            some = [read for plan in self._plans.values() for read in plan.reads]
+            self._probes = probes_for(some, self._cost) * PROBES if self._may_probe else []
+        self._probe = self._probes.pop() if self._probes else None
+        return self._probe
+
+    @property
+    def _may_probe(self) -> bool:
+        return not (self._rules.exact or self._rules.one_point)
+
+    def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
+        """Note what became of a read that `question` gave; says whether holes or limits were learnt."""
+        if read is self._probe:
+            self._probe = None
+            if outcome is ReadOutcome.SUCCESS:
+                self.succeeded(read, seconds)
+            else:
+                self._probes = []  # the device may refuse such reads: the plan's own will tell
+            return False
+        if outcome is ReadOutcome.SUCCESS:
+            self._learner.observe(read.table, read.width, seconds)
+        if not self._map.is_asking:
+            return False
+        learnt = self._map.answered(outcome, code)
+        if learnt:
+            self._plans.clear()
+        return learnt
+
+    def forget(self, known: DeviceKnowledge) -> None:
+        """Begin anew with what is known by now: what was learnt is forgotten or pinned."""
+        self._map = MapLearner(known, self._cost)
+        self._plans.clear()
+
+
+def _once(items: Iterable[ReadItem]) -> list[ReadItem]:
+    """Items, each object once, in their order."""
+    return list({id(one): one for one in items}.values())

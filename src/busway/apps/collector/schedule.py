@@ -1,0 +1,524 @@
+"""The schedule of one link: which read is next, and when.
+
+Pure: every call is handed the time; knows no clock and no socket. A driver asks `LinkSchedule.next`, makes the reads of
+the turn that it gets, and tells `LinkSchedule.done`.
+
+1. Writes go first, then leased points, which are those on a screen, then rounds of classes, each by the earliest
+   deadline. A read that has begun is never interrupted. The reads of a round follow each other, unless a round with an
+   earlier deadline comes up.
+2. A round is one due time of the classes of one device that are due within a small slack; its deadline is its due time
+   and the shortest of their periods. Due times stand on a grid, so that nothing drifts; devices follow each other in it
+   with the time between them that their reads need.
+3. A device has at most one round that runs and one that waits. A due time that finds its class waiting is skipped and
+   counted, never queued: memory does not grow under overload.
+4. A device that was not asked yet is asked by one cheap read. One that is silent is suspended: its rounds stop, and it
+   is probed by its cheapest read, at once first, then ever more rarely. All probes of a link together use at most
+   `DEAD_SHARE` of its time.
+5. Questions of learning wait until nothing else is due.
+"""
+
+import heapq
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from itertools import count
+from typing import Any, Final
+
+from .plan import PlannedRead
+from .plans import Classes, PlanBook
+
+DEAD_SHARE: Final = 0.05
+"""Part of a link's time that probes of silent devices may use together."""
+SLACK: Final = 0.05
+"""Part of its period by which a class may be read early, together with others."""
+LONGEST_BACKOFF: Final = 60.0
+"""Seconds between two probes of a silent device, at most, where the share allows."""
+MOST_WRITES: Final = 256
+"""Writes that may wait for a link."""
+_SPREAD: Final = 0.618_033_988_75
+"""The golden section: multiples of it, modulo 1, are spread evenly however many there are."""
+_PLACED_LOAD: Final = 0.85
+"""Part of the time between two devices that the reads of the first fill on average."""
+
+LEASED: Final = "(leased)"
+"""The class of points that somebody looks at."""
+
+
+class TurnKind(Enum):
+    """Why something is asked."""
+
+    WRITE = "write"
+    ROUND = "round"
+    PROBE = "probe"
+    QUESTION = "question"
+
+
+class TurnOutcome(Enum):
+    """What became of a turn, as far as the schedule has to know."""
+
+    ANSWERED = "answered"  # also by an exception: the device lives
+    SILENT = "silent"
+    DOWN = "down"  # the link was not there; the device may live
+
+
+@dataclass(slots=True)
+class PollRound:
+    """One round of a device.
+
+    Attributes:
+        device: its name.
+        classes: what is due.
+        due: when.
+        deadline: until when it should have ended.
+        reads: those that are left.
+        own: seconds that its own reads took so far.
+        began: when its first read began; None before.
+        skipped_since: the first due time of the device that was passed over before it; None where none was.
+    """
+
+    device: str
+    classes: Classes
+    due: float
+    deadline: float
+    reads: deque[PlannedRead] = field(default_factory=deque)
+    own: float = 0.0
+    began: float | None = None
+    skipped_since: float | None = None
+
+    @property
+    def rank(self) -> int:
+        """Leased points go before classes."""
+        return 0 if LEASED in self.classes else 1
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """What to do next on a link.
+
+    Attributes:
+        kind: why.
+        device: whom to ask.
+        reads: what to ask, one after the other, or as one batch.
+        write: what `LinkSchedule.write` was given.
+        round: the round that it belongs to.
+    """
+
+    kind: TurnKind
+    device: str
+    reads: tuple[PlannedRead, ...] = ()
+    write: Any = None  # Any: the caller's own
+    round: PollRound | None = None
+
+
+@dataclass(slots=True)
+class ScheduledDevice:
+    """A device of a link, and how it fares.
+
+    Attributes:
+        name: its name.
+        book: its plans.
+        periods: seconds by class.
+        due: by class, when it is due next.
+        lives: whether it has answered last time; None before the first answer.
+        silences: in a row.
+        probe_at: when it may be probed next, while it does not live.
+        suspended_at: since when its rounds have stopped.
+        was_down: whether the link was not there when it was asked last.
+        waiting: the round that has not begun.
+        release_at: when its next round begins to wait.
+        skipped_since: the first due time that was passed over since its last round began.
+        question_at: when it may be asked a question of learning.
+        leased_until: until when points of it are leased.
+        rounds, skipped: how many ended, and how many due times were passed over.
+        worst_wait, worst_fast: the longest time that a round waited for others, in seconds; of all rounds, and of those
+            of the fastest class.
+        is_paused: whether it is left alone (maintenance).
+    """
+
+    name: str
+    book: PlanBook
+    periods: dict[str, float]
+    due: dict[str, float]
+    lives: bool | None = None
+    silences: int = 0
+    probe_at: float = 0.0
+    suspended_at: float | None = None
+    was_down: bool = False
+    waiting: PollRound | None = None
+    release_at: float = 0.0
+    skipped_since: float | None = None
+    question_at: float = 0.0
+    leased_until: float = 0.0
+    rounds: int = 0
+    skipped: int = 0
+    worst_wait: float = 0.0
+    worst_fast: float = 0.0
+    is_paused: bool = False
+
+    @property
+    def shortest(self) -> float:
+        """The shortest period."""
+        return min(self.periods.values())
+
+
+class LinkSchedule:
+    """The schedule of one link.
+
+    Args:
+        timeout: seconds that a silent read takes.
+        batch: reads of a round that may be asked at once; 1 on lines.
+        share: part of the time that probes of silent devices may use.
+
+    Attributes:
+        devices: those of the link, by name.
+        refused_writes: writes that found the queue full.
+        busy: seconds in which turns were made.
+        probing: seconds of those in which silent devices were probed.
+    """
+
+    def __init__(self, timeout: float, *, batch: int = 1, share: float = DEAD_SHARE) -> None:
+        self.timeout = timeout
+        self.devices: dict[str, ScheduledDevice] = {}
+        self.refused_writes = 0
+        self.busy = 0.0
+        self.probing = 0.0
+        self._batch = batch
+        self._share = share
+        self._credit = timeout
+        self._credited_at: float | None = None
+        self._writes: deque[tuple[str, Any]] = deque()
+        self._releases: list[tuple[float, int, str]] = []
+        self._ready: list[tuple[int, float, int, PollRound]] = []
+        self._new: deque[str] = deque()
+        self._silent: list[tuple[float, int, str]] = []
+        self._asking: deque[str] = deque()
+        self._numbers = count()
+        self._added = 0
+        self._placed = 0.0
+
+    # Devices and what is asked of them.
+
+    def add(self, name: str, book: PlanBook, periods: Mapping[str, float], now: float) -> None:
+        """Poll a device from now on: ``periods`` are seconds by class; classes without points are left out."""
+        known = {name: period for name, period in periods.items() if name in book.classes}
+        if not known:
+            return
+        device = ScheduledDevice(name, book, known, self._first_dues(book, known, now))
+        self.devices[name] = device
+        self._new.append(name)
+        if name not in self._asking:
+            self._asking.append(name)
+
+    def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
+        """Due times on grids: the fastest class behind those of the devices before, slower ones on its due times."""
+        shortest = min(periods.values())
+        first = now + self._placed % shortest
+        for name, period in periods.items():
+            self._placed += book.plan_for(frozenset({name})).seconds * (shortest / period) / _PLACED_LOAD
+        self._added += 1
+        step = (self._added * _SPREAD) % 1.0
+        return {name: first + int(step * int(period / shortest + 1e-9)) * shortest for name, period in periods.items()}
+
+    def remove(self, name: str) -> None:
+        """Stop polling a device; a read that has begun still ends."""
+        self.devices.pop(name, None)
+        self._ready = [each for each in self._ready if each[3].device != name]
+        heapq.heapify(self._ready)
+
+    def pause(self, name: str, *, paused: bool, now: float) -> None:
+        """Leave a device alone, or poll it again."""
+        device = self.devices[name]
+        if device.is_paused is paused:
+            return
+        device.is_paused = paused
+        if paused:
+            self._drop_rounds(device)
+        else:
+            self._resume(device, now, at_once=True)
+
+    def write(self, device: str, what: Any) -> bool:  # Any: the caller's own
+        """Queue a write; False where too many wait."""
+        if len(self._writes) >= MOST_WRITES:
+            self.refused_writes += 1
+            return False
+        self._writes.append((device, what))
+        return True
+
+    def lease(self, name: str, items: Sequence[Any], period: float, until: float, now: float) -> None:
+        """Read some points of a device every ``period`` seconds until a time, before the classes."""
+        device = self.devices[name]
+        device.book.set_class(LEASED, items)
+        device.periods[LEASED] = period
+        device.leased_until = until
+        device.due[LEASED] = now
+        if device.lives and not device.is_paused:
+            self._release_at(now, device)
+
+    # What is next.
+
+    def next(self, now: float) -> Turn | float:
+        """What to do now, or the time to ask again at the latest; a write or lease may come before it."""
+        self._credit_until(now)
+        self._release_due(now)
+        if self._writes:
+            device, what = self._writes.popleft()
+            return Turn(TurnKind.WRITE, device, write=what)
+        if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
+            asked = self._first_contact() or self._probe(now)
+            if asked is not None:
+                return asked
+        while self._ready:
+            turn = self._turn_of_round(now)
+            if turn is not None:  # else nothing of it may be read
+                return turn
+        return self._first_contact() or self._probe(now) or self._question(now) or self._next_event(now)
+
+    def _turn_of_round(self, now: float) -> Turn | None:
+        chosen = self._ready[0][3]
+        device = self.devices[chosen.device]
+        if chosen.began is None:
+            chosen.began = now
+            chosen.reads = deque(device.book.plan_for(chosen.classes).reads)
+            chosen.skipped_since, device.skipped_since = device.skipped_since, None
+            device.waiting = None
+        reads = tuple(chosen.reads.popleft() for _ in range(min(self._batch, len(chosen.reads))))
+        if not chosen.reads:
+            self._forget_ready(chosen)
+        return Turn(TurnKind.ROUND, chosen.device, reads, round=chosen) if reads else None
+
+    def _forget_ready(self, ended: PollRound) -> None:
+        if self._ready and self._ready[0][3] is ended:
+            heapq.heappop(self._ready)
+            return
+        self._ready = [each for each in self._ready if each[3] is not ended]
+        heapq.heapify(self._ready)
+
+    def _release_due(self, now: float) -> None:
+        while self._releases and self._releases[0][0] <= now:
+            when, _, name = heapq.heappop(self._releases)
+            device = self.devices.get(name)
+            if device is not None and device.release_at == when and device.lives and not device.is_paused:
+                self._release(device, now)
+
+    def _release(self, device: ScheduledDevice, now: float) -> None:
+        """Begin a round with the classes that are due, or add them to the one that waits (rules 2 and 3)."""
+        if LEASED in device.periods and now >= device.leased_until:
+            del device.periods[LEASED], device.due[LEASED]
+            device.book.set_class(LEASED, ())
+        due = {
+            name: device.due[name]
+            for name, period in device.periods.items()
+            if device.due[name] <= now + SLACK * period and device.due[name] <= now + device.shortest / 2
+        }
+        if not any(each <= now for each in due.values()):
+            due = {}
+        for name, each in due.items():
+            following = _next_on_grid(each, device.periods[name], now)
+            self._skip(device, round((following - each) / device.periods[name]) - 1, each)
+            device.due[name] = following
+        if due:
+            self._add_to_round(device, due)
+        self._release_at(min(device.due.values()), device)
+
+    def _skip(self, device: ScheduledDevice, times: int, since: float) -> None:
+        if times > 0:
+            device.skipped += times
+            if device.skipped_since is None:
+                device.skipped_since = since
+
+    def _add_to_round(self, device: ScheduledDevice, due: Mapping[str, float]) -> None:
+        waiting = device.waiting
+        new = frozenset(due)
+        deadline = min(each + device.periods[name] for name, each in due.items())
+        if waiting is None:
+            waiting = PollRound(device.name, new, min(due.values()), deadline)
+        else:
+            for name in new & waiting.classes:
+                self._skip(device, 1, due[name])
+            if new <= waiting.classes:
+                return
+            self._forget_ready(waiting)
+            fresh = min(due[name] + device.periods[name] for name in new - waiting.classes)
+            waiting.classes |= new
+            waiting.deadline = min(waiting.deadline, fresh)
+        device.waiting = waiting
+        heapq.heappush(self._ready, (waiting.rank, waiting.deadline, next(self._numbers), waiting))
+
+    def _release_at(self, when: float, device: ScheduledDevice) -> None:
+        device.release_at = when
+        heapq.heappush(self._releases, (when, next(self._numbers), device.name))
+
+    # What became of it.
+
+    def done(self, turn: Turn, began: float, now: float, outcome: TurnOutcome) -> None:
+        """Note the end of a turn: when it began and ended, and whether the device answered."""
+        self.busy += now - began
+        device = self.devices.get(turn.device)
+        if device is None:
+            return
+        if turn.kind is TurnKind.PROBE:
+            self.probing += now - began
+            self._credit -= now - began
+        if outcome is TurnOutcome.ANSWERED:
+            self._answered(device, turn, now)
+            if turn.round is not None:
+                self._after_read(device, turn.round, now - began, now)
+        else:
+            self._unanswered(device, now, down=outcome is TurnOutcome.DOWN)
+
+    def _after_read(self, device: ScheduledDevice, made: PollRound, seconds: float, now: float) -> None:
+        made.own += seconds
+        if not made.reads:
+            device.rounds += 1
+            wait = now - made.due - made.own
+            device.worst_wait = max(device.worst_wait, wait)
+            if made.deadline - made.due <= device.shortest * (1 + SLACK):
+                device.worst_fast = max(device.worst_fast, wait)
+
+    def _answered(self, device: ScheduledDevice, turn: Turn, now: float) -> None:
+        device.silences = 0
+        if turn.kind is not TurnKind.WRITE and not device.lives:
+            was_suspended = device.suspended_at is not None
+            device.lives = True
+            device.suspended_at = None
+            if not device.is_paused:
+                self._resume(device, now, at_once=was_suspended)
+        for other in self.devices.values() if device.was_down else ():
+            if other.was_down:  # the link is back: ask the others at once
+                other.was_down = False
+                other.probe_at = now
+                self._push_silent(other)
+
+    def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
+        """Poll a device that lives, on its grid, and ``at_once`` before; one that is silent is probed first."""
+        if not device.lives:
+            device.probe_at = now
+            self._push_silent(device)
+            return
+        for name, period in device.periods.items():
+            if device.due[name] <= now:
+                device.due[name] = _next_on_grid(device.due[name], period, now) - (period if at_once else 0.0)
+        self._release_at(min(device.due.values()), device)
+
+    def _unanswered(self, device: ScheduledDevice, now: float, *, down: bool) -> None:
+        """Suspend a device, or probe it later (rule 4)."""
+        device.silences += 1
+        device.was_down = down
+        if device.lives or device.suspended_at is None:
+            device.suspended_at = now
+        if device.lives:
+            device.lives = False
+            device.probe_at = now
+            self._drop_rounds(device)
+        else:
+            device.lives = False
+            device.probe_at = now + min(device.shortest * 2 ** min(max(device.silences - 2, 0), 20), LONGEST_BACKOFF)
+        self._push_silent(device)
+
+    def _drop_rounds(self, device: ScheduledDevice) -> None:
+        device.waiting = None
+        self._ready = [each for each in self._ready if each[3].device != device.name]
+        heapq.heapify(self._ready)
+
+    # Silent devices, and questions.
+
+    def _push_silent(self, device: ScheduledDevice) -> None:
+        heapq.heappush(self._silent, (device.probe_at, next(self._numbers), device.name))
+
+    def _credit_until(self, now: float) -> None:
+        if self._credited_at is not None:
+            gained = self._share * (now - self._credited_at)
+            self._credit = min(self._credit + gained, self.timeout)
+        self._credited_at = now
+
+    def _silent_front(self) -> ScheduledDevice | None:
+        """The silent device whose probe is due first."""
+        while self._silent:
+            when, _, name = self._silent[0]
+            device = self.devices.get(name)
+            if device is not None and device.lives is False and not device.is_paused and device.probe_at == when:
+                return device
+            heapq.heappop(self._silent)
+        return None
+
+    def _first_contact(self) -> Turn | None:
+        """Ask a device that was never asked before: while nothing is due, or as the share allows."""
+        for _ in range(len(self._new)):
+            device = self.devices.get(self._new.popleft())
+            if device is None or device.lives is not None:
+                continue
+            if device.is_paused:
+                self._new.append(device.name)
+                continue
+            turn = self._probe_turn(device)
+            if turn is not None:
+                return turn
+        return None
+
+    def _probe(self, now: float) -> Turn | None:
+        device = self._silent_front()
+        if device is None or device.probe_at > now or self._credit < -1e-9:
+            return None
+        heapq.heappop(self._silent)
+        return self._probe_turn(device)
+
+    def _probe_turn(self, device: ScheduledDevice) -> Turn | None:
+        read = device.book.cheapest
+        return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
+
+    def _question(self, now: float) -> Turn | None:
+        """The next question of learning: one for each device in its shortest period."""
+        for _ in range(len(self._asking)):
+            device = self.devices.get(self._asking[0])
+            if device is None:
+                self._asking.popleft()
+                continue
+            self._asking.rotate(-1)
+            if not device.lives or device.is_paused or device.question_at > now:
+                continue
+            device.question_at = now + device.shortest
+            read = device.book.question()
+            if read is not None:
+                return Turn(TurnKind.QUESTION, device.name, (read,))
+        return None
+
+    def _next_event(self, now: float) -> float:
+        soonest = self._releases[0][0] if self._releases else now + LONGEST_BACKOFF
+        device = self._silent_front()
+        if device is not None:
+            has_credit_at = now - min(self._credit, 0.0) / self._share
+            soonest = min(soonest, max(device.probe_at, has_credit_at))
+        asked = (each.question_at for each in self.devices.values() if each.lives and each.book.may_ask)
+        return max(now, min(soonest, min(asked, default=soonest)))
+
+    # What it promises.
+
+    @property
+    def blocking(self) -> float:
+        """Seconds for which others may hold the link before a round begins: the longest read and one timeout."""
+        longest = (
+            read.seconds
+            for device in self.devices.values()
+            for read in device.book.plan_for(device.book.classes - {LEASED}).reads
+        )
+        return max(longest, default=0.0) + self.timeout
+
+    @property
+    def revival_bound(self) -> float:
+        """Seconds within which a silent device that answers again is polled, while the link is not overloaded."""
+        silent = sum(not device.lives for device in self.devices.values())
+        return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
+
+
+def lateness_bound(period: float, blocking: float) -> float:
+    """Seconds that a round of a class may wait for others where the admission test passed."""
+    return max(SLACK * period, blocking)
+
+
+def _next_on_grid(due: float, period: float, now: float) -> float:
+    """The first due time after now, and after ``due``, on the grid of ``due``."""
+    following = due + period
+    if following > now:
+        return following
+    return due + period * (int((now - due) / period) + 1)

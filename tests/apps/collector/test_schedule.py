@@ -1,0 +1,327 @@
+"""The schedule of a link on a virtual clock: periods that hold, order, overload, silent devices."""
+
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import pytest
+
+from busway.apps.collector.admission import admit
+from busway.apps.collector.cost import ReadCost, baud_cost, network_cost
+from busway.apps.collector.learning import ReadOutcome
+from busway.apps.collector.plan import PlainItem, ReadRules
+from busway.apps.collector.plans import PlanBook
+from busway.apps.collector.schedule import (
+    DEAD_SHARE,
+    LONGEST_BACKOFF,
+    LinkSchedule,
+    Turn,
+    TurnKind,
+    TurnOutcome,
+    lateness_bound,
+)
+from busway.codes import Table
+
+H = Table.HOLDING_REGISTERS
+FAST = baud_cost(19_200)
+
+
+def book(classes: Mapping[str, int], cost: ReadCost = FAST, *, bridge: bool = False) -> PlanBook:
+    """Plans of a device that has so many two-register points of each class."""
+    place = 0
+    items: dict[str, list[PlainItem]] = {}
+    for name, number in classes.items():
+        items[name] = [PlainItem(H, place + 2 * at, 2, f"{name}{at}") for at in range(number)]
+        place += 2 * number + 200
+    return PlanBook(items, ReadRules(bridge=bridge), cost)
+
+
+@dataclass
+class VirtualLink:
+    """A link whose reads take exactly what they cost, and whose silences take a timeout."""
+
+    schedule: LinkSchedule
+    now: float = 0.0
+    dead: set[str] = field(default_factory=set)
+    is_down: bool = False
+    turns: list[tuple[float, Turn]] = field(default_factory=list)
+    keep: bool = True
+    hooks: list[tuple[float, Callable[[], None]]] = field(default_factory=list)
+    polled: dict[str, list[float]] = field(default_factory=dict)
+
+    def run(self, until: float) -> None:
+        while self.now < until:
+            while self.hooks and self.hooks[0][0] <= self.now:
+                self.hooks.pop(0)[1]()
+            turn = self.schedule.next(self.now)
+            if isinstance(turn, float):
+                nearest = min([turn, until, *(when for when, _ in self.hooks)])
+                assert nearest > self.now or turn > self.now
+                self.now = max(nearest, self.now + 1e-9)
+                continue
+            began = self.now
+            outcome = TurnOutcome.ANSWERED
+            if turn.device in self.dead:
+                outcome = TurnOutcome.SILENT
+                self.now += self.schedule.timeout
+            elif self.is_down:
+                outcome = TurnOutcome.DOWN
+                self.now += 0.001
+            else:
+                self.now += sum(read.seconds for read in turn.reads) or 0.005
+            if turn.kind is TurnKind.QUESTION:
+                self.schedule.devices[turn.device].book.answered(
+                    turn.reads[0], ReadOutcome.SUCCESS if outcome is TurnOutcome.ANSWERED else ReadOutcome.SILENCE, 0.02
+                )
+            if turn.kind is TurnKind.ROUND and outcome is TurnOutcome.ANSWERED and turn.round is not None:
+                self.polled.setdefault(turn.device, []).append(began)
+            if self.keep:
+                self.turns.append((began, turn))
+            self.schedule.done(turn, began, self.now, outcome)
+
+
+def link_with(devices: Mapping[str, PlanBook], periods: Mapping[str, float], timeout: float = 1.0) -> VirtualLink:
+    schedule = LinkSchedule(timeout)
+    for name, each in devices.items():
+        schedule.add(name, each, periods, 0.0)
+    return VirtualLink(schedule)
+
+
+def test_a_device_is_asked_once_a_period_without_drift() -> None:
+    link = link_with({"a": book({"c": 5})}, {"c": 1.0})
+    link.run(1000)
+    times = link.polled["a"]
+    assert len(times) == pytest.approx(1000, abs=2)
+    grid = [round((each - times[10]) % 1.0, 6) for each in times[10:]]
+    assert {min(each, 1 - each) <= 0.06 for each in grid} == {True}  # a question of learning may be in the way
+
+
+def test_devices_do_not_wait_for_each_other_on_a_link_without_silent_ones() -> None:
+    books = {f"d{at}": book({"c": 1 + at}) for at in range(30)}
+    link = link_with(books, {"c": 2.5})
+    assert admit("hall", [(name, each, {"c": 2.5}) for name, each in books.items()], 1.0).load > 0.65
+    link.run(100)
+    for device in link.schedule.devices.values():
+        device.worst_wait = 0.0
+    link.run(200)
+    assert max(device.worst_wait for device in link.schedule.devices.values()) < 0.1  # a question of learning
+
+
+def test_slow_classes_of_devices_do_not_come_all_at_once() -> None:
+    link = link_with({f"d{at}": book({"fast": 1, "slow": 5}) for at in range(20)}, {"fast": 1.0, "slow": 60.0})
+    link.run(300)
+    slow = [began for began, turn in link.turns if turn.round is not None and "slow" in turn.round.classes]
+    for second in range(120, 300):
+        assert sum(second <= each < second + 1 for each in slow) <= 8
+
+
+def test_classes_that_are_due_together_make_one_plan() -> None:
+    link = link_with({"a": book({"fast": 5, "slow": 5}, bridge=True)}, {"fast": 1.0, "slow": 10.0})
+    link.run(100)
+    sets = {turn.round.classes for _, turn in link.turns if turn.round is not None}
+    assert sets == {frozenset({"fast"}), frozenset({"fast", "slow"})}
+
+
+def test_the_reads_of_a_round_follow_each_other() -> None:
+    several = {
+        f"d{at}": PlanBook({"c": [PlainItem(H, place, 1) for place in (0, 500, 999)]}, ReadRules(), FAST)
+        for at in range(10)
+    }
+    link = link_with(several, {"c": 2.0})
+    link.run(60)
+    rounds = [turn.device for _, turn in link.turns if turn.kind is TurnKind.ROUND]
+    changes = sum(a != b for a, b in pairwise(rounds))
+    assert changes == pytest.approx(len(rounds) / 3, abs=2)
+
+
+def test_a_round_with_an_earlier_deadline_goes_between_the_reads_of_a_long_one() -> None:
+    long = PlanBook({"slow": [PlainItem(H, 300 * at, 1) for at in range(100)]}, ReadRules(), FAST)
+    schedule = LinkSchedule(1.0)
+    schedule.add("long", long, {"slow": 60.0}, 0.0)
+    schedule.add("quick", book({"fast": 1}), {"fast": 1.0}, 0.0)
+    link = VirtualLink(schedule)
+    link.run(300)
+    assert schedule.devices["quick"].worst_wait <= lateness_bound(1.0, schedule.blocking)
+    assert schedule.devices["quick"].skipped == 0
+    assert schedule.devices["long"].skipped == 0
+
+
+def test_a_write_goes_before_all_reads() -> None:
+    link = link_with({f"d{at}": book({"c": 30}) for at in range(30)}, {"c": 1.0})
+    link.run(20.5)
+    link.schedule.write("d3", "open the valve")
+    turn = link.schedule.next(link.now)
+    assert isinstance(turn, Turn)
+    assert (turn.kind, turn.device, turn.write) == (TurnKind.WRITE, "d3", "open the valve")
+
+
+def test_writes_are_bounded_and_refused_beyond() -> None:
+    schedule = LinkSchedule(1.0)
+    taken = [schedule.write("d", at) for at in range(300)]
+    assert taken.count(True) == 256
+    assert schedule.refused_writes == 44
+
+
+def test_leased_points_go_before_classes_and_end_with_the_lease() -> None:
+    link = link_with({f"d{at}": book({"c": 30}) for at in range(20)}, {"c": 3.0})
+    link.run(30)
+    device = link.schedule.devices["d7"]
+    link.schedule.lease("d7", device.book.points()[:1], 0.5, 40.0, link.now)
+    link.run(60)
+    leased = [began for began, turn in link.turns if turn.round is not None and turn.round.rank == 0]
+    assert len(leased) >= 18
+    assert max(leased) <= 40.6
+    assert max(b - a for a, b in pairwise(leased)) < 0.7
+
+
+def test_overload_skips_and_counts_and_keeps_nothing() -> None:
+    books = {f"d{at}": book({"c": 60}) for at in range(50)}
+    link = link_with(books, {"c": 1.0})
+    assert not admit("hall", [(name, each, {"c": 1.0}) for name, each in books.items()], 1.0).fits
+    link.keep = False
+    link.run(500)
+    skipped = sum(device.skipped for device in link.schedule.devices.values())
+    rounds = sum(device.rounds for device in link.schedule.devices.values())
+    assert skipped > 1000
+    assert skipped + rounds == pytest.approx(50 * 500, rel=0.05)
+    assert len(link.schedule._ready) <= 100
+    assert len(link.schedule._releases) <= 100
+    assert min(device.rounds for device in link.schedule.devices.values()) > 0.9 * rounds / 50  # fair
+
+
+def test_what_was_skipped_is_told_with_the_next_round() -> None:
+    link = link_with({f"d{at}": book({"c": 60}) for at in range(50)}, {"c": 1.0})
+    link.run(60)
+    late = [turn.round for _, turn in link.turns if turn.round is not None and turn.round.skipped_since is not None]
+    assert late
+    assert all(each.began is not None and each.skipped_since < each.began for each in late)
+
+
+# Silent devices.
+
+
+def test_silent_devices_use_a_twentieth_of_the_time_of_a_link_at_most() -> None:
+    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
+    link.dead = {f"d{at}" for at in range(10)}
+    link.run(3000)
+    assert link.schedule.probing <= DEAD_SHARE * 3000 + 2 * link.schedule.timeout
+    assert link.schedule.probing >= 0.5 * DEAD_SHARE * 3000  # and it is used
+
+
+def test_a_device_that_is_silent_for_a_moment_misses_one_or_two_rounds() -> None:
+    link = link_with({"a": book({"c": 5}), "b": book({"c": 5})}, {"c": 5.0})
+    link.hooks = [(100.0, lambda: link.dead.add("a")), (103.0, link.dead.clear)]
+    link.run(200)
+    gaps = [b - a for a, b in pairwise(link.polled["a"])]
+    assert 7 < max(gaps) <= 5.0 + 5.0 + 2 * link.schedule.timeout + 0.1  # missed twice: by its round and its probe
+
+
+def test_a_device_that_comes_back_is_polled_within_the_bound() -> None:
+    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
+    link.dead = {f"d{at}" for at in range(8)}
+    link.run(2000)
+    assert "d3" not in link.polled
+    link.dead.discard("d3")
+    bound = link.schedule.revival_bound
+    link.run(2000 + bound + 2.0)
+    assert "d3" in link.polled
+    assert bound < 300
+
+
+def test_a_link_that_comes_back_has_all_its_devices_back_at_once() -> None:
+    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
+    link.hooks = [(100.0, lambda: setattr(link, "is_down", True)), (500.0, lambda: setattr(link, "is_down", False))]
+    link.run(700)
+    for times in link.polled.values():
+        after = [each for each in times if each > 500]
+        assert after[0] < 500 + LONGEST_BACKOFF + 5
+
+
+def test_a_device_in_maintenance_is_left_alone_and_polled_again_afterwards() -> None:
+    link = link_with({"a": book({"c": 5}), "b": book({"c": 5})}, {"c": 1.0})
+    link.hooks = [
+        (50.0, lambda: link.schedule.pause("a", paused=True, now=link.now)),
+        (80.0, lambda: link.schedule.pause("a", paused=False, now=link.now)),
+    ]
+    link.run(120)
+    assert not [each for each in link.polled["a"] if 50.1 < each < 80]
+    assert len([each for each in link.polled["a"] if each >= 80]) >= 38
+    assert len(link.polled["b"]) >= 117
+
+
+def test_a_device_that_is_removed_and_added_again_is_polled_once_a_period() -> None:
+    link = link_with({"a": book({"c": 5})}, {"c": 1.0})
+
+    def again() -> None:
+        link.schedule.remove("a")
+        link.schedule.add("a", book({"c": 5}), {"c": 1.0}, link.now)
+
+    link.hooks = [(10.0 + at, again) for at in range(50)]
+    link.run(200)
+    assert len([each for each in link.polled["a"] if each > 100]) == pytest.approx(100, abs=2)
+    assert len(link.schedule._releases) <= 2
+
+
+# A plant.
+
+
+def test_of_a_thousand_devices_of_which_three_hundred_are_dead_every_other_keeps_its_period() -> None:
+    source = random.Random(1)
+    periods = {"fast": 5.0, "slow": 60.0}
+    names = [f"d{at}" for at in range(1000)]
+    dead = set(source.sample(names, 300))
+    worst = 0.0
+    for number in range(20):
+        own = {name: book({"fast": source.randrange(5, 30), "slow": 20}) for name in names[number::20]}
+        admission = admit(f"line {number}", [(name, each, periods) for name, each in own.items()], 0.5)
+        assert admission.fits, admission.problems
+        link = link_with(own, periods, timeout=0.5)
+        link.keep = False
+        link.dead = dead & set(own)
+        link.run(300)
+        bound = lateness_bound(5.0, link.schedule.blocking)
+        for name, device in link.schedule.devices.items():
+            if name in link.dead:
+                assert device.rounds == 0
+                continue
+            assert device.skipped == 0
+            gaps = [b - a for a, b in pairwise(link.polled[name])]
+            assert max(gaps) <= 5.0 + bound
+            assert device.rounds >= 60 * 0.8  # from its first contact on: that of dead ones takes a timeout each
+            worst = max(worst, device.worst_wait)
+            assert device.worst_wait <= lateness_bound(60.0, link.schedule.blocking)
+            assert device.worst_fast <= bound
+        assert len(link.schedule._ready) + len(link.schedule._releases) + len(link.schedule._silent) <= 400
+    assert worst > 0
+
+
+# Admission.
+
+
+def test_a_link_that_fits_is_admitted_with_its_load() -> None:
+    admission = admit("hall", [("a", book({"c": 5}), {"c": 5.0})], 1.0)
+    assert admission.fits
+    assert admission.load == pytest.approx(book({"c": 5}).plan_for(frozenset({"c"})).seconds / 5.0)
+
+
+def test_an_overloaded_link_names_the_class_to_slow_and_a_period_that_fits() -> None:
+    devices = [(f"d{at}", book({"fast": 30, "slow": 20}), {"fast": 2.0, "slow": 60.0}) for at in range(40)]
+    admission = admit("hall", devices, 0.2)
+    assert admission.load > 0.85
+    assert "give class fast a period of" in admission.problems[0]
+    period = float(admission.problems[0].split("period of ")[1].split(" s")[0])
+    slower = [(name, each, {"fast": period, "slow": 60.0}) for name, each, _ in devices]
+    assert admit("hall", slower, 0.2).fits
+
+
+def test_a_class_that_one_timeout_can_make_late_is_named() -> None:
+    admission = admit("hall", [("a", book({"c": 5}), {"c": 0.5})], 1.0)
+    assert len(admission.problems) == 1
+    assert "class c has a period of 0.5 s" in admission.problems[0]
+
+
+def test_a_network_link_is_judged_by_its_reads() -> None:
+    admission = admit("plc", [("a", book({"c": 50}, network_cost()), {"c": 0.1})], 0.05)
+    assert admission.fits
+    assert admission.load == pytest.approx(0.05, rel=0.1)
