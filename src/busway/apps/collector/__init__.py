@@ -2,9 +2,12 @@
 
 ==============  =======================================================================
 `cost`          what a read costs on the wire
+`plan`          the cheapest reads for the points that are due
 `knowledge`     what was learnt of devices, as values and as text
 `learning`      learning what reads cost, and which a device refuses
-`plan`          the cheapest reads for the points that are due
+`plans`         the plans of one device, by the classes that are due
+`schedule`      which read of a link is next, and when
+`admission`     whether a link can do what its devices are to be asked
 `samples`       a sample, its quality and reason; the samples of one read; intervals without reads
 `store`         the folder that keeps samples: written, sealed, read
 ==============  =======================================================================
