@@ -296,7 +296,7 @@ def test_of_a_thousand_devices_of_which_three_hundred_are_dead_every_other_keeps
     assert worst > 0
 
 
-# Admission.
+# LinkLoad.
 
 
 def test_a_link_that_fits_is_admitted_with_its_load() -> None:

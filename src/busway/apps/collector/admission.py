@@ -20,7 +20,7 @@ MOST_LOAD: Final = 0.85
 
 
 @dataclass(frozen=True, slots=True)
-class Admission:
+class LinkLoad:
     """What a link is asked to do.
 
     Attributes:
@@ -41,7 +41,7 @@ class Admission:
         return not self.problems
 
 
-def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> Admission:
+def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
     """Judge a link.
 
     Args:
@@ -65,7 +65,7 @@ def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]
             widest = max([widest, *(read.seconds for read in plan.reads)])
         longest.append((widest, device))
     problems = [*_overload(link, load, periods), *_too_fast(own, periods, longest, timeout)]
-    return Admission(link, sum(load.values()), load, tuple(problems))
+    return LinkLoad(link, sum(load.values()), load, tuple(problems))
 
 
 def _overload(link: str, load: Mapping[str, float], periods: Mapping[str, float]) -> Iterable[str]:
