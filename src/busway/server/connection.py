@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
-from ..transport.buffers import receive_buffer
+from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
 from .failures import answer_later
 from .framed import Session
@@ -68,14 +68,12 @@ class ServerConnection(asyncio.BufferedProtocol):
         "_half_closed",
         "_is_queued",
         "_is_rated",
-        "_is_single",
         "_is_stuck",
         "_late",
         "_management",
         "_tasks",
         "_trace",
         "_transport",
-        "_turns",
         "_window",
         "charged",
         "host",
@@ -98,8 +96,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._management = management
         self._accepted = accepted
         self._buffer = receive_buffer(management.loop)
-        self._window = memoryview(self._buffer)[:_BYTES_OF_A_TURN]
-        self._turns = management.turns
+        self._window = receive_window(self._buffer, _BYTES_OF_A_TURN)
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
         self._tasks: set[asyncio.Task[None]] | None = None
         self._trace: ConnectionTrace | None = None
@@ -107,7 +104,6 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._half_closed = False
         self._is_queued = False  # it waits for its turn
         self._is_rated = False
-        self._is_single = management.parameters.single_adu_segments
         self._is_stuck = False
         self._late: list[bytes] | None = None  # late replies that leave at the end of this turn
         self.session: Session | None = None
@@ -148,7 +144,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.received += nbytes
         if TRACE.level:
             self._traced().received(bytes(self._buffer[:nbytes]))
-        if self._turns.is_crowded and self._must_wait(session, nbytes):
+        if self._management.turns.is_crowded and self._must_wait(session, nbytes):
             return
         replies = session.receive(self._buffer, nbytes)
         self._finish(session, replies, nbytes)
@@ -208,7 +204,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _must_wait(self, session: Session, nbytes: int) -> bool:
         """While other connections wait: whether the received bytes must wait too; then they are queued."""
-        if self.is_priority or not (self.is_greedy or not self._turns.has_time):
+        if self.is_priority or not (self.is_greedy or not self._management.turns.has_time):
             return False
         session.put_off(self._buffer, nbytes)
         self._wait_for_turn()
@@ -218,7 +214,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     def _look_at_share(self, session: Session, nbytes: int) -> None:
         """It was given, or has asked, more than the least: whether it has to wait for its next turn."""
         session.spent = 0
-        self._turns.worked()
+        self._management.turns.worked()
         self.is_greedy = bool(session.rest) or nbytes == len(self._window)
         if self.is_greedy and not self._transport.is_closing():
             self._wait_for_turn()
@@ -227,7 +223,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._transport.pause_reading()
         if not self._is_queued:
             self._is_queued = True
-            self._turns.wait(self)
+            self._management.turns.wait(self)
 
     def take_turn(self) -> bool:
         """Work through a share of what waits; whether more of it waits for the next turn."""
@@ -374,7 +370,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _write(self, replies: list[bytes]) -> None:
         self.last_used = time.monotonic()
-        if self._is_single:
+        if self._management.parameters.single_adu_segments:
             for reply in replies:
                 self._transport.write(reply)
                 self.sent += len(reply)

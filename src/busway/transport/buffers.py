@@ -15,6 +15,8 @@ RECEIVE_SIZE = 65_536
 """What one receive call takes at most: some 5000 read requests."""
 
 _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, bytearray]" = WeakKeyDictionary()
+_windows: dict[int, memoryview] = {}
+"""The window made last, by its size: a view of a buffer takes 312 bytes, which no idle connection needs for itself."""
 
 
 def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
@@ -26,3 +28,11 @@ def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
     except KeyError:
         buffer = _shared[loop] = bytearray(RECEIVE_SIZE)
         return buffer
+
+
+def receive_window(buffer: bytearray, size: int) -> memoryview:
+    """The first ``size`` bytes of a buffer; connections that share the buffer share the view."""
+    window = _windows.get(size)
+    if window is None or window.obj is not buffer:
+        window = _windows[size] = memoryview(buffer)[:size]
+    return window
