@@ -4,7 +4,7 @@ Knows numbers and their sections; knows nothing that does anything with them.
 """
 
 from enum import Enum, IntEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 PDU_LIMIT: Final = 253
 """Bytes of a PDU, function code included (Application Protocol V1.1b3 §4.1)."""
@@ -45,8 +45,9 @@ class Table(Enum):
     INPUT_REGISTERS = "input_registers"
     HOLDING_REGISTERS = "holding_registers"
 
-    # Members are single objects, and the hash of Enum is written in Python: 0.1 µs at every look into a dictionary.
-    __hash__ = object.__hash__
+    if not TYPE_CHECKING:
+        # Members are single objects, and the hash of Enum is written in Python: 0.1 µs at every look into a dictionary.
+        __hash__ = object.__hash__
 
     @property
     def holds_bits(self) -> bool:

@@ -34,9 +34,9 @@ class AddressList:
         deny: Networks | Iterable[str] = (),
         secure: bool | None = None,
     ) -> None:
-        self.allow = allow if isinstance(allow, Networks) else Networks(allow, key="allow")
-        self.deny = deny if isinstance(deny, Networks) else Networks(deny, key="deny")
-        self.secure = bool(self.allow) if secure is None else secure
+        self.allow: Networks = allow if isinstance(allow, Networks) else Networks(allow, key="allow")
+        self.deny: Networks = deny if isinstance(deny, Networks) else Networks(deny, key="deny")
+        self.secure: bool = bool(self.allow) if secure is None else secure
 
     def __call__(self, host: str) -> bool:
         return host not in self.deny and (not self.secure or host in self.allow)

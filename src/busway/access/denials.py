@@ -36,7 +36,7 @@ class RepeatedDenials:
     """
 
     def __init__(self) -> None:
-        self.others = 0
+        self.others: int = 0
         self._repeated: dict[About, _Repeated] = {}
 
     def __bool__(self) -> bool:

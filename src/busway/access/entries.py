@@ -111,9 +111,9 @@ class Entry:
         self._unit = context.unit
         self._request = request
         self.replaced: Replaced | None = None
-        self.rule = ""
-        self.is_awaited = False
-        self.is_noted = False
+        self.rule: str = ""
+        self.is_awaited: bool = False
+        self.is_noted: bool = False
 
     def line(self, when: str, outcome: str, code: int | None, repeated: int = 0) -> str:
         """The line as JSON. ``repeated`` is the number of denials that it counts; 0 for this request alone."""

@@ -214,7 +214,7 @@ def _usage_sentence(error: Any) -> str:
     return f"{command}: {sentence}" if command else sentence
 
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     cls=Program,
     name="busway",
     help="A MODBUS client, server and decoder.",

@@ -33,7 +33,7 @@ class Manager:
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
         variables = os.environ if environment is None else environment
         self._address = _address(variables.get("NOTIFY_SOCKET", ""))
-        self.watchdog = _watchdog(variables) if self._address else None
+        self.watchdog: float | None = _watchdog(variables) if self._address else None
 
     @property
     def is_there(self) -> bool:

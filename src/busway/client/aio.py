@@ -31,6 +31,7 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.call_tracker import ClientCounters
+from ..session.parameters import ClientParameters
 from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from ..values.names import FloatName, IntegerName, Level, Order
@@ -482,7 +483,7 @@ class AsyncLink:
 
     def __init__(self, settings: LinkSettings, *, shared: bool, rule: LinkSelection | None = None) -> None:
         self._settings = settings
-        self.parameters = settings.parameters
+        self.parameters: ClientParameters = settings.parameters
         self._shared = shared
         self._rule = rule
         self._pool: LinkPool | None = None

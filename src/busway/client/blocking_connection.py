@@ -10,6 +10,7 @@ Knows a channel; knows no session and no thread. The lock of its link guards it,
 import contextlib
 import socket
 from collections import deque
+from collections.abc import Callable
 
 from ..transport.tcp import discard_on_close
 from .channel import Channel
@@ -28,9 +29,9 @@ class BlockingConnection:
     __slots__ = ("_poll", "channel", "frame_leaves", "unsent")
 
     def __init__(self, channel: Channel, poll: Poll | ExactPoll) -> None:
-        self.channel = channel
+        self.channel: Channel = channel
         self.unsent: deque[bytes] = deque()
-        self.frame_leaves = getattr(channel, "still_sending", None)
+        self.frame_leaves: Callable[[], None] | None = getattr(channel, "still_sending", None)
         self._poll = poll
 
     def send(self, frame: bytes) -> None:

@@ -76,7 +76,7 @@ class BlockingLinkDriver:
         shared: bool = True,
         scope: ClientScope | None = None,
     ) -> None:
-        self.name = settings.endpoint.url
+        self.name: str = settings.endpoint.url
         self._connector = connector
         self._framing = settings.endpoint.framing
         self.session: ClientSession = session
@@ -84,8 +84,10 @@ class BlockingLinkDriver:
         management = settings.management
         reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
         self.shared = shared
-        self.opened = self.last_used = 0.0
-        self.sent_bytes = self.received_bytes = 0
+        self.opened: float = 0.0
+        self.last_used: float = 0.0
+        self.sent_bytes: int = 0
+        self.received_bytes: int = 0
         self._hold = management.hold_seconds
         self._scope = scope
         self._spin = 0.0

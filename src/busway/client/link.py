@@ -149,7 +149,7 @@ class AsyncLinkDriver:
         shared: bool = True,
         scope: ClientScope | None = None,
     ) -> None:
-        self.name = settings.endpoint.url
+        self.name: str = settings.endpoint.url
         self._loop = asyncio.get_running_loop()
         self._connector = connector
         self._parameters = settings.parameters
@@ -157,15 +157,17 @@ class AsyncLinkDriver:
         self.session: ClientSession = session
         self._line = session if isinstance(session, SerialClientSession) else None
         self._clock = _clock_of(self._loop) if self._line is None else time.monotonic
-        self.now = self._clock
+        self.now: Callable[[], float] = self._clock
         management = settings.management
         reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
-        self.shared = shared
+        self.shared: bool = shared
         self.home: asyncio.AbstractEventLoop | None = self._loop
         self.watch: Callable[[], None] | None = None
         self.told: Callable[[ConnectionEvent, str], None] | None = None
-        self.opened = self.last_used = 0.0
-        self.sent_bytes = self.received_bytes = 0
+        self.opened: float = 0.0
+        self.last_used: float = 0.0
+        self.sent_bytes: int = 0
+        self.received_bytes: int = 0
         self._hold = management.hold_seconds
         self._scope = scope
         self._minds = scope is not None or self._hold < math.inf  # whether `_after_use` has something to do
@@ -190,7 +192,7 @@ class AsyncLinkDriver:
         self._outgoing: list[bytes] = []
         self._trace: ConnectionTrace | None = None
         self._closed = False
-        self.reconnect = reconnect
+        self.reconnect: Reconnect = reconnect
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         LOCAL.add(self)
 

@@ -100,7 +100,7 @@ class LocalConnections:
     """
 
     def __init__(self, supported: int = DEFAULT_LIMIT) -> None:
-        self.supported = supported
+        self.supported: int = supported
         self._links: WeakSet[LocalLink] = WeakSet()
         self._lock = threading.Lock()
 

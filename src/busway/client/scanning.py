@@ -20,6 +20,7 @@ from ..options.endpoints import Endpoint, parse_endpoint
 from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters
 from ..session.adaptive_timeout import AdaptiveTimeout, floor_for
+from ..transport.serial.settings import SerialSettings
 from .blocking import BlockingLink, connect
 from .conversation import timing_of
 from .settings import link_settings
@@ -174,9 +175,9 @@ class UnitScan:
         if endpoint.carrier != "serial":
             chosen["recycle_after_timeouts"] = 1000  # an address without a unit is no sign of a broken connection
         line = link_settings(endpoint, chosen).line
-        self.line = None if line is None else line.port
+        self.line: SerialSettings | None = None if line is None else line.port
         character = 0.0 if self.line is None else timing_of(self.line).character
-        self.adaptive_timeout = AdaptiveTimeout(longest, floor_for(character), learns=learn)
+        self.adaptive_timeout: AdaptiveTimeout = AdaptiveTimeout(longest, floor_for(character), learns=learn)
         self._units = units
         self._identifies = identify
         self._asking = asking

@@ -37,7 +37,7 @@ class ClientScope:
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.places: Places = places(limit)
-        self.lock = threading.Lock()
+        self.lock: threading.Lock = threading.Lock()
         self._links: deque[weakref.ref[ScopedLink]] = deque()
 
     @property

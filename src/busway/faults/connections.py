@@ -41,7 +41,8 @@ class FaultyTap:
         self._faulty: dict[tuple[str, str], FaultyConnection] = {}
         self._with_unsent: set[FaultyConnection] = set()
         self._was_any_on = faults.is_any_on
-        self.accepted = self.drained = 0
+        self.accepted: int = 0
+        self.drained: int = 0
         faults.watch(self._switched)
 
     def __len__(self) -> int:
@@ -121,7 +122,9 @@ class FaultyConnection:
         self.connection = connection
         self.clock = clock
         contact = Contact(clock.now(), others, carriers=_carriers(connection))
-        self.conversation = FaultyConversation(faults, contact, connection.framing, gap=connection.gap)
+        self.conversation: FaultyConversation = FaultyConversation(
+            faults, contact, connection.framing, gap=connection.gap
+        )
         self._loop = loop
         self._timer: Timer | None = None
         self._is_due = False

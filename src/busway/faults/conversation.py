@@ -64,7 +64,7 @@ class FaultyConversation:
         self._outbox: deque[_Due] = deque()
         self._last_due = contact.opened
         self.contact = contact
-        self.closed = not faults.admit(contact)
+        self.closed: bool = not faults.admit(contact)
 
     @property
     def has_unsent(self) -> bool:

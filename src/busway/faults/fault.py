@@ -284,11 +284,11 @@ class AppliedFault:
         *,
         enabled: bool,
     ) -> None:
-        self.label = label
-        self.fault = fault
-        self.selection = selection
-        self.enabled = enabled
-        self.struck = 0
+        self.label: str = label
+        self.fault: Fault = fault
+        self.selection: Selection = selection
+        self.enabled: bool = enabled
+        self.struck: int = 0
         self._changed = changed
         self._chosen = 0
         self._since: float | None = None
@@ -350,8 +350,8 @@ class Faults:
         self._applied: tuple[AppliedFault, ...] = ()
         self._lock = threading.Lock()
         self._watchers: tuple[Callable[[], None], ...] = ()
-        self.generation = 0
-        self.is_any_on = False
+        self.generation: int = 0
+        self.is_any_on: bool = False
 
     def __iter__(self) -> Iterator[AppliedFault]:
         return iter(self._applied)

@@ -68,8 +68,8 @@ class FaultSwitchboard:
     def __init__(
         self, *, seed: int = 0, clock: Clock | None = None, fault_profiles: FaultyTable = FAULT_PROFILES
     ) -> None:
-        self.faults = Faults(seed)
-        self.tap = FaultyTap(self.faults, clock)
+        self.faults: Faults = Faults(seed)
+        self.tap: FaultyTap = FaultyTap(self.faults, clock)
         self.fault_profiles = fault_profiles
 
     def attach(self, server: Server) -> None:

@@ -106,12 +106,12 @@ class AsciiReceiver:
             raise ValueError(f"the end delimiter is an ASCII character, 0…127, not {delimiter}")
         if character_timeout <= 0:
             raise ValueError(f"the time between characters is above 0 s, not {character_timeout}")
-        self.conversation = Conversation(role, units, reply_window)
-        self.echo = EchoFilter(echo)
-        self.timing = timing
-        self.delimiter = delimiter
-        self.character_timeout = character_timeout
-        self.state = AsciiState.IDLE
+        self.conversation: Conversation = Conversation(role, units, reply_window)
+        self.echo: EchoFilter = EchoFilter(echo)
+        self.timing: SerialTiming = timing
+        self.delimiter: int = delimiter
+        self.character_timeout: float = character_timeout
+        self.state: AsciiState = AsciiState.IDLE
         self._lengths = lengths_of(functions)
         self._allowed = _UPPER_CASE if upper_case_only else _ANY_CASE
         self._strip_parity = strip_parity

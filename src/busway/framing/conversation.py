@@ -64,10 +64,10 @@ class Conversation:
     __slots__ = ("due", "reply_window", "role", "units")
 
     def __init__(self, role: Role, units: Container[int] = (), reply_window: float = REPLY_WINDOW) -> None:
-        self.role = role
-        self.units = units
+        self.role: Role = role
+        self.units: Container[int] = units
         self.due: Due | None = None
-        self.reply_window = reply_window
+        self.reply_window: float = reply_window
 
     def order(self, unit: int, code: int, now: float) -> tuple[Direction, ...]:
         """The directions that a frame beginning with these two bytes may have, the likeliest first."""

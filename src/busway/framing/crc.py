@@ -73,8 +73,8 @@ class SpanCheck:
 
     def __init__(self, images: list[int]) -> None:
         # Read backwards, a table answers for the byte with all bits turned: that is the preset of ones.
-        self.low = _combinations(images[:8])[::-1]
-        self.high = _combinations(images[8:])[::-1]
+        self.low: list[int] = _combinations(images[:8])[::-1]
+        self.high: list[int] = _combinations(images[8:])[::-1]
 
     def fits(self, before: int, after: int) -> bool:
         """Whether the CRC fits."""

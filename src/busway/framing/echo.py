@@ -39,9 +39,9 @@ class EchoFilter:
     __slots__ = ("_awaited", "_held", "_may_be_reply", "_until", "mode", "present", "window")
 
     def __init__(self, mode: Echo, window: float = ECHO_WINDOW) -> None:
-        self.mode = mode
+        self.mode: Echo = mode
         self.present: bool | None = None if mode is Echo.AUTOMATIC else mode is Echo.ON
-        self.window = window
+        self.window: float = window
         self._awaited = b""
         self._held = b""
         self._until = 0.0

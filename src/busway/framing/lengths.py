@@ -53,14 +53,14 @@ class FrameLengths:
     __slots__ = ("asked_replies", "asked_requests", "replies", "requests", "shapes")
 
     def __init__(self, functions: FunctionTable) -> None:
-        self.requests = [_flatten(functions, code, functions.request_length) for code in range(256)]
-        self.replies = [_flatten(functions, code, functions.reply_length) for code in range(256)]
-        self.shapes = [
+        self.requests: list[int] = [_flatten(functions, code, functions.request_length) for code in range(256)]
+        self.replies: list[int] = [_flatten(functions, code, functions.reply_length) for code in range(256)]
+        self.shapes: list[tuple[tuple[int, int], ...]] = [
             tuple(dict.fromkeys(shape for shape in map(shape_of, rules) if shape is not None and shape[1]))
             for rules in zip(self.replies, self.requests, strict=True)
         ]
-        self.asked_requests = AskedLengths(functions, Direction.REQUEST)
-        self.asked_replies = AskedLengths(functions, Direction.REPLY)
+        self.asked_requests: AskedLengths = AskedLengths(functions, Direction.REQUEST)
+        self.asked_replies: AskedLengths = AskedLengths(functions, Direction.REPLY)
 
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
         """Length of the frame that starts at ``at``, from what ``data[at:end]`` shows.

@@ -27,9 +27,9 @@ class LostBytes:
         self._raw = bytearray()
         self._began = self._ended = _NEVER
         self._overrun = False
-        self.is_marked = False
+        self.is_marked: bool = False
         self.reason: Damage | None = None
-        self.size = 0
+        self.size: int = 0
 
     def add(self, data: bytes | bytearray, began: float, ended: float) -> None:
         """Add bytes to the disturbance."""

@@ -66,7 +66,7 @@ class StreamBuffer:
     __slots__ = ("kept",)
 
     def __init__(self) -> None:
-        self.kept = b""
+        self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
         """What was kept, followed by the first ``size`` bytes of ``buffer``, and its length in bytes."""
@@ -88,7 +88,7 @@ class MbapReceiver:
 
     def __init__(self) -> None:
         self._buffer = StreamBuffer()
-        self.broken = False
+        self.broken: bool = False
 
     @property
     def pending(self) -> int:

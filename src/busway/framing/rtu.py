@@ -118,10 +118,10 @@ class RtuReceiver:
         limit = max(timing.t3_5, DEFAULT_GAP_LIMIT) if gap_limit is None else gap_limit
         if limit < timing.t3_5:
             raise ValueError(f"the gap limit must be t3.5 ({timing.t3_5} s) or more, not {limit} s")
-        self.conversation = Conversation(role, units, reply_window)
-        self.echo = EchoFilter(echo)
-        self.timing = timing
-        self.gap_limit = limit
+        self.conversation: Conversation = Conversation(role, units, reply_window)
+        self.echo: EchoFilter = EchoFilter(echo)
+        self.timing: SerialTiming = timing
+        self.gap_limit: float = limit
         self._lengths = lengths_of(functions)
         self._patient = gap_limit is None and role is Role.MASTER
         self._buffer = bytearray()

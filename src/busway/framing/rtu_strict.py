@@ -82,9 +82,9 @@ class StrictRtuReceiver:
         started: float | None = None,
     ) -> None:
         """As `RtuReceiver`; ``started`` None leaves the state "initial" at once, where the line is known to be idle."""
-        self.conversation = Conversation(role, units, reply_window)
-        self.echo = EchoFilter(echo)
-        self.timing = timing
+        self.conversation: Conversation = Conversation(role, units, reply_window)
+        self.echo: EchoFilter = EchoFilter(echo)
+        self.timing: SerialTiming = timing
         self.state = LineState.IDLE if started is None else LineState.INITIAL
         self._lengths = lengths_of(functions)
         self._frame = bytearray()

@@ -71,7 +71,7 @@ class Capture:
         Raises:
             OSError: the beginning cannot be written.
         """
-        self.failure = ""
+        self.failure: str = ""
         self._stream = stream
         self._clock = clock
         self._lock = threading.Lock()

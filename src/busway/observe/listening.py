@@ -266,8 +266,8 @@ class Listening:
             LinkDown: port or connection cannot be had.
             ConfigError: it cannot be set so.
         """
-        self.pairing = pairing or Pairing()
-        self.bytes_heard = 0
+        self.pairing: Pairing = pairing or Pairing()
+        self.bytes_heard: int = 0
         self._clock = clock
         self._receiver = line_framing(
             line.endpoint.framing,

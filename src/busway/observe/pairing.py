@@ -160,8 +160,8 @@ class Pairing:
 
     def __init__(self, reply_window: float = REPLY_WINDOW, *, functions: FunctionTable = STANDARD) -> None:
         """A line of which nothing was heard; ``reply_window`` in seconds, above 0, as the receiver's."""
-        self.statistics = LineStatistics()
-        self.reply_window = reply_window
+        self.statistics: LineStatistics = LineStatistics()
+        self.reply_window: float = reply_window
         self._functions = functions
         self._asked: SerialFrame | None = None
         self._damage: Damaged | None = None  # what came while `_asked` waits

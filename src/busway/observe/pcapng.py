@@ -51,7 +51,7 @@ class PcapngWriter:
     def __init__(self, stream: BinaryIO, *, comment: str = "") -> None:
         self._stream = stream
         self._interfaces = 0
-        self.packets = 0
+        self.packets: int = 0
         options = _text(_COMMENT, comment) + _text(_APPLICATION, f"busway {__version__}")
         self._write(_SECTION, struct.pack("<IHHq", _BYTE_ORDER, 1, 0, _UNKNOWN_LENGTH), options)
 

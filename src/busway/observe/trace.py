@@ -80,7 +80,7 @@ class Trace:
     __slots__ = ("capture", "level", "undecided")
 
     def __init__(self) -> None:
-        self.level = TraceLevel.OFF
+        self.level: TraceLevel = TraceLevel.OFF
         self.capture: Recorder | None = None
         self.undecided: set[Undecided] = set()
 

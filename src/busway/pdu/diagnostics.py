@@ -7,7 +7,7 @@
 from typing import TYPE_CHECKING, ClassVar
 
 from ..codes import DiagnosticCode, FunctionCode
-from .fields import rest, rest_length, u8, u16
+from .fields import RestLength, rest, rest_length, u8, u16
 from .message import UNKNOWN_LENGTH, Message, ReplyMessage, Request
 from .model import Context, DataModel
 
@@ -15,7 +15,7 @@ from .model import Context, DataModel
 class ReadExceptionStatus(Request):
     """07 Read Exception Status: eight bits that the device defines (MODBUS Application Protocol V1.1b3 §6.7)."""
 
-    code = FunctionCode.READ_EXCEPTION_STATUS
+    code: ClassVar[FunctionCode] = FunctionCode.READ_EXCEPTION_STATUS
 
     class Reply(ReplyMessage):
         """The eight bits."""
@@ -29,7 +29,7 @@ class ReadExceptionStatus(Request):
 class GetCommEventCounter(Request):
     """11 Get Comm Event Counter (MODBUS Application Protocol V1.1b3 §6.9)."""
 
-    code = FunctionCode.GET_COMM_EVENT_COUNTER
+    code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_COUNTER
 
     class Reply(ReplyMessage):
         """Status FFFF while a program command runs, else 0; number of successful messages."""
@@ -45,12 +45,12 @@ class GetCommEventCounter(Request):
 class GetCommEventLog(Request):
     """12 Get Comm Event Log: the counters of 11, and up to 64 events (MODBUS Application Protocol V1.1b3 §6.10)."""
 
-    code = FunctionCode.GET_COMM_EVENT_LOG
+    code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_LOG
 
     class Reply(ReplyMessage):
         """Status, counts, and event bytes, the newest first."""
 
-        byte_count = rest_length(1, 6, 6 + 64)
+        byte_count: ClassVar[RestLength] = rest_length(1, 6, 6 + 64)
         status: int = u16()
         event_count: int = u16()
         message_count: int = u16()
@@ -64,12 +64,12 @@ class GetCommEventLog(Request):
 class ReportServerId(Request):
     """17 Report Server ID: device-specific data and a run indicator (MODBUS Application Protocol V1.1b3 §6.13)."""
 
-    code = FunctionCode.REPORT_SERVER_ID
+    code: ClassVar[FunctionCode] = FunctionCode.REPORT_SERVER_ID
 
     class Reply(ReplyMessage):
         """What the device says of itself; the run indicator (00 off, FF on) stands where the device defines it."""
 
-        byte_count = rest_length(1, 0, 251)
+        byte_count: ClassVar[RestLength] = rest_length(1, 0, 251)
         data: bytes = rest(0, 251)
 
     def apply(self, model: DataModel, context: Context) -> Message:
@@ -106,8 +106,8 @@ class Diagnostic(Request):
 class ReturnQueryData(Request):
     """08/00 Return Query Data: any data comes back as it went (MODBUS Application Protocol V1.1b3 §6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.RETURN_QUERY_DATA
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_QUERY_DATA
     sub_width = 2
     echoes = True
     data: bytes = rest(2, 250, 2, default=b"\x00\x00")
@@ -131,26 +131,26 @@ class ReturnQueryData(Request):
 class RestartCommunications(Diagnostic):
     """08/01 Restart Communications Option: FF00 also clears the event log (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.RESTART_COMMUNICATIONS
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RESTART_COMMUNICATIONS
     is_write = True
-    allowed = (b"\x00\x00", b"\xff\x00")
+    allowed: ClassVar[tuple[bytes, ...]] = (b"\x00\x00", b"\xff\x00")
 
 
 class ReturnDiagnosticRegister(Diagnostic):
     """08/02 Return Diagnostic Register (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER
 
 
 class ChangeAsciiDelimiter(Diagnostic):
     """08/03 Change ASCII Input Delimiter: the character and a zero (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.CHANGE_ASCII_DELIMITER
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CHANGE_ASCII_DELIMITER
     is_write = True
-    allowed = ()
+    allowed: ClassVar[tuple[bytes, ...]] = ()
 
     def validate(self) -> str | None:
         return None if self.data[1] == 0 and self.data[0] < 0x80 else "data must be an ASCII character and a zero"
@@ -159,78 +159,78 @@ class ChangeAsciiDelimiter(Diagnostic):
 class ForceListenOnly(Diagnostic):
     """08/04 Force Listen Only Mode: no answer, to this and to all that follow until a restart (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.FORCE_LISTEN_ONLY
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.FORCE_LISTEN_ONLY
     is_write = True
 
 
 class ClearCounters(Diagnostic):
     """08/0A Clear Counters and Diagnostic Register (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.CLEAR_COUNTERS
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_COUNTERS
     is_write = True
 
 
 class ReturnBusMessageCount(Diagnostic):
     """08/0B Return Bus Message Count: messages seen on the line, whatever unit (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.BUS_MESSAGE_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_MESSAGE_COUNT
 
 
 class ReturnBusCommunicationErrorCount(Diagnostic):
     """08/0C Return Bus Communication Error Count: damaged frames (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.BUS_COMMUNICATION_ERROR_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_COMMUNICATION_ERROR_COUNT
 
 
 class ReturnBusExceptionErrorCount(Diagnostic):
     """08/0D Return Bus Exception Error Count (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.BUS_EXCEPTION_ERROR_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_EXCEPTION_ERROR_COUNT
 
 
 class ReturnServerMessageCount(Diagnostic):
     """08/0E Return Server Message Count: own unit or broadcast (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.SERVER_MESSAGE_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_MESSAGE_COUNT
 
 
 class ReturnServerNoResponseCount(Diagnostic):
     """08/0F Return Server No Response Count (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.SERVER_NO_RESPONSE_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_NO_RESPONSE_COUNT
 
 
 class ReturnServerNakCount(Diagnostic):
     """08/10 Return Server NAK Count (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.SERVER_NAK_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_NAK_COUNT
 
 
 class ReturnServerBusyCount(Diagnostic):
     """08/11 Return Server Busy Count (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.SERVER_BUSY_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_BUSY_COUNT
 
 
 class ReturnBusCharacterOverrunCount(Diagnostic):
     """08/12 Return Bus Character Overrun Count (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT
 
 
 class ClearOverrun(Diagnostic):
     """08/14 Clear Overrun Counter and Flag (§6.8.1)."""
 
-    code = FunctionCode.DIAGNOSTICS
-    sub_code = DiagnosticCode.CLEAR_OVERRUN
+    code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
+    sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_OVERRUN
     is_write = True

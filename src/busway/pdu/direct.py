@@ -68,7 +68,7 @@ class DeviceAnswers(dict[int, Answer]):
 
     def __init__(self, model: DirectModel, answers: Mapping[int, Answer]) -> None:
         super().__init__(answers)
-        self.model = model
+        self.model: DirectModel = model
 
 
 class ReadPlan:
@@ -81,9 +81,9 @@ class ReadPlan:
     __slots__ = ("block", "head", "part")
 
     def __init__(self, head: bytes, block: Block, start: int, stop: int) -> None:
-        self.head = head
-        self.block = block
-        self.part = slice(start, stop)  # made once: two look-ups less for each answer
+        self.head: bytes = head
+        self.block: Block = block
+        self.part: slice[int, int, None] = slice(start, stop)  # made once: two look-ups less for each answer
 
 
 def plan_read(unit: int, pdu: bytes, limit: int, block: Block) -> ReadPlan | None:

@@ -63,8 +63,8 @@ class ReadDeviceIdentification(Request):
     ``level`` is 1 basic, 2 regular, 3 extended (streams that start at ``object_id``) or 4 (the one object).
     """
 
-    code = FunctionCode.ENCAPSULATED_INTERFACE
-    sub_code = MeiType.READ_DEVICE_IDENTIFICATION
+    code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE
+    sub_code: ClassVar[MeiType] = MeiType.READ_DEVICE_IDENTIFICATION
     sub_width = 1
     level: int = u8(BASIC, INDIVIDUAL, default=BASIC)
     object_id: int = u8(default=0)
@@ -133,8 +133,8 @@ class ReadDeviceIdentification(Request):
 class CanopenGeneralReference(Request):
     """43/13 CANopen General Reference: carried as it is (MODBUS Application Protocol V1.1b3 §6.20)."""
 
-    code = FunctionCode.ENCAPSULATED_INTERFACE
-    sub_code = MeiType.CANOPEN_GENERAL_REFERENCE
+    code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE
+    sub_code: ClassVar[MeiType] = MeiType.CANOPEN_GENERAL_REFERENCE
     sub_width = 1
     is_write = True
     data: bytes = rest(0, 251)

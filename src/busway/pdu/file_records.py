@@ -6,12 +6,12 @@ A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Applica
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..codes import MAX_FILE_RECORD_NUMBER, PDU_LIMIT, ExceptionCode, FunctionCode
 from ..errors import InvalidRequest
 from .compiler import as_integer
-from .fields import repeated, rest_length
+from .fields import RestLength, repeated, rest_length
 from .malformed import MalformedPdu
 from .message import Message, ReplyMessage, Request
 from .model import Context, DataModel, Refusal
@@ -139,14 +139,14 @@ class FileContent:
 class ReadFileRecord(Request):
     """20 Read File Record: several groups, their data together within one PDU (Application Protocol V1.1b3 §6.14)."""
 
-    code = FunctionCode.READ_FILE_RECORD
-    byte_count = rest_length(1, 0x07, 0xF5, 7)
+    code: ClassVar[FunctionCode] = FunctionCode.READ_FILE_RECORD
+    byte_count: ClassVar[RestLength] = rest_length(1, 0x07, 0xF5, 7)
     groups: tuple[FileReference, ...] = repeated(FileReference, 1, 35)
 
     class Reply(ReplyMessage):
         """One content per group, in the order of the request."""
 
-        byte_count = rest_length(1, 0x07 - 5, 0xFB)
+        byte_count: ClassVar[RestLength] = rest_length(1, 0x07 - 5, 0xFB)
         contents: tuple[FileContent, ...] = repeated(FileContent, 1, 35)
 
     @classmethod
@@ -189,11 +189,11 @@ class ReadFileRecord(Request):
 class WriteFileRecord(Request):
     """21 Write File Record: several groups; the reply repeats the request (Application Protocol V1.1b3 §6.15)."""
 
-    code = FunctionCode.WRITE_FILE_RECORD
+    code: ClassVar[FunctionCode] = FunctionCode.WRITE_FILE_RECORD
     is_write = True
     broadcast = True
     echoes = True
-    byte_count = rest_length(1, 0x09, 0xFB)
+    byte_count: ClassVar[RestLength] = rest_length(1, 0x09, 0xFB)
     groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
 
     if TYPE_CHECKING:  # made of the fields above when the class is

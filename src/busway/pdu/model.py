@@ -25,7 +25,7 @@ class Refusal(Exception):
         if not 1 <= code <= 255:
             raise ValueError(f"an exception code is 1…255, not {code}")
         super().__init__(reason or exception_meaning(code))
-        self.code = int(code)
+        self.code: int = int(code)
         self.reason = reason
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
 from .bits import unpack_bits
 from .direct import Answer, DirectModel, ReadPlan, plan_read, read_bits, read_registers
-from .fields import rest, rest_length, u16
+from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel, Refusal
 
@@ -20,7 +20,7 @@ class ReadBits(Request):
     class Reply(ReplyMessage):
         """The items, packed: the first in the lowest bit of the first byte."""
 
-        byte_count = rest_length(1, 1, MAX_READ_BITS // 8)
+        byte_count: ClassVar[RestLength] = rest_length(1, 1, MAX_READ_BITS // 8)
         data: bytes = rest(1, MAX_READ_BITS // 8)
 
         def bits(self, count: int) -> list[bool]:
@@ -43,15 +43,15 @@ class ReadBits(Request):
 class ReadCoils(ReadBits):
     """01 Read Coils: ``count`` 1…2000 coils from ``address`` (MODBUS Application Protocol V1.1b3 §6.1)."""
 
-    code = FunctionCode.READ_COILS
-    reads = Touch(Table.COILS)
+    code: ClassVar[FunctionCode] = FunctionCode.READ_COILS
+    reads: ClassVar[Touch] = Touch(Table.COILS)
 
 
 class ReadDiscreteInputs(ReadBits):
     """02 Read Discrete Inputs: ``count`` 1…2000 inputs from ``address`` (MODBUS Application Protocol V1.1b3 §6.2)."""
 
-    code = FunctionCode.READ_DISCRETE_INPUTS
-    reads = Touch(Table.DISCRETE_INPUTS)
+    code: ClassVar[FunctionCode] = FunctionCode.READ_DISCRETE_INPUTS
+    reads: ClassVar[Touch] = Touch(Table.DISCRETE_INPUTS)
 
 
 class ReadRegisters(Request):
@@ -63,7 +63,7 @@ class ReadRegisters(Request):
     class Reply(ReplyMessage):
         """The registers, big-endian."""
 
-        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
+        byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
         data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
 
         @property
@@ -91,28 +91,28 @@ class ReadRegisters(Request):
 class ReadHoldingRegisters(ReadRegisters):
     """03 Read Holding Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.3)."""
 
-    code = FunctionCode.READ_HOLDING_REGISTERS
-    reads = Touch(Table.HOLDING_REGISTERS)
+    code: ClassVar[FunctionCode] = FunctionCode.READ_HOLDING_REGISTERS
+    reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS)
 
 
 class ReadInputRegisters(ReadRegisters):
     """04 Read Input Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.4)."""
 
-    code = FunctionCode.READ_INPUT_REGISTERS
-    reads = Touch(Table.INPUT_REGISTERS)
+    code: ClassVar[FunctionCode] = FunctionCode.READ_INPUT_REGISTERS
+    reads: ClassVar[Touch] = Touch(Table.INPUT_REGISTERS)
 
 
 class ReadFifoQueue(Request):
     """24 Read FIFO Queue: up to 31 registers of the queue at ``address`` (MODBUS Application Protocol V1.1b3 §6.18)."""
 
-    code = FunctionCode.READ_FIFO_QUEUE
-    reads = Touch(Table.HOLDING_REGISTERS, count=None)
+    code: ClassVar[FunctionCode] = FunctionCode.READ_FIFO_QUEUE
+    reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
     address: int = u16()
 
     class Reply(ReplyMessage):
         """The queued registers, the oldest first; they stay in the queue."""
 
-        byte_count = rest_length(2, 2, 2 + 2 * MAX_FIFO_REGISTERS, 2)
+        byte_count: ClassVar[RestLength] = rest_length(2, 2, 2 + 2 * MAX_FIFO_REGISTERS, 2)
         count: int = u16(0, MAX_FIFO_REGISTERS)
         data: bytes = rest(0, 2 * MAX_FIFO_REGISTERS, 2)
 

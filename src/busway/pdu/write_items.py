@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from ..codes import (
     MAX_READ_REGISTERS,
@@ -17,7 +17,7 @@ from ..errors import InvalidRequest
 from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
 from .direct import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
-from .fields import rest, rest_length, u16
+from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel
 from .read_items import unpack_registers
@@ -29,8 +29,8 @@ COIL_OFF = 0x0000
 class WriteSingleCoil(Request):
     """05 Write Single Coil: ``value`` is FF00 (on) or 0000 (off) (MODBUS Application Protocol V1.1b3 §6.5)."""
 
-    code = FunctionCode.WRITE_SINGLE_COIL
-    writes = Touch(Table.COILS, count=None)
+    code: ClassVar[FunctionCode] = FunctionCode.WRITE_SINGLE_COIL
+    writes: ClassVar[Touch] = Touch(Table.COILS, count=None)
     broadcast = True
     echoes = True
     address: int = u16()
@@ -67,8 +67,8 @@ class WriteSingleCoil(Request):
 class WriteSingleRegister(Request):
     """06 Write Single Register (MODBUS Application Protocol V1.1b3 §6.6)."""
 
-    code = FunctionCode.WRITE_SINGLE_REGISTER
-    writes = Touch(Table.HOLDING_REGISTERS, count=None)
+    code: ClassVar[FunctionCode] = FunctionCode.WRITE_SINGLE_REGISTER
+    writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
     broadcast = True
     echoes = True
     address: int = u16()
@@ -96,12 +96,12 @@ class WriteSingleRegister(Request):
 class WriteMultipleCoils(Request):
     """15 Write Multiple Coils: 1…1968 from ``address`` (MODBUS Application Protocol V1.1b3 §6.11)."""
 
-    code = FunctionCode.WRITE_MULTIPLE_COILS
-    writes = Touch(Table.COILS)
+    code: ClassVar[FunctionCode] = FunctionCode.WRITE_MULTIPLE_COILS
+    writes: ClassVar[Touch] = Touch(Table.COILS)
     broadcast = True
     address: int = u16()
     count: int = u16(1, MAX_WRITE_BITS)
-    byte_count = rest_length(1, 1, MAX_WRITE_BITS // 8)
+    byte_count: ClassVar[RestLength] = rest_length(1, 1, MAX_WRITE_BITS // 8)
     data: bytes = rest(1, MAX_WRITE_BITS // 8)
 
     class Reply(ReplyMessage):
@@ -142,12 +142,12 @@ class WriteMultipleCoils(Request):
 class WriteMultipleRegisters(Request):
     """16 Write Multiple Registers: 1…123 from ``address`` (MODBUS Application Protocol V1.1b3 §6.12)."""
 
-    code = FunctionCode.WRITE_MULTIPLE_REGISTERS
-    writes = Touch(Table.HOLDING_REGISTERS)
+    code: ClassVar[FunctionCode] = FunctionCode.WRITE_MULTIPLE_REGISTERS
+    writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS)
     broadcast = True
     address: int = u16()
     count: int = u16(1, MAX_WRITE_REGISTERS)
-    byte_count = rest_length(1, 2, 2 * MAX_WRITE_REGISTERS, 2)
+    byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_WRITE_REGISTERS, 2)
     data: bytes = rest(2, 2 * MAX_WRITE_REGISTERS, 2)
 
     class Reply(ReplyMessage):
@@ -188,9 +188,9 @@ class MaskWriteRegister(Request):
     any other: another client may have written in between.
     """
 
-    code = FunctionCode.MASK_WRITE_REGISTER
-    reads = Touch(Table.HOLDING_REGISTERS, count=None)
-    writes = Touch(Table.HOLDING_REGISTERS, count=None)
+    code: ClassVar[FunctionCode] = FunctionCode.MASK_WRITE_REGISTER
+    reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
+    writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
     broadcast = True
     echoes = True
     address: int = u16()
@@ -217,20 +217,20 @@ class MaskWriteRegister(Request):
 class ReadWriteMultipleRegisters(Request):
     """23 Read/Write Multiple Registers: writes 1…121, then reads 1…125 (MODBUS Application Protocol V1.1b3 §6.17)."""
 
-    code = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
-    reads = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
-    writes = Touch(Table.HOLDING_REGISTERS, "write_address", "write_count")
+    code: ClassVar[FunctionCode] = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
+    reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
+    writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, "write_address", "write_count")
     read_address: int = u16()
     read_count: int = u16(1, MAX_READ_REGISTERS)
     write_address: int = u16()
     write_count: int = u16(1, MAX_READ_WRITE_WRITE_REGISTERS)
-    byte_count = rest_length(1, 2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
+    byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
     data: bytes = rest(2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
 
     class Reply(ReplyMessage):
         """The registers that were read after the write, big-endian."""
 
-        byte_count = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
+        byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
         data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
 
         @property

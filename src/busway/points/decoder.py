@@ -72,11 +72,11 @@ class ReadDecoder:
         for point in points:
             if point.table is not table or point.formula or point.start < start or point.end > start + count:
                 raise InvalidRequest(f"{point.name} does not lie within {count} {table.label}s from {start} on")
-        self.points = tuple(points)
+        self.points: tuple[Point, ...] = tuple(points)
         self.table = table
         self.start = start
         self.count = count
-        self.size = (count + 7) // 8 if table.holds_bits else 2 * count
+        self.size: int = (count + 7) // 8 if table.holds_bits else 2 * count
         decode = _bits_decoder if table.holds_bits else _registers_decoder
         self._decode = decode(self.points, start, count)
 

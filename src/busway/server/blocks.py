@@ -66,9 +66,9 @@ class RegisterRun:
     __slots__ = ("_lock", "count", "data", "first")
 
     def __init__(self, first: int, data: bytearray, lock: threading.RLock) -> None:
-        self.first = first
-        self.count = len(data) // 2
-        self.data = data
+        self.first: int = first
+        self.count: int = len(data) // 2
+        self.data: bytearray = data
         self._lock = lock
 
     @property
@@ -121,9 +121,9 @@ class BitRun:
     __slots__ = ("_lock", "count", "data", "first")
 
     def __init__(self, first: int, count: int, data: bytearray, lock: threading.RLock) -> None:
-        self.first = first
-        self.count = count
-        self.data = data
+        self.first: int = first
+        self.count: int = count
+        self.data: bytearray = data
         self._lock = lock
 
     @property
@@ -171,9 +171,9 @@ class RegisterBits:
     __slots__ = ("_lock", "_start", "count", "first", "memory")
 
     def __init__(self, memory: RegisterRun, start: int, count: int, lock: threading.RLock) -> None:
-        self.first = 0
-        self.count = count
-        self.memory = memory
+        self.first: int = 0
+        self.count: int = count
+        self.memory: RegisterRun = memory
         self._start = start
         self._lock = lock
 

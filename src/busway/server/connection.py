@@ -107,15 +107,18 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._is_stuck = False
         self._late: list[bytes] | None = None  # late replies that leave at the end of this turn
         self.session: Session | None = None
-        self.peer = self.host = ""
-        self.role = role
-        self.subject = subject
-        self.is_priority = False
-        self.pool = Pool.OTHER
-        self.is_greedy = False
-        self.opened = self.last_used = 0.0
-        self.received = self.sent = 0
-        self.charged = 0
+        self.peer: str = ""
+        self.host: str = ""
+        self.role: str | None = role
+        self.subject: str = subject
+        self.is_priority: bool = False
+        self.pool: Pool = Pool.OTHER
+        self.is_greedy: bool = False
+        self.opened: float = 0.0
+        self.last_used: float = 0.0
+        self.received: int = 0
+        self.sent: int = 0
+        self.charged: int = 0
 
     # What the event loop calls.
 

@@ -66,7 +66,7 @@ class ConnectionManagement:
     ) -> None:
         self.listener_context = listener_context
         self.pools = pools
-        self.turns = turns or Turns(listener_context.loop)
+        self.turns: Turns = turns or Turns(listener_context.loop)
         self._sockets = sockets
         self._sockets_of_priority_hosts = replace(sockets, user_timeout=None)
         self._connections: dict[ServerConnection, None] = {}  # in the order they came

@@ -91,7 +91,7 @@ class Device:
         functions: Collection[int] | None = None,
         block: SingleBlock | None = None,
     ) -> None:
-        self.lock = threading.RLock()
+        self.lock: threading.RLock = threading.RLock()
         self._groups = Groups(self.lock)
         self._stores = _build_stores(
             {
@@ -108,10 +108,10 @@ class Device:
             for table, store in self._stores.items()
         }
         self._typed = TypedAccess(views, self.lock)
-        self.holding_registers = views[Table.HOLDING_REGISTERS]
-        self.input_registers = views[Table.INPUT_REGISTERS]
-        self.coils = views[Table.COILS]
-        self.discrete_inputs = views[Table.DISCRETE_INPUTS]
+        self.holding_registers: TableView = views[Table.HOLDING_REGISTERS]
+        self.input_registers: TableView = views[Table.INPUT_REGISTERS]
+        self.coils: TableView = views[Table.COILS]
+        self.discrete_inputs: TableView = views[Table.DISCRETE_INPUTS]
         self.files: Mapping[int, RecordFile] = MappingProxyType(build_files(files, self.lock, self._groups))
         self.fifos: Mapping[int, RegisterQueue] = MappingProxyType(build_queues(fifos, self.lock))
         self._identification = MappingProxyType(identification_objects(identification))

@@ -49,8 +49,10 @@ class Diagnosis:
     __slots__ = ("communication_fault", "internal_fault", "is_open", "traffic")
 
     def __init__(self) -> None:
-        self.is_open = False
-        self.traffic = self.communication_fault = self.internal_fault = _NEVER
+        self.is_open: bool = False
+        self.traffic: float = _NEVER
+        self.communication_fault: float = _NEVER
+        self.internal_fault: float = _NEVER
 
     def indicators(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
         """The states of the status indicators at ``now``."""

@@ -76,10 +76,10 @@ class FramedSession:
         )
         self._timer: asyncio.TimerHandle | None = None
         self._came = 0.0
-        self.broken = ""
-        self.refused_busy = 0
-        self.rest = b""
-        self.spent = 0
+        self.broken: str = ""
+        self.refused_busy: int = 0
+        self.rest: bytes = b""
+        self.spent: int = 0
 
     # What a driver asks, as of `TcpServerSession`.
 

@@ -66,10 +66,10 @@ class SerialListener:
         tap: ConnectionTap | None = None,
     ) -> None:
         assert settings.port is not None
-        self.name = settings.endpoint.url
-        self.diagnostics = LineDiagnostics(changes_allowed=changes_allowed)
+        self.name: str = settings.endpoint.url
+        self.diagnostics: LineDiagnostics = LineDiagnostics(changes_allowed=changes_allowed)
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
-        self.diagnosis = Diagnosis()
+        self.diagnosis: Diagnosis = Diagnosis()
         self._loop = loop
         self._settings = settings
         self._port = settings.port

@@ -27,6 +27,7 @@ from .diagnosis import Diagnosis
 from .failures import report_failures
 from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
+from .parameters import ListenerParameters
 from .peers import peer_name
 from .pools import Pool
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
@@ -111,19 +112,19 @@ class ListenerContext:
         tap: ConnectionTap | None = None,
     ) -> None:
         self.loop = loop
-        self.listener = settings.endpoint.url
+        self.listener: str = settings.endpoint.url
         self.hosts: tuple[str, ...] = ()
         self.settings = settings
-        self.parameters = settings.limits
+        self.parameters: ListenerParameters = settings.limits
         self.counters = counters
-        self.diagnostics = LineDiagnostics(
+        self.diagnostics: LineDiagnostics = LineDiagnostics(
             changes_allowed=session_parameters.diagnostics_changes is True,
             listed_unit=handler.listed_unit if isinstance(handler, ListedUnits) else None,
         )
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
-        self.diagnosis = Diagnosis()
-        self.rates = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
-        self.damaged = 0
+        self.diagnosis: Diagnosis = Diagnosis()
+        self.rates: Rates | None = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
+        self.damaged: int = 0
         self._handler = handler
         self._units = units
         self._session_parameters = session_parameters

@@ -76,7 +76,7 @@ class LocalHandler:
         self._silent = unlisted is UnlistedUnit.SILENCE
         self.functions = functions
         # Counted when a device changes, not summed up at every receive call: a handler may have 247 devices.
-        self.generation = 0
+        self.generation: int = 0
         self._answers: dict[int, Mapping[int, Answer]] = {}
         self._plans: dict[bytes, ReadPlan] = {}
         for device in distinct.values():

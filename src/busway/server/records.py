@@ -31,7 +31,7 @@ class RecordFile(TableView):
 
     def __init__(self, number: int, store: ItemStore, groups: Groups) -> None:
         super().__init__(f"file {number}", store, groups, bits=False)
-        self.is_consistent = True
+        self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
         """The run that holds some records; `Refusal` if Modbus cannot have them: 02, 03 for none at all, 08."""

@@ -106,7 +106,7 @@ class Server:
         self._local_connections = local_connections or dialled_connections
         self._tap = tap
         self._guard: Guard | None = handler if isinstance(handler, Guard) else None
-        self.counters = ServerCounters()
+        self.counters: ServerCounters = ServerCounters()
         if policy is not None or audit is not None:
             self._guard_by(policy, audit)
 

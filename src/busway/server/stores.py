@@ -26,9 +26,9 @@ class ItemStore:
     __slots__ = ("_firsts", "count", "read_only", "runs")
 
     def __init__(self, runs: tuple[Run, ...] = (), read_only: tuple[tuple[int, int], ...] = ()) -> None:
-        self.runs = runs
-        self.read_only = read_only
-        self.count = sum(run.count for run in runs)
+        self.runs: tuple[Run, ...] = runs
+        self.read_only: tuple[tuple[int, int], ...] = read_only
+        self.count: int = sum(run.count for run in runs)
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:

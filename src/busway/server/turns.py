@@ -52,7 +52,7 @@ class Turns:
         self._greedy: deque[Waiting] = deque()
         self._until = 0.0
         self._is_due = False  # the next turn will be told
-        self.is_crowded = False
+        self.is_crowded: bool = False
 
     @property
     def has_time(self) -> bool:

@@ -184,7 +184,7 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener = listener
         self._transport: asyncio.DatagramTransport | None = None
         self._is_full = False
-        self.closed = listener.listener_context.loop.create_future()
+        self.closed: asyncio.Future[None] = listener.listener_context.loop.create_future()
 
     # What asyncio calls.
 
@@ -245,13 +245,16 @@ class _Peer:
     def __init__(self, listener_context: ListenerContext, socket: _Socket, address: Any) -> None:
         self.socket = socket
         self.address = address
-        self.peer, self.host = peer_name(address), host_of(address)
+        self.peer: str = peer_name(address)
+        self.host: str = host_of(address)
         self.role: str | None = None
         self.subject = ""
-        self.is_priority = listener_context.is_priority(self.host)
+        self.is_priority: bool = listener_context.is_priority(self.host)
         self.pool = Pool.OTHER
-        self.opened = self.last_used = time.monotonic()
-        self.received = self.sent = 0
+        self.opened: float = time.monotonic()
+        self.last_used: float = self.opened
+        self.received: int = 0
+        self.sent: int = 0
         self._listener_context = listener_context
         self._tasks: set[asyncio.Task[None]] = set()
         self._trace: ConnectionTrace | None = None

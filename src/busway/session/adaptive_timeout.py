@@ -37,11 +37,11 @@ class AdaptiveTimeout:
 
     def __init__(self, longest: float, floor: float, *, learns: bool = True) -> None:
         """Start with ``longest`` seconds (above 0); never go below ``floor``, or ``longest`` if that is less."""
-        self.longest = longest
-        self.floor = min(floor, longest)
-        self.slowest = 0.0
-        self.was_late = False
-        self.learns = learns
+        self.longest: float = longest
+        self.floor: float = min(floor, longest)
+        self.slowest: float = 0.0
+        self.was_late: bool = False
+        self.learns: bool = learns
 
     @property
     def timeout(self) -> float:

@@ -75,7 +75,7 @@ class Breakers:
     __slots__ = ("_jitter", "_units", "parameters")
 
     def __init__(self, parameters: BreakerParameters, jitter: Callable[[], float]) -> None:
-        self.parameters = parameters
+        self.parameters: BreakerParameters = parameters
         self._jitter = jitter
         self._units: dict[int, _UnitBreaker] = {}
 

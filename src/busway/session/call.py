@@ -73,7 +73,7 @@ class Call:
         self.timeout = timeout
         self.retries = retries
         self.is_write = is_write
-        self.open = len(requests)
+        self.open: int = len(requests)
         self.outcomes: list[Outcome | None] = [None] * self.open
         if idempotent:
             self.idempotent = True

@@ -58,12 +58,12 @@ class CallTracker:
     __slots__ = ("counters", "deadlines", "endpoint", "finished", "parameters", "queue")
 
     def __init__(self, parameters: ClientParameters, endpoint: str) -> None:
-        self.endpoint = endpoint
-        self.parameters = parameters
-        self.queue = RequestQueue(parameters.queue)
-        self.counters = ClientCounters()
+        self.endpoint: str = endpoint
+        self.parameters: ClientParameters = parameters
+        self.queue: RequestQueue = RequestQueue(parameters.queue)
+        self.counters: ClientCounters = ClientCounters()
         self.finished: list[Call] = []
-        self.deadlines = 0
+        self.deadlines: int = 0
 
     def submit(self, call: Call, now: float) -> None:
         """Queue a call. Raises `Overloaded` if the queue is full; nothing was sent then."""

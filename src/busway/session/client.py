@@ -33,7 +33,7 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from .breaker import Breakers, BreakerState
 from .call import Call
-from .call_tracker import CallTracker
+from .call_tracker import CallTracker, ClientCounters
 from .parameters import ClientParameters, MismatchPolicy
 from .queue import BURST
 from .requests_in_flight import HEAD_SIZE, PipelinedBatch, Places, RequestInFlight, places, plan_of, route_of
@@ -102,13 +102,13 @@ class TcpClientSession:
         first_transaction: int = 0,
         shared_places: Places | None = None,
     ) -> None:
-        self.parameters = parameters
+        self.parameters: ClientParameters = parameters
         self._tracker = CallTracker(parameters, endpoint)
-        self.counters = self._tracker.counters
-        self.finished = self._tracker.finished
-        self.recycle = ""
+        self.counters: ClientCounters = self._tracker.counters
+        self.finished: list[Call] = self._tracker.finished
+        self.recycle: str = ""
         self.late_units: dict[int, tuple[float, float]] = {}
-        self.valid_reply = False
+        self.valid_reply: bool = False
         self._queue = self._tracker.queue
         self._pending: dict[int, RequestInFlight] = {}
         self._batches: deque[PipelinedBatch] = deque()

@@ -52,8 +52,8 @@ class ConnectionLife:
         self._endpoint = endpoint
         self._moved = WeakMethod(moved)
         self._asked_before = 0  # requests before this connection
-        self.reconnect = reconnect
-        self.hold = hold
+        self.reconnect: Reconnect = reconnect
+        self.hold: float = hold
         self.failure: LinkDown | None = None
 
     # How a connection begins.

@@ -149,14 +149,14 @@ class LineDiagnostics:
     )
 
     def __init__(self, *, changes_allowed: bool = False, listed_unit: Callable[[int], int] | None = None) -> None:
-        self.changes_allowed = changes_allowed
-        self.ascii_delimiter = 0x0A
+        self.changes_allowed: bool = changes_allowed
+        self.ascii_delimiter: int = 0x0A
         self.listen_only_units: set[int] = set()
         self.exchanged: Counter[int] = Counter()
         self.arrived: Counter[int] = Counter()
         self.departed: Counter[int] = Counter()
-        self.heard = HeardCounters()
-        self.requests = 0
+        self.heard: HeardCounters = HeardCounters()
+        self.requests: int = 0
         self._listed_unit = listed_unit
         self._states: dict[int, CommunicationState] = {}
         # A unit that nothing was sent to yet has no state, but has heard the damaged frames like all others.
@@ -271,11 +271,11 @@ class CommunicationState:
         *,
         changes_allowed: bool = False,
     ) -> None:
-        self.line = LineDiagnostics(changes_allowed=changes_allowed) if line is None else line
-        self.unit = unit
-        self.own = Counters()
-        self.program_command_running = False
-        self.diagnostic_register = 0
+        self.line: LineDiagnostics = LineDiagnostics(changes_allowed=changes_allowed) if line is None else line
+        self.unit: int = unit
+        self.own: Counters = Counters()
+        self.program_command_running: bool = False
+        self.diagnostic_register: int = 0
         self._event_count = 0
         self._heard_before = HeardCounters()
         self._log: deque[int] = deque(heard_before, maxlen=EVENT_LOG_SIZE)

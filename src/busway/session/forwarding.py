@@ -78,11 +78,11 @@ class ForwardPlan:
     place = None
 
     def __init__(self, target: ForwardTarget, unit: int, request: Request) -> None:
-        self.target = target
-        self.requests = (request,)
-        self.key = request.wire
+        self.target: ForwardTarget = target
+        self.requests: tuple[Request, ...] = (request,)
+        self.key: bytes = request.wire
         # The data follow the head: the answer is as long as the reply that is expected from upstream.
-        self.head = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
+        self.head: bytes = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
         """The bytes after the transaction of an exception reply with this code."""
@@ -178,15 +178,15 @@ class ForwardedReads:
         diagnostics: "LineDiagnostics",
         deliver: DeliverTogether,
     ) -> None:
-        self.plans = plans
-        self.peer = peer
-        self.is_priority = is_priority
+        self.plans: ForwardPlans = plans
+        self.peer: str = peer
+        self.is_priority: bool = is_priority
         self._slots = slots
         self._diagnostics = diagnostics
         self._deliver = deliver
         self._is_open = True
         self._ready: list[bytes] = []
-        self.waiting = 0
+        self.waiting: int = 0
         self.batches: dict[ForwardedBatch, None] = {}
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:

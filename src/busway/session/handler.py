@@ -79,14 +79,14 @@ class RequestContext:
         finish: Callable[["RequestContext", Message | Deferral], None] | None = None,
         is_priority: bool = False,
     ) -> None:
-        self.unit = unit
-        self.function = function
-        self.diagnostics = diagnostics
-        self.peer = peer
-        self.listener = listener
-        self.role = role
-        self.transaction = transaction
-        self.is_priority = is_priority
+        self.unit: int = unit
+        self.function: int = function
+        self.diagnostics: CommunicationState = diagnostics
+        self.peer: str = peer
+        self.listener: str = listener
+        self.role: str | None = role
+        self.transaction: int = transaction
+        self.is_priority: bool = is_priority
         self.executed: set[int] | None = None
         self.gone: Callable[[], None] | None = None
         self._gone_seen: tuple[Callable[[], None], ...] = ()

@@ -69,10 +69,10 @@ class LineFraming:
     __slots__ = ("_ascii", "receiver", "send_gap", "timing")
 
     def __init__(self, receiver: SerialReceiver, timing: SerialTiming) -> None:
-        self.receiver = receiver
-        self.timing = timing
+        self.receiver: SerialReceiver = receiver
+        self.timing: SerialTiming = timing
         self._ascii = receiver if isinstance(receiver, AsciiReceiver) else None
-        self.send_gap = 0.0 if self._ascii is not None or not timing.character else timing.t3_5
+        self.send_gap: float = 0.0 if self._ascii is not None or not timing.character else timing.t3_5
 
     @property
     def is_network(self) -> bool:

@@ -134,12 +134,12 @@ class RequestQueue:
     )
 
     def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self.size = 0
-        self.waiting = 0
-        self.burst = 1
+        self.limit: int = limit
+        self.size: int = 0
+        self.waiting: int = 0
+        self.burst: int = 1
         self.begun: dict[Call, None] = {}
-        self.units_in_turn = False
+        self.units_in_turn: bool = False
         self._callers: dict[object, _Caller] = {}
         self._priority = _Round()
         self._others = _Round()

@@ -77,9 +77,9 @@ class Reconnect:
         self._jitter = jitter
         self._first = first
         self._most = most
-        self.state = ConnectionState.DOWN
-        self.failures = 0
-        self.not_before = 0.0
+        self.state: ConnectionState = ConnectionState.DOWN
+        self.failures: int = 0
+        self.not_before: float = 0.0
 
     def move(self, event: ConnectionEvent, now: float, *, reason: str = "", had_reply: bool = False) -> str:
         """Apply an event to the state; an event without an entry in the table changes nothing.

@@ -42,12 +42,12 @@ class EncodedRequest:
     def __init__(self, request: Request, unit: int) -> None:
         wire = request.prepare()
         size, prefix, take = request.expected_size, request.expected_prefix, request.take
-        self.unit = unit
-        self.tail = _BEHIND.pack(0, len(wire) + 1, unit) + wire
-        self.reply_size = 7 + size
-        self.take = take
+        self.unit: int = unit
+        self.tail: bytes = _BEHIND.pack(0, len(wire) + 1, unit) + wire
+        self.reply_size: int = 7 + size
+        self.take: Any = take
         is_known = take is not None and size > 0 and len(prefix) == 2
-        self.head = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
+        self.head: bytes = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
         self.others: dict[int, EncodedRequest] | None = None
         self.plan: BatchPlan | None = None
 
@@ -125,12 +125,12 @@ class BatchPlan:
 
     def __init__(self, first: EncodedRequest, following: tuple[Request, ...]) -> None:
         routes = [first, *[route_of(request, first.unit) for request in following]]
-        self.following = following
-        self.fits = all(route.head for route in routes)
-        self.heads = tuple(route.head for route in routes)
-        self.reply_sizes = tuple(route.reply_size for route in routes)
-        self.reply_size = sum(self.reply_sizes)
-        self.takers = tuple(route.take for route in routes)
+        self.following: tuple[Request, ...] = following
+        self.fits: bool = all(route.head for route in routes)
+        self.heads: tuple[bytes, ...] = tuple(route.head for route in routes)
+        self.reply_sizes: tuple[int, ...] = tuple(route.reply_size for route in routes)
+        self.reply_size: int = sum(self.reply_sizes)
+        self.takers: tuple[Any, ...] = tuple(route.take for route in routes)
         self._is_plain = set(self.takers) == {bytes}  # the caller wants the data as they came (a gateway)
         self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
         if self.fits:
@@ -195,14 +195,14 @@ class PipelinedBatch:
         places: Places,
         sent: float,
     ) -> None:
-        self.call = call
-        self.first = first
-        self.plan = plan
-        self.transactions = transactions
-        self.places = places
-        self.answered = 0
-        self.sent = sent
-        self.expires = sent + call.timeout
+        self.call: Call = call
+        self.first: int = first
+        self.plan: BatchPlan = plan
+        self.transactions: tuple[int, ...] = transactions
+        self.places: Places = places
+        self.answered: int = 0
+        self.sent: float = sent
+        self.expires: float = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
         """Whether the frame that begins at ``at`` is the next expected reply."""

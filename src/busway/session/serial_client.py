@@ -41,7 +41,7 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .breaker import BreakerParameters, Breakers
 from .call import Call
-from .call_tracker import CallTracker, function_of
+from .call_tracker import CallTracker, ClientCounters, function_of
 from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
 from .line_framing import LineFraming
 from .parameters import ClientParameters
@@ -182,19 +182,19 @@ class SerialClientSession:
             endpoint: URL of the link, for errors.
             doubts: outstanding replies of an earlier link to the same endpoint.
         """
-        self.parameters = parameters
-        self.recycle = ""
-        self.doubts = doubts or Doubts()
+        self.parameters: ClientParameters = parameters
+        self.recycle: str = ""
+        self.doubts: Doubts = doubts or Doubts()
         self.notes: list[str] = []
-        self.characters_take_time = True
-        self.valid_reply = False
-        self.state = MasterState.IDLE
-        self.breakers = Breakers(breaker or BreakerParameters(), jitter)
+        self.characters_take_time: bool = True
+        self.valid_reply: bool = False
+        self.state: MasterState = MasterState.IDLE
+        self.breakers: Breakers = Breakers(breaker or BreakerParameters(), jitter)
         self._doubtful = self.breakers.doubtful  # units that timed out and have not answered since
         self._not_asked_before: dict[int, float] = {}
         self._tracker = CallTracker(parameters, endpoint)
-        self.counters = self._tracker.counters
-        self.finished = self._tracker.finished
+        self.counters: ClientCounters = self._tracker.counters
+        self.finished: list[Call] = self._tracker.finished
         self._serial = serial or SerialClientParameters()
         self._framing = framing
         self._receiver = framing.receiver

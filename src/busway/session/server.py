@@ -168,15 +168,15 @@ class TcpServerSession:
             )
         # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
         self._waiting: set[RequestContext] | None = None
-        self.broken = ""
+        self.broken: str = ""
         self.deferred: list[Deferred] = []
         self.failures: list[HandlerFailure] = []
-        self.unfinished = 0
-        self.requests = 0
-        self.discarded = 0
-        self.refused_busy = 0
-        self.rest = b""
-        self.spent = 0
+        self.unfinished: int = 0
+        self.requests: int = 0
+        self.discarded: int = 0
+        self.refused_busy: int = 0
+        self.rest: bytes = b""
+        self.spent: int = 0
 
     @property
     def waiting(self) -> int:

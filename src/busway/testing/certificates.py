@@ -53,9 +53,9 @@ class CertificateStore:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self.authority = Authority.create("test authority")
-        self.foreign = Authority.create("foreign authority")
-        self.authority_file = directory / "ca.pem"
+        self.authority: Authority = Authority.create("test authority")
+        self.foreign: Authority = Authority.create("foreign authority")
+        self.authority_file: Path = directory / "ca.pem"
         self.authority_file.write_bytes(self.authority.issued.certificate_pem())
 
     def server(

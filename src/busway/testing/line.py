@@ -137,12 +137,12 @@ class PacedLine:
         self._granularity = granularity
         self._directory = tempfile.TemporaryDirectory(prefix="busway-line-")
         self._ptys: list[_Pty | None] = [_Pty.opened() for _ in range(ports)]
-        self.paths = [os.path.join(self._directory.name, f"port{number}") for number in range(ports)]
+        self.paths: list[str] = [os.path.join(self._directory.name, f"port{number}") for number in range(ports)]
         for path, pty in zip(self.paths, self._ptys, strict=True):
             if pty is not None:
                 os.symlink(pty.device, path)
         self._transit = _transit_time()
-        self.overruns = 0
+        self.overruns: int = 0
         self._orders: deque[_Order] = deque()
         self._listeners: list[_Listener] = []
         self._bell_read, self._bell = os.pipe()

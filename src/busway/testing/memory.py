@@ -188,9 +188,9 @@ class MemoryPair:
         schedule: Callable[[Callable[[], None]], object] | None = None,
         extra: Mapping[str, Any] | None = None,  # Any: as asyncio has it
     ) -> None:
-        self.now = 0.0
-        self.first = MemoryTransport(forth or Passage(), extra or {})
-        self.second = MemoryTransport(back or Passage(), extra or {})
+        self.now: float = 0.0
+        self.first: MemoryTransport = MemoryTransport(forth or Passage(), extra or {})
+        self.second: MemoryTransport = MemoryTransport(back or Passage(), extra or {})
         self._schedule = schedule
         self._scheduled = False
         self._protocols = (first, second)

@@ -74,9 +74,9 @@ class FaultyServer:
         self._changed_here = asyncio.Event()
         self._clock = clock
         self.loop: asyncio.AbstractEventLoop | None = None
-        self.endpoint = ""
+        self.endpoint: str = ""
         self.requests: deque[Exchange] = deque(maxlen=REMEMBERED_REQUESTS)
-        self.faults = Faults(seed)
+        self.faults: Faults = Faults(seed)
         for fault in _faults_of(fault_profiles, options):
             self.faults.add(fault)
         self._tap = FaultyTap(self.faults, clock, changed=self._change)

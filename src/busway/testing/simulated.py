@@ -92,7 +92,7 @@ class SimulatedDevice:
     """
 
     def __init__(self, simulation: "Simulation", endpoints: Sequence[str]) -> None:
-        self.endpoints = list(endpoints)
+        self.endpoints: list[str] = list(endpoints)
         self.simulation = simulation
         self.reads: list[Access] = []
         self.writes: list[Change] = []

@@ -98,19 +98,23 @@ class VirtualLine:
         """
         if ports < 1:
             raise ValueError(f"a line has at least one port, not {ports}")
-        self.settings = SerialSettings(baud=baud, parity=Parity(parity), data_bits=data_bits, stop_bits=stop_bits)
-        self.character_time = self.settings.character_time
+        self.settings: SerialSettings = SerialSettings(
+            baud=baud, parity=Parity(parity), data_bits=data_bits, stop_bits=stop_bits
+        )
+        self.character_time: float = self.settings.character_time
         self.noise = noise
-        self.collisions = 0
+        self.collisions: int = 0
         self.tap: deque[LineByte] = deque(maxlen=tap_size)
         numbers = range(ports)
         echoing = frozenset(numbers if echo is True else () if echo is False else echo)
-        self.ports = tuple(VirtualPort(self, number, echo=number in echoing) for number in numbers)
+        self.ports: tuple[VirtualPort, ...] = tuple(
+            VirtualPort(self, number, echo=number in echoing) for number in numbers
+        )
         self._noise_source = VirtualPort(self, NOISE, echo=False)
         self._talkers = (*self.ports, self._noise_source)
         self._cut: set[int] = set()
         self._random = random.Random(seed)
-        self.now = float("-inf")
+        self.now: float = float("-inf")
         self._tolerance = self.character_time * 1e-6
 
     def deadline(self) -> float | None:
@@ -233,11 +237,11 @@ class VirtualPort:
         self._outgoing: deque[tuple[float, int]] = deque()
         self._data = bytearray()
         self._errors = 0
-        self.number = number
-        self.echo = echo
-        self.talking = False
-        self.free_at = float("-inf")
-        self.passed_at = float("-inf")
+        self.number: int = number
+        self.echo: bool = echo
+        self.talking: bool = False
+        self.free_at: float = float("-inf")
+        self.passed_at: float = float("-inf")
 
     def write(self, data: bytes, now: float) -> float:
         """Send characters, from ``now`` or as soon as the earlier ones have left.

@@ -31,7 +31,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
         self._whole = whole
         self._received = received
         self._transport: asyncio.DatagramTransport | None = None
-        self.dropped = 0
+        self.dropped: int = 0
 
     # What asyncio calls.
 
@@ -120,7 +120,7 @@ class BlockingDatagramSocket:
     ) -> None:
         """Open it; arguments and errors as of `open_datagram`."""
         self._whole = whole
-        self.dropped = 0
+        self.dropped: int = 0
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind, protocol)

@@ -68,7 +68,7 @@ class BitCodec:
         self._name = name
         self._bit = bit
         self._swaps = order.swaps
-        self.expects = f"one of {', '.join(_STATES)}"
+        self.expects: str = f"one of {', '.join(_STATES)}"
 
     def decode(self, data: Wire) -> list[Any]:
         """The state of this bit in each register of a block."""
@@ -117,7 +117,7 @@ class FieldCodec:
         self._swaps = order.swaps
         self._minimum = -self._sign
         self._maximum = self._mask - self._sign
-        self.expects = f"a whole number {self._minimum}…{self._maximum}"
+        self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
         """The number in these bits of each register of a block."""

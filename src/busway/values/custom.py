@@ -44,7 +44,7 @@ class CustomCodec:
         self._layout = layout
         self._swaps = order.swaps
         self._length = len(layout.unpack(bytes(layout.size)))
-        self.expects = f"{self._length} numbers that fit {layout.format}"
+        self.expects: str = f"{self._length} numbers that fit {layout.format}"
 
     def decode(self, data: Wire) -> list[Any]:
         """The tuples of a block."""

@@ -34,7 +34,7 @@ class NetworkCodec:
         self._name = name
         self._size = _SIZES[name]
         self._swaps = order.swaps
-        self.expects = _EXPECTS[name]
+        self.expects: str = _EXPECTS[name]
 
     def decode(self, data: Wire) -> list[Any]:
         """The addresses of a block."""

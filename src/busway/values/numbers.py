@@ -75,7 +75,7 @@ class IntegerCodec:
         self._maximum = self._minimum + (1 << bits) - 1
         self._name = name
         self._layout = _StructLayout(letter, order)
-        self.expects = f"a whole number {self._minimum}…{self._maximum}"
+        self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
         """The integers of a block."""
@@ -118,7 +118,7 @@ class FloatCodec:
         largest = {2: "65504", 4: "3.4028234663852886e+38", 8: "1.7976931348623157e+308"}[order.size]
         self._name = name
         self._layout = _StructLayout(letter, order)
-        self.expects = f"a number -{largest}…{largest}, inf or nan"
+        self.expects: str = f"a number -{largest}…{largest}, inf or nan"
 
     def decode(self, data: Wire) -> list[Any]:
         """The numbers of a block."""
@@ -170,7 +170,7 @@ class ThreeRegisterCodec:
         self._maximum = self._minimum + (1 << 48) - 1
         self._name = name
         self._swaps = order.swaps
-        self.expects = f"a whole number {self._minimum}…{self._maximum}"
+        self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
         """The integers of a block."""
@@ -205,7 +205,7 @@ class BcdCodec:
         self._maximum = 10**self._digits - 1
         self._name = name
         self._swaps = order.swaps
-        self.expects = f"a whole number 0…{self._maximum}, in decimal"
+        self.expects: str = f"a whole number 0…{self._maximum}, in decimal"
 
     def decode(self, data: Wire) -> list[Any]:
         """The numbers of a block.

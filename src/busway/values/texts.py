@@ -40,7 +40,7 @@ class StringCodec:
         self._encoding = encoding
         self._fill = b" " if padding == "space" else b"\0"
         self._swaps = order.swaps
-        self.expects = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
+        self.expects: str = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
 
     def decode(self, data: Wire) -> list[Any]:
         """The texts of a block.

@@ -69,7 +69,7 @@ class CostLearner:
         self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
         self._in_order: list[float] = []  # the estimates of the base, for the median
         self._estimates: deque[float] = deque()
-        self.reads = 0
+        self.reads: int = 0
 
     def observe(self, table: Table, width: int, seconds: float) -> None:
         """Note a read that succeeded at its first attempt, ``seconds`` after its request began."""
@@ -216,9 +216,9 @@ class MapLearner:
     """
 
     def __init__(self, knowledge: DeviceKnowledge, cost: ReadCost) -> None:
-        self.knowledge = knowledge
-        self.asked = 0
-        self.inconclusive = 0
+        self.knowledge: DeviceKnowledge = knowledge
+        self.asked: int = 0
+        self.inconclusive: int = 0
         self._cost = cost
         self._silences: dict[tuple[Table, int, int], int] = {}
         self._waits: dict[tuple[Table, int, int], _Wait] = {}

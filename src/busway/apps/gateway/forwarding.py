@@ -132,7 +132,7 @@ class Batch(Call):
         self.places = len(tags)
         if asker.is_priority:
             self.is_priority = True
-        self.forwarder = target.forwarder
+        self.forwarder: Forwarder = target.forwarder
         self.link = link
         self.asker: Asker | None = asker
         self.tags = tags
@@ -184,12 +184,12 @@ class ForwardTarget:
     __slots__ = ("deadline", "forwarder", "retries", "timeout", "unit")
 
     def __init__(self, forwarder: "Forwarder", unit: int, timeout: float | None, deadline: float | None) -> None:
-        self.forwarder = forwarder
-        self.unit = unit
+        self.forwarder: Forwarder = forwarder
+        self.unit: int = unit
         parameters = forwarder.upstream.settings.parameters
-        self.timeout = timeout or parameters.timeout
-        self.retries = parameters.retries
-        self.deadline = deadline
+        self.timeout: float = timeout or parameters.timeout
+        self.retries: int = parameters.retries
+        self.deadline: float | None = deadline
 
     def ask(self, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]) -> None:
         """Forward requests of one client; each gets its answer, perhaps before this returns."""

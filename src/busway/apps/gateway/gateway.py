@@ -292,7 +292,7 @@ class Gateway:
         audit: "AuditLog | None" = None,
         wrap: Callable[[Handler], Handler] | None = None,
     ) -> None:
-        self.plan = plan
+        self.plan: GatewayPlan = plan
         self._authorise = authorise
         self._policy = policy
         self._audit = audit

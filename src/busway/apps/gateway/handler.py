@@ -90,8 +90,8 @@ class ListenerHandler:
     ) -> None:
         self.name = name
         self.functions = functions
-        self.generation = 0
-        self.counters = GatewayListenerCounters()
+        self.generation: int = 0
+        self.counters: GatewayListenerCounters = GatewayListenerCounters()
         self.deadline = deadline
         self.silent_broadcasts = silent_broadcasts
         self._own = own

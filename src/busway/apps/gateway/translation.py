@@ -43,8 +43,8 @@ class Translated:
     def __init__(self, request: Request, route: Route, width: int = NARROW) -> None:
         self._request = request
         self._route = route
-        self.requests = _upstream_requests(request, route, width)
-        self.key = b""
+        self.requests: tuple[Request, ...] = _upstream_requests(request, route, width)
+        self.key: bytes = b""
         self.place: tuple[Table, int, int] | None = None
         if isinstance(request, _READS):
             self.key = b"".join(map(_wire, self.requests))

@@ -148,8 +148,8 @@ class Upstream:
             raise ConfigError("a serial port is opened once", key="connections")
         self.name = name
         self.settings = settings
-        self.takes_broadcasts = settings.endpoint.framing != "mbap" if broadcast is None else broadcast
-        self.counters = UpstreamCounters()
+        self.takes_broadcasts: bool = settings.endpoint.framing != "mbap" if broadcast is None else broadcast
+        self.counters: UpstreamCounters = UpstreamCounters()
         self._connections = connections
         self.clock = clock
         self.watch: Callable[[ClientSession], None] | None = None
@@ -157,7 +157,7 @@ class Upstream:
         self._keeper: asyncio.Task[None] | None = None  # of a serial port
         self._port_gone = asyncio.Event()
         is_port = settings.endpoint.carrier == "serial"
-        self.news = UpstreamNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
+        self.news: UpstreamNews = UpstreamNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
         self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; who asked last comes last
         self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
         self.register_width = settings.parameters.register_width

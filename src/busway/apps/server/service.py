@@ -188,9 +188,9 @@ class Service:
     def __init__(self, read: Callable[[], DeclaredServer], wishes: Wishes | None = None) -> None:
         self._read = read
         self._wishes = wishes or Wishes()
-        self.configuration = read()
+        self.configuration: DeclaredServer = read()
         self.read_only: tuple[str, ...] = ()
-        self.metrics = ""
+        self.metrics: str = ""
         self._rules = self._wishes.rules(self.configuration)
         self._allow_list = ReloadableAllowList()
         self._allow_lists: dict[str, ReloadableAllowList] = {}

@@ -144,8 +144,8 @@ class Engine:
     """
 
     def __init__(self, driven: Iterable[Driven], changed: Callable[[list[SimulatedPoint], float], None]) -> None:
-        self.changes = 0
-        self.left_out = 0
+        self.changes: int = 0
+        self.left_out: int = 0
         self._changed = changed
         self._driven = {each.point: each for each in driven}
         self._heap: list[tuple[float, int, int, int, _Group | _Release]] = []

@@ -200,8 +200,10 @@ class Plant:
     def __init__(self) -> None:
         sections = parse_device_file(PLANT_FILE, "plant").unit
         self.devices: dict[int, Device] = {section.unit[0]: build_device(section) for section in sections}
-        self.points = {section.unit[0]: Points(self.devices[section.unit[0]], section.point) for section in sections}
-        self.state = PlantState()
+        self.points: dict[int, Points] = {
+            section.unit[0]: Points(self.devices[section.unit[0]], section.point) for section in sections
+        }
+        self.state: PlantState = PlantState()
         self.tick(0.0)
 
     def tick(self, seconds: float) -> None:

@@ -58,17 +58,17 @@ class SimulatedPoint:
 
     def __init__(self, unit: int, form: PointForm, device: Device) -> None:
         place = place_of(form, device)
-        self.unit = unit
-        self.key = f"{unit}/{form.section.name}"
-        self.device = device
-        self.form = form
+        self.unit: int = unit
+        self.key: str = f"{unit}/{form.section.name}"
+        self.device: Device = device
+        self.form: PointForm = form
         self.memory: RegisterRun | BitRun = place.memory
-        self.offset = place.offset
-        self.held = 0
+        self.offset: int = place.offset
+        self.held: int = 0
         self.stored: Any = None  # a number of the type, or bool
-        self.number = 0.0
-        self.changed_at = 0.0
-        self.last_writer = SIMULATION
+        self.number: float = 0.0
+        self.changed_at: float = 0.0
+        self.last_writer: str = SIMULATION
         self.look()
 
     @property

@@ -108,15 +108,17 @@ class Simulation:
         speed: float = 1.0,
     ) -> None:
         _check_speed(speed)
-        self.declaration = file if isinstance(file, SimulationDeclaration) else load_declaration(file)
+        self.declaration: SimulationDeclaration = (
+            file if isinstance(file, SimulationDeclaration) else load_declaration(file)
+        )
         settings = self.declaration.file.simulation
-        self.seed = settings.seed if seed is None else seed
-        self.speed = speed
-        self.is_paused = False
+        self.seed: int = settings.seed if seed is None else seed
+        self.speed: float = speed
+        self.is_paused: bool = False
         built = build_simulation(self.declaration.units, self.seed)
         self.units: Mapping[int, SimulatedUnit] = MappingProxyType(built.units)
         self.points: Mapping[str, SimulatedPoint] = MappingProxyType(built.points)
-        self.board = FaultSwitchboard(seed=self.seed, clock=clock)
+        self.board: FaultSwitchboard = FaultSwitchboard(seed=self.seed, clock=clock)
         put_on(self.board, self.declaration.file.fault)
         self.warnings: list[str] = []
         self._watchers: tuple[Watcher, ...] = ()

@@ -83,7 +83,7 @@ class PageConnection(H11Protocol):
 
     def __init__(self, doors: Doors, **given: Any) -> None:
         super().__init__(**given)
-        self.logger = _http_log
+        self.logger: logging.Logger = _http_log
         self._doors = doors
         self._timer: asyncio.TimerHandle | None = None
 

@@ -126,11 +126,11 @@ class ControlPage:
             )
         self._address = parse_host_port(at, KEY)
         self._given = token
-        self.url = ""
-        self.token = ""
-        self.traffic = Traffic(self._ports)
-        self.api = Api(subject, self.traffic, name)
-        self.streams = Streams(self.api)
+        self.url: str = ""
+        self.token: str = ""
+        self.traffic: Traffic = Traffic(self._ports)
+        self.api: Api = Api(subject, self.traffic, name)
+        self.streams: Streams = Streams(self.api)
         self._server: _Server | None = None
         self._task: asyncio.Task[None] | None = None
 

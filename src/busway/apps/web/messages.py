@@ -9,7 +9,7 @@ Knows shapes; knows no simulation.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -24,7 +24,7 @@ _NOT_IN_JSON: Final = ("NaN", "Infinity", "-Infinity")
 class Asked(BaseModel):
     """The body or the query of a request."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
 
 class Answer(BaseModel):

@@ -74,7 +74,7 @@ class Client:
         self._has_switched = True
         self._status_due = 0.0
         self._wake = asyncio.Event()
-        self.skipped = 0
+        self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
         """Take a wish; what cannot be is said."""

@@ -74,15 +74,15 @@ class Passed:
         transaction: int | None = None,
         reason: str = "",
     ) -> None:
-        self.number = number
-        self.at = at
-        self.peer = peer
-        self.pdu = pdu
-        self.is_reply = is_reply
-        self.unit = unit
-        self.transaction = transaction
-        self.reason = reason
-        self.asked = b""
+        self.number: int = number
+        self.at: float = at
+        self.peer: str = peer
+        self.pdu: bytes = pdu
+        self.is_reply: bool = is_reply
+        self.unit: int | None = unit
+        self.transaction: int | None = transaction
+        self.reason: str = reason
+        self.asked: bytes = b""
         self.seconds: float | None = None
         self.shown: FrameAnswer | None = None
 
@@ -108,7 +108,7 @@ class Traffic:
         functions: FunctionTable = STANDARD,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        self.last = 0
+        self.last: int = 0
         self._ports = ports
         self._functions = functions
         self._clock = clock

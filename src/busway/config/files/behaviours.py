@@ -117,7 +117,7 @@ class NoiseSection(BehaviourSection):
 class RandomWalkSection(BehaviourSection):
     """Steps up and down."""
 
-    begins: ClassVar = True
+    begins: ClassVar[bool] = True
 
     kind: Literal["random-walk"]
     step: float = Field(gt=0, allow_inf_nan=False)
@@ -134,8 +134,8 @@ class RandomWalkSection(BehaviourSection):
 class CounterSection(BehaviourSection):
     """A sum over time."""
 
-    begins: ClassVar = True
-    expressions: ClassVar = ("rate",)
+    begins: ClassVar[bool] = True
+    expressions: ClassVar[tuple[str, ...]] = ("rate",)
 
     kind: Literal["counter"]
     rate: Expression
@@ -145,8 +145,8 @@ class CounterSection(BehaviourSection):
 class LagSection(BehaviourSection):
     """A first-order lag."""
 
-    begins: ClassVar = True
-    expressions: ClassVar = ("target",)
+    begins: ClassVar[bool] = True
+    expressions: ClassVar[tuple[str, ...]] = ("target",)
 
     kind: Literal["lag"]
     target: Expression
@@ -156,7 +156,7 @@ class LagSection(BehaviourSection):
 class FormulaSection(BehaviourSection):
     """An expression."""
 
-    expressions: ClassVar = ("formula",)
+    expressions: ClassVar[tuple[str, ...]] = ("formula",)
 
     kind: Literal["formula"]
     formula: str

@@ -122,7 +122,7 @@ UnitNumber = Annotated[int, Field(ge=0, le=255)]
 class ServerSection(ListenerKeys, OptionSection):
     """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
 
-    retired: ClassVar = {"shared_places": "shared_slots"}
+    retired: ClassVar[dict[str, str]] = {"shared_places": "shared_slots"}
 
     preset: Literal["standard", "strict"] = "standard"
     standard_port: bool | None = None

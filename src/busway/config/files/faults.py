@@ -65,7 +65,7 @@ class ScheduleSection(Section):
 class FaultSection(Section):
     """``[[fault]]``: one fault. What is left out chooses every request."""
 
-    retired: ClassVar = {"personality": "fault_profile"}
+    retired: ClassVar[dict[str, str]] = {"personality": "fault_profile"}
 
     name: str = ""
     fault_profile: str = Field(min_length=1)

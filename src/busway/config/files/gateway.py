@@ -99,7 +99,7 @@ class UpstreamSection(LinkSection):
 class RouteSection(Section):
     """``[[route]]``: which requests, and what becomes of them."""
 
-    retired: ClassVar = {"line": "link"}
+    retired: ClassVar[dict[str, str]] = {"line": "link"}
 
     name: str = ""
     listeners: list[str] | None = Field(default=None, min_length=1)
@@ -188,7 +188,7 @@ def _no_units(value: object) -> object:
 class GatewayFile(SystemFile):
     """A whole gateway file."""
 
-    retired: ClassVar = {"line": "[[link]]"}
+    retired: ClassVar[dict[str, str]] = {"line": "[[link]]"}
 
     listener: list[GatewayListenerSection] = Field(default_factory=list)  # type: ignore[assignment]
     link: list[UpstreamSection] = Field(default_factory=list)  # type: ignore[assignment]

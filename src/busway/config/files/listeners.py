@@ -60,7 +60,7 @@ class ListenerSection(ListenerKeys, OptionSection):
     Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
     """
 
-    judged: ClassVar = False  # together with those of [security], where the listener is put together
+    judged: ClassVar[bool] = False  # together with those of [security], where the listener is put together
     on_lines: ClassVar[frozenset[str]] = frozenset({"url"})
     """Keys that have an effect on a serial line too."""
 

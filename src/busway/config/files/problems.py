@@ -16,7 +16,7 @@ class FileError(ConfigError):
     def __init__(self, problems: Sequence[ConfigError]) -> None:
         first = problems[0]
         super().__init__(first.message, file=first.file, line=first.line, key=first.key)
-        self.problems = tuple(problems)
+        self.problems: tuple[ConfigError, ...] = tuple(problems)
 
     def __str__(self) -> str:
         return "\n".join(str(each) for each in self.problems)

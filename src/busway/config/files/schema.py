@@ -25,7 +25,9 @@ from .problems import FileError
 class Section(BaseModel):
     """A table of a file. Keys are exactly the declared ones; values are never converted; frozen once read."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True
+    )
 
     retired: ClassVar[Mapping[str, str]] = {}
     """Keys that this table had once, and what is written instead."""
@@ -39,7 +41,7 @@ class FileProblems(ValueError):
 
     def __init__(self, faults: Sequence[tuple[Path, str]]) -> None:
         super().__init__("; ".join(sentence for _, sentence in faults))
-        self.faults = tuple(faults)
+        self.faults: tuple[tuple[Path, str], ...] = tuple(faults)
 
 
 File = TypeVar("File", bound=Section)

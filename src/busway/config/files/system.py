@@ -141,7 +141,7 @@ class LinkKeys(OptionSection):
 class LinkSection(LinkKeys):
     """``[[link]]``: one endpoint that requests go to, under a name, with options of its own."""
 
-    judged: ClassVar = False  # together with those of [client], where the link is put together
+    judged: ClassVar[bool] = False  # together with those of [client], where the link is put together
 
     name: str = Field(min_length=1)
     url: Url
@@ -151,7 +151,7 @@ class LinkSection(LinkKeys):
 class ClientSection(LinkKeys):
     """``[client]``: options for all links whose scheme has the option."""
 
-    retired: ClassVar = {"link": "[[link]]"}
+    retired: ClassVar[dict[str, str]] = {"link": "[[link]]"}
 
     supported_connections: int | None = Field(default=None, ge=1, le=65_535)
 

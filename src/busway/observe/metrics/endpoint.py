@@ -20,6 +20,7 @@ from ...errors import MissingExtra
 from ...session.handler import Handler
 from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
 from .handler import Classify, ClassifyByMark, MeteredHandler, classify_by_listener, metered
+from .requests import RequestTally
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
@@ -111,12 +112,12 @@ class MetricsEndpoint:
         except BaseException:
             bound.close()
             raise
-        self.tally = handlers[0].tally
+        self.tally: RequestTally = handlers[0].tally
         self._registry = registry_of(
             ServerCollector(self._ask, self.tally, refusals_of(handlers)),
             *(() if links is None else (ClientCollector(links),)),
         )
-        self.url = f"http://{bound_name(bound)}/metrics"
+        self.url: str = f"http://{bound_name(bound)}/metrics"
         self._service = HttpService(bound, self.answer, name="busway metrics")
         self._service.start()
 

@@ -79,7 +79,7 @@ class MeteredHandler:
         self.inner = inner
         if isinstance(inner, ListedUnits):  # set only where the handler inside has it
             self.listed_unit = inner.listed_unit
-        self.tally = tally or RequestTally(inner.functions.codes())
+        self.tally: RequestTally = tally or RequestTally(inner.functions.codes())
         self._classify = classify
         self._clock = clock
         self._generation = inner.generation

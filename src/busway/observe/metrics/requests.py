@@ -57,11 +57,11 @@ class Series:
     __slots__ = ("count", "exception", "function", "peer_class", "unit")
 
     def __init__(self, peer_class: str, unit: str, function: str, exception: str) -> None:
-        self.peer_class = peer_class
-        self.unit = unit
-        self.function = function
-        self.exception = exception
-        self.count = 0
+        self.peer_class: str = peer_class
+        self.unit: str = unit
+        self.function: str = function
+        self.exception: str = exception
+        self.count: int = 0
 
 
 class Durations:
@@ -75,9 +75,9 @@ class Durations:
     __slots__ = ("counts", "function", "total")
 
     def __init__(self, function: str) -> None:
-        self.function = function
-        self.counts = [0] * (len(BUCKETS) + 1)
-        self.total = 0.0
+        self.function: str = function
+        self.counts: list[int] = [0] * (len(BUCKETS) + 1)
+        self.total: float = 0.0
 
     def add(self, seconds: float) -> None:
         """One more answer."""

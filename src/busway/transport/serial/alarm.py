@@ -45,7 +45,7 @@ class Alarm:
         self._when = 0.0
         self._lead = 0.0
         self._descriptor = _new_timer()
-        self.exact = self._descriptor is not None
+        self.exact: bool = self._descriptor is not None
         if self._descriptor is not None:
             self._loop.add_reader(self._descriptor, self._expired, self._descriptor)
 

@@ -57,9 +57,9 @@ class BlockingSerialPort:
         import serialx
 
         self.port = port
-        self.path = resolve_port(port)
+        self.path: str = resolve_port(port)
         self.settings = settings
-        self.pseudo_terminal = is_pseudo_terminal(self.path)
+        self.pseudo_terminal: bool = is_pseudo_terminal(self.path)
         self._serial: BaseSerial | None = None
         try:
             opened = serialx.serial_for_url(

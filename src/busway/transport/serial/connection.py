@@ -52,7 +52,7 @@ class SerialConnection:
         self.port = port
         self.path = path
         self.settings = settings
-        self.pseudo_terminal = is_pseudo_terminal(path)
+        self.pseudo_terminal: bool = is_pseudo_terminal(path)
         self._received = received
         self._lost = lost
         self._ioctl = ioctl

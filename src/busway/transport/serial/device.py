@@ -67,8 +67,8 @@ class OpenDevice:
         self._settings = settings
         self._ioctl = ioctl
         self._marks: MarkDecoder | None = None
-        self.direction = DriverDirection.NOBODY
-        self.emission = CharacterClock(settings.character_time)
+        self.direction: DriverDirection = DriverDirection.NOBODY
+        self.emission: CharacterClock = CharacterClock(settings.character_time)
         if descriptor is None:
             return
         if settings.exclusive:

@@ -24,7 +24,7 @@ class CharacterClock:
 
     def __init__(self, character_time: float) -> None:
         self._character_time = character_time
-        self.until = 0.0
+        self.until: float = 0.0
 
     def written(self, count: int, now: float) -> float:
         """``count`` characters were handed over; gives when the last of them will have left."""

@@ -64,8 +64,8 @@ class Claim:
             ConfigError: this process has it open already, or `serialx` is not installed. Nothing was opened.
         """
         require("serialx", "a serial port")
-        self.port = _key(port)
-        self.user = user
+        self.port: str = _key(port)
+        self.user: str = user
         with _lock:
             holder = _claims.get(self.port)
             if holder is not None:

@@ -212,7 +212,7 @@ class WatchedContext:
     ) -> None:
         self.parameters = parameters
         self.name = name
-        self.generation = 0
+        self.generation: int = 0
         """How often the files were read anew."""
         self._make = make
         self._clock = clock

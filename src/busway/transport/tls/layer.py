@@ -71,7 +71,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         failed: "Callable[[TlsLayer, TlsFailure], None]",
         gone: "Callable[[TlsLayer], None] | None" = None,
     ) -> None:
-        self.state = TlsState.HANDSHAKE
+        self.state: TlsState = TlsState.HANDSHAKE
         self.failure: TlsFailure | None = None
         self._loop = loop
         self._stream = TlsStream(context, server_side=server_side, server_name=server_name)

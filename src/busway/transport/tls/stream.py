@@ -31,8 +31,8 @@ class TlsStream:
             self._incoming, self._outgoing, server_side=server_side, server_hostname=server_name
         )
         self._failure: TlsFailure | None = None  # found behind bytes that were good
-        self.ended = False
-        self.heard = False
+        self.ended: bool = False
+        self.heard: bool = False
 
     @property
     def ssl_object(self) -> ssl.SSLObject:

@@ -120,7 +120,7 @@ class Manifest:
         """
         if not writes:
             check_store(folder)
-        self.path = folder / MANIFEST
+        self.path: Path = folder / MANIFEST
         self._lock = threading.RLock()
         try:
             self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=10.0)

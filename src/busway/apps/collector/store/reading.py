@@ -64,7 +64,7 @@ class Store:
         Raises:
             ConfigError: there is no store in the folder.
         """
-        self.folder = Path(folder)
+        self.folder: Path = Path(folder)
         check_store(self.folder)
 
     def points(self) -> list[StoredPoint]:

@@ -88,8 +88,8 @@ class StoreWriter:
         Raises:
             ConfigError: another process writes it (its pid is named), or it cannot be opened.
         """
-        self.folder = Path(folder)
-        self.options = options or StoreOptions()
+        self.folder: Path = Path(folder)
+        self.options: StoreOptions = options or StoreOptions()
         self._step = step
         make_folder(self.folder)
         self._lock = StoreLock(self.folder)

@@ -13,7 +13,7 @@ class Formula:
     __slots__ = ("value",)
 
     def __init__(self, compute: Bound) -> None:
-        self.value = compute
+        self.value: Bound = compute
 
     def resume(self, time: float, value: float) -> None:
         """Nothing: the value follows from other points."""
