@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from collected import at, filled
 from control_sockets import short_directory
 
 import busway
@@ -40,6 +41,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     folder = tmp_path_factory.mktemp("plant")
     (folder / "plant.toml").write_text(FILE, "utf-8")
     (folder / "policy.toml").write_text(POLICY, "utf-8")
+    filled(folder / "data", 3).close(at(10))
     device = busway.Device(
         holding_registers=10, identification={0: "Größe AG", 1: "\N{SNOWMAN}", 2: "1"}, server_id=b"caf\xc3\xa9\xff"
     )
@@ -79,6 +81,8 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
         "decode": [["2b0e0101000001000547 72 c3b6 df".replace(" ", "")], ["03006b0003", "--json"]],
         "config": [["schema"], ["show", str(folder / "plant.toml")]],
         "policy": [["check", str(folder / "policy.toml")]],
+        "query": [[str(folder / "data"), *how] for how in ([], ["--json"], ["--csv"], ["--list"], ["--bucket", "1s"])],
+        "store": [["check", str(folder / "data")]],
         "certs": [[str(folder / "lab"), "--force"], ["show", str(folder / "lab" / "ca.pem")]],
     }
 

@@ -8,7 +8,7 @@ code  meaning
 3     no reply came, or the outcome of a write is not known
 4     the device refused with an exception code
 5     no connection, or it ended; a server that can not listen
-6     the reply, or a frame given to ``decode``, is broken
+6     the reply, a frame given to ``decode``, or a store given to ``store check`` is broken
 7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back
 8     the output cannot be written: a full disk, a stream that is closed
 70    a defect of busway

@@ -36,6 +36,8 @@ COMMANDS = {
     "serve": "Be a device.",
     "simulate": "Be devices that behave as a file says.",
     "gateway": "Forward client requests to serial lines or other servers.",
+    "query": "Show what a store of the collector holds.",
+    "store": "Check, back up or restore a store of the collector.",
     "status": "Show how a running server or gateway does.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",

@@ -1,0 +1,176 @@
+"""``busway query``: what a store of the collector holds.
+
+1. Samples are printed as they are read, so any length of time can be asked for; buckets are summed up first.
+2. Time without reads is a line without a value that says why; in buckets, a bucket with 0 samples.
+3. Times are UTC. A table shows milliseconds; CSV and JSON have nanoseconds, and half of the transaction's length.
+"""
+
+from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import ConfigError
+from .arguments import CSV, JSON
+from .exits import ExitCode
+from .output import json_value, print_aligned, print_csv, print_json, say, shown_value
+
+if TYPE_CHECKING:
+    from ..apps.collector.store.frames import BucketTable, SampleTable
+    from ..apps.collector.store.reading import Store
+
+EXAMPLES = """\b
+Examples:
+  busway query data --list
+  busway query data "meter-7/*" --since 1h
+  busway query data --points "*/power" --since 2026-11-22 --until 2026-11-23 --bucket 5m --csv
+  busway query data --since 1d --parquet yesterday.parquet
+
+Times are 1h (an hour ago) or ISO 8601, UTC where no offset is given.
+"""
+
+
+def query(
+    store: str = typer.Argument(..., metavar="STORE", help="The folder of the store."),
+    patterns: list[str] | None = typer.Argument(None, metavar="POINT...", help="Which points: meter-7/*, meter-7."),
+    points: list[str] | None = typer.Option(
+        None, "--points", metavar="POINT", help="Which points, likewise; several times if need be."
+    ),
+    since: str | None = typer.Option(None, "--since", metavar="TIME", help="From this time on: 1h, 2026-11-22T14:00."),
+    until: str | None = typer.Option(None, "--until", metavar="TIME", help="Up to this time, without it."),
+    bucket: str | None = typer.Option(
+        None, "--bucket", metavar="TIME", help="Minimum, maximum and mean for each: 10s, 5m, 1h."
+    ),
+    parquet: str | None = typer.Option(None, "--parquet", metavar="FILE", help="Write a new Parquet file instead."),
+    names: bool = typer.Option(False, "--list", help="List the points of the store."),
+    as_json: bool = JSON,
+    as_csv: bool = CSV,
+) -> int:
+    """Show what a store of the collector holds."""
+    from ..apps.collector.store.reading import Store
+
+    if sum((as_json, as_csv, parquet is not None)) > 1:
+        raise ConfigError("one of --json, --csv and --parquet is possible", key="--json")
+    asked = Store(store)
+    wanted = [*(patterns or ()), *(points or ())] or ["*"]
+    if names:
+        _list_points(asked, as_json=as_json, as_csv=as_csv)
+        return ExitCode.DONE
+    if bucket is not None:
+        table = asked.read(wanted, since=since, until=until, bucket=bucket)
+        if parquet is not None:
+            return _write_parquet(parquet, [table])
+        _print(_bucket_rows(table), as_json=as_json, as_csv=as_csv)
+        return ExitCode.DONE
+    pieces = asked.pieces(wanted if wanted != ["*"] else "*", since=since, until=until)
+    if parquet is not None:
+        return _write_parquet(parquet, pieces)
+    _print((row for piece in pieces for row in _sample_rows(piece)), as_json=as_json, as_csv=as_csv)
+    return ExitCode.DONE
+
+
+def _list_points(store: "Store", *, as_json: bool, as_csv: bool) -> None:
+    rows = [{"point": point.name, "unit_of_measure": point.unit_of_measure} for point in store.points()]
+    _print(rows, as_json=as_json, as_csv=as_csv)
+
+
+def _sample_rows(table: "SampleTable") -> Iterator[dict[str, Any]]:
+    from ..apps.collector.samples import reason_text
+
+    for sample in table:
+        yield {
+            "time": sample.time,
+            "point": f"{sample.device}/{sample.point}",
+            "value": sample.value,
+            "quality": sample.quality.name.lower(),
+            "reason": reason_text(sample.reason),
+            "half_width": sample.half_width / 1e9,
+        }
+
+
+def _bucket_rows(table: "BucketTable") -> Iterator[dict[str, Any]]:
+    columns = table.columns()
+    for values in zip(*columns.values(), strict=True):
+        row = dict(zip(columns, values, strict=True))
+        row["point"] = f"{row.pop('device')}/{row['point']}"
+        yield row
+
+
+_CHUNK = 1000
+"""Rows that are aligned with each other."""
+
+
+def _print(rows: Iterable[dict[str, Any]], *, as_json: bool, as_csv: bool) -> None:
+    chunk: list[dict[str, Any]] = []
+    header = True
+    for row in rows:
+        if as_json:
+            print_json({name: _iso(value) if name == "time" else json_value(value) for name, value in row.items()})
+            continue
+        chunk.append(row)
+        if len(chunk) == _CHUNK:
+            _print_chunk(chunk, as_csv=as_csv, header=header)
+            chunk, header = [], False
+    if chunk:
+        _print_chunk(chunk, as_csv=as_csv, header=header)
+
+
+def _print_chunk(rows: list[dict[str, Any]], *, as_csv: bool, header: bool) -> None:
+    if as_csv:
+        lines = [[_cell(name, value, whole=True) for name, value in row.items()] for row in rows]
+        print_csv(list(rows[0]) if header else [], lines)
+        return
+    shown = [{name: value for name, value in row.items() if name != "half_width"} for row in rows]
+    print_aligned([[_cell(name, value, whole=False) for name, value in row.items()] for row in shown])
+
+
+def _cell(name: str, value: Any, *, whole: bool) -> str:
+    if name == "time":
+        return _iso(value) if whole else f"{_iso(value)[:23]}Z"
+    if value is None:
+        return "" if whole else "–"
+    if not whole and isinstance(value, float):
+        return f"{value:.10g}"
+    return shown_value(value)
+
+
+def _iso(nanoseconds: int) -> str:
+    """A time as ISO 8601 in UTC, with nanoseconds."""
+    whole, rest = divmod(nanoseconds, 1_000_000_000)
+    return f"{datetime.fromtimestamp(whole, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
+
+
+def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> int:
+    """Write tables to a file that is not there yet."""
+    from ..apps.collector.store.sealing import arrow
+
+    path = Path(name)
+    if path.exists():
+        raise ConfigError("exists already; a new file is written", file=name)
+    writer, rows = None, 0
+    try:
+        for table in tables:
+            if not len(table) and writer is not None:
+                continue
+            content = _plain(table.to_arrow())
+            writer = writer or arrow("parquet").ParquetWriter(path, content.schema, compression="zstd")
+            writer.write_table(content.cast(writer.schema))
+            rows += content.num_rows
+    except OSError as error:
+        raise ConfigError(f"cannot be written: {error.strerror or error}", file=name) from error
+    finally:
+        if writer is not None:
+            writer.close()
+    say(f"{rows} rows are in {name}")
+    return ExitCode.DONE
+
+
+def _plain(table: Any) -> Any:
+    """The table with values as floats, so that all tables of a file are alike."""
+    for name in ("value", "minimum", "maximum"):
+        if name in table.column_names:
+            index = table.column_names.index(name)
+            table = table.set_column(index, name, table[name].cast("float64", safe=False))
+    return table

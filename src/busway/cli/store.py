@@ -1,0 +1,44 @@
+"""``busway store``: check, back up and restore a store of the collector, also while it is written."""
+
+from pathlib import Path
+
+import typer
+
+from ..errors import ConfigError
+from .exits import ExitCode
+from .output import say_problems
+
+EXAMPLES = """\b
+Examples:
+  busway store check data
+  busway store backup data /mnt/backup/data-2026-11-22
+  busway store restore /mnt/backup/data-2026-11-22 data
+"""
+
+
+def store(
+    action: str = typer.Argument(..., metavar="ACTION", help="check, backup or restore."),
+    folder: str = typer.Argument(..., metavar="STORE", help="The folder of the store; of the backup for restore."),
+    target: str | None = typer.Argument(
+        None, metavar="TARGET", help="backup, restore: a folder that is not there yet."
+    ),
+) -> int:
+    """Check, back up or restore a store."""
+    from ..apps.collector.store import upkeep
+
+    if action not in ("check", "backup", "restore"):
+        raise ConfigError(f"must be check, backup or restore, not {action!r}", key="ACTION")
+    if (target is None) != (action == "check"):
+        raise ConfigError("is needed for backup and restore, and for nothing else", key="TARGET")
+    if action == "check":
+        problems = upkeep.check_store_files(Path(folder))
+        if problems:
+            say_problems(f"{folder} has {len(problems)} problems:", "\n".join(problems))
+            return ExitCode.BROKEN
+        print(f"{folder} is whole")
+        return ExitCode.DONE
+    assert target is not None
+    copy = upkeep.back_up if action == "backup" else upkeep.restore
+    count = copy(Path(folder), Path(target))
+    print(f"{count} parts are in {target}")
+    return ExitCode.DONE

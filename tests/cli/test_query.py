@@ -1,0 +1,103 @@
+"""``busway query`` and ``busway store`` on a store that is written meanwhile."""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from collected import PUMP, at, filled, read_of
+
+from busway.apps.collector.samples import Reason, StateInterval
+from busway.apps.collector.store.folder import SEGMENTS
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Iterator[str]:
+    with filled(tmp_path / "data", 3) as writer:
+        writer.commit([read_of(PUMP, 3, 2**63)], [], at(3))
+        writer.commit([], [StateInterval("pump-1", at(4), None, Reason.SUSPENDED)], at(4))
+        yield str(tmp_path / "data")
+
+
+def test_samples_are_lines_with_time_point_value_quality_and_reason(run: Callable[..., Any], data: str) -> None:
+    result = run("query", data, "meter-7/voltage", "pump-1")
+    assert result.code == 0
+    assert [line.split() for line in result.out.splitlines()[-2:]] == [
+        ["2027-01-15T08:00:03.000Z", "pump-1/speed", "9223372036854775808", "good"],
+        ["2027-01-15T08:00:04.000Z", "pump-1/speed", "–", "bad", "device", "suspended"],
+    ]
+    assert result.out.splitlines()[0].split() == ["2027-01-15T08:00:00.000Z", "meter-7/voltage", "230", "good"]
+
+
+def test_json_has_nanoseconds_and_csv_a_header(run: Callable[..., Any], data: str) -> None:
+    lines = run("query", data, "--points", "*/current", "--json", "--until", "2027-01-15T08:00:02").out.splitlines()
+    assert [json.loads(line)["value"] for line in lines] == [0.0, 1.0]
+    assert json.loads(lines[1]) == {
+        "time": "2027-01-15T08:00:01.000000000Z",
+        "point": "meter-7/current",
+        "value": 1.0,
+        "quality": "good",
+        "reason": "",
+        "half_width": 0.005,
+    }
+    rows = list(csv.DictReader(io.StringIO(run("query", data, "pump-1", "--csv").out)))
+    assert [row["value"] for row in rows] == ["9223372036854775808", ""]
+    assert rows[1]["reason"] == "device suspended"
+
+
+def test_buckets(run: Callable[..., Any], data: str) -> None:
+    out = run("query", data, "meter-7/current", "--bucket", "2s", "--csv").out
+    rows = list(csv.DictReader(io.StringIO(out)))
+    assert [(row["minimum"], row["maximum"], row["mean"], row["count"]) for row in rows] == [
+        ("0", "1", "0.5", "2"),
+        ("2", "2", "2.0", "1"),
+    ]
+
+
+def test_the_points_are_listed(run: Callable[..., Any], data: str) -> None:
+    assert [line.strip() for line in run("query", data, "--list").out.splitlines()] == [
+        "meter-7/voltage",
+        "meter-7/current",
+        "meter-7/state",
+        "pump-1/speed",
+    ]
+
+
+def test_a_parquet_file_is_written_and_never_overwritten(run: Callable[..., Any], data: str, tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    target = tmp_path / "x.parquet"
+    assert run("query", data, "--parquet", str(target)).err == f"busway: 11 rows are in {target}\n"
+    assert pq.read_table(target).num_rows == 11
+    result = run("query", data, "--parquet", str(target))
+    assert (result.code, "exists already" in result.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nothing"], "there is no store in this folder"),
+        (["DATA", "meter-9"], "names no point of this store"),
+        (["DATA", "--since", "soon"], "'soon' is no time"),
+        (["DATA", "--bucket", "big"], "a bucket is 1ms to 366d"),
+        (["DATA", "--json", "--csv"], "one of --json, --csv and --parquet"),
+    ],
+)
+def test_wrong_use_is_one_sentence(run: Callable[..., Any], data: str, arguments: list[str], says: str) -> None:
+    result = run("query", *(data if argument == "DATA" else argument for argument in arguments))
+    assert (result.code, result.out) == (2, "")
+    assert says in result.err
+
+
+def test_a_store_is_checked_backed_up_and_restored(run: Callable[..., Any], data: str, tmp_path: Path) -> None:
+    assert run("store", "check", data).out == f"{data} is whole\n"
+    assert run("store", "backup", data, str(tmp_path / "copy")).out == f"1 parts are in {tmp_path / 'copy'}\n"
+    assert run("store", "restore", str(tmp_path / "copy"), str(tmp_path / "again")).code == 0
+    assert run("query", str(tmp_path / "again")).out == run("query", data).out
+    next((tmp_path / "copy" / SEGMENTS).iterdir()).write_bytes(b"no database" * 1000)
+    result = run("store", "check", str(tmp_path / "copy"))
+    assert (result.code, "cannot be read" in result.err) == (6, True)
+    assert run("store", "mend", data).code == 2
+    assert run("store", "backup", data).code == 2
