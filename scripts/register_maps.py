@@ -8,12 +8,12 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from busway.apps.simulator.devices import DEVICES, ready_made
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.register_map import COLUMNS
 from busway.codes import Table
 from busway.config.files.behaviours import described
 from busway.config.files.simulation import SimulatedPointSection, SimulatedUnitSection, ranged
+from busway.config.profiles import DEVICES, ready_made
 from busway.values import format_address
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -17,6 +17,7 @@ CORE = ("codes", "errors", "pdu", "points", "values", "framing", "session", "opt
 PURE_MODULES = {
     "__future__",
     "abc",
+    "ast",
     "array",
     "binascii",
     "bisect",

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import busway
-from busway.apps.simulator.devices import DEVICES
+from busway.config.profiles import DEVICES
 
 PROGRAM = [sys.executable, "-m", "busway", "simulate"]
 MAP = "name;address;type;scale;value\nlevel;4x1;float32;;2,5\ntemperature;3x1;int16;0,1;-4,5\npump;0x1;;;on\n"

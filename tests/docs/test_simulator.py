@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from busway.apps.simulator.behaviours.expression import FUNCTION_NAMES
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
 from busway.cli.simulate import simulate
 from busway.config.files.behaviours import KINDS, BehaviourSection
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
+from busway.points.expression import FUNCTION_NAMES
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "simulator.md"
 

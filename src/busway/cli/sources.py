@@ -20,7 +20,7 @@ FILE_HELP = "A simulation file, in TOML; every device file is one."
 
 def _list_devices(wanted: bool) -> None:
     if wanted:
-        from ..apps.simulator.devices import DEVICES
+        from ..config.profiles import DEVICES
         from .output import print_aligned
 
         print_aligned([[name, sentence] for name, sentence in DEVICES.items()])
@@ -80,8 +80,8 @@ def chosen_source(
     Raises:
         ConfigError: none is named, or more than one.
     """
-    from ..apps.simulator.devices import PREFIX, ready_made
     from ..apps.simulator.includes import load_declaration
+    from ..config.profiles import PREFIX, ready_made
 
     named = [key for key, value in (("FILE", file), ("--device", device), ("--map", map_file)) if value is not None]
     if len(named) != 1:

@@ -4,7 +4,8 @@
 `point`         one point: where it stands, its type, its value: `Point`
 `conversion`    raw number ⇄ value in the unit of measure
 `decoder`       the reply of a read → the values of all its points: `ReadDecoder`
-`quality`       good, uncertain, bad
+`quality`       good, uncertain, bad, and the reasons
+`expression`    expressions over points, in files
 `rules`         how units are read; what is written, reported, alarmed
 ==============  =======================================================================
 """

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import busway
-from busway.apps.simulator.devices import DEVICES, ready_made
 from busway.apps.simulator.includes import load_declaration, parse_declaration
 from busway.apps.simulator.simulation import Simulation
+from busway.config.profiles import DEVICES, ready_made
 from busway.errors import ConfigError, ExceptionReply
 from busway.testing import simulated_device
 from busway.testing.line import PacedLine
@@ -42,7 +42,7 @@ def asked(simulation: Simulation, unit: int = 1) -> Iterator[busway.BlockingUnit
 
 
 def test_every_device_of_the_package_is_listed_and_every_listed_one_is_there() -> None:
-    there = {each.name for each in files("busway.apps.simulator.devices").iterdir() if each.name.endswith(".toml")}
+    there = {each.name for each in files("busway.config.profiles").iterdir() if each.name.endswith(".toml")}
     assert there == {f"{name}.toml" for name in DEVICES}
 
 

@@ -14,6 +14,5 @@
 `writes`        what Modbus writes to points
 `state`         values over a restart
 `faults`        what goes wrong on purpose
-`devices`       ready-made devices
 ==============  =======================================================================
 """

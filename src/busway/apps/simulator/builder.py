@@ -21,10 +21,10 @@ from ...config.files.simulation import SimulatedPointSection
 from ...config.paths import within
 from ...config.reading import read_named_text
 from ...errors import ConfigError
+from ...points.expression import Expression, Number, parse_expression
 from ...values.refusal import shown
 from .behaviours.behaviour import Behaviour
 from .behaviours.builder import Surroundings, make_behaviour
-from .behaviours.expression import Expression, Number, parse_expression
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader

@@ -12,11 +12,10 @@ Knows files by their names, includes and parameters; what stands in a file is kn
 4. A file cannot include itself, nor another that does.
 5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
    ones, and not reached by a link of another user (`busway.safe_files`).
-6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and `LONGEST_TEXT` of what is put into a text.
+6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and what is put into a text (`busway.config.parameters`).
 """
 
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -34,27 +33,21 @@ from ...config.files.simulation import (
     SimulatedUnitSection,
     SimulationFile,
 )
+from ...config.parameters import OF_UNITS, FilledSource, declared_parameters, own_units
 from ...config.paths import within
+from ...config.profiles import PREFIX, read_included, read_profile
 from ...config.report import Judge
 from ...errors import ConfigError
-from ...values.refusal import shown
 from ..server.configuration import Configuration, put_together
-from .behaviours.expression import WHOLE_BITS, parse_expression
-from .devices import PREFIX, read_included, read_profile
 from .fault_sections import fault_problems
 
 Reader = Callable[[str], str]
 """The text of a file by its name."""
 
-_INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
-_ESCAPED: Final = "$${"
-_OF_UNITS: Final = ("unit", "index")
 MOST_INCLUDES: Final = 1000
 """Files that are taken in, each as often as it is: twenty files that each include the next twice are a million."""
 MOST_LEVELS: Final = 32
 """Files that include one another, one inside the other."""
-LONGEST_TEXT: Final = 10_000
-"""Characters that are put into one text: a parameter that is put twice into the next one's doubles with each file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +118,7 @@ def parse_declaration(
         FileError: all that is wrong, each with file, line and key.
     """
     source = read_source(text, name)
-    source = replace(source, data=_own_units(_Filled(source, _declared_parameters(source, {}, None))))
+    source = replace(source, data=own_units(FilledSource(source, declared_parameters(source, {}, None))))
     file = source.checked(SimulationFile)
     if problems := fault_problems(file.fault, source):
         raise FileError(in_order(problems))
@@ -192,7 +185,7 @@ class _Including:
             raise FileError([parent.problem((*at, "file"), f"{name}: {error.message}")]) from None
         try:
             source = read_source(text, name)
-            parameters = _declared_parameters(source, section.with_, (parent, at))
+            parameters = declared_parameters(source, section.with_, (parent, at))
             numbers = section.numbers()
             if numbers is None:
                 yield from self._whole(source, parameters, identity)
@@ -204,7 +197,7 @@ class _Including:
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
         """The units of a file as they are, and those that it includes itself."""
-        filled = replace(source, data=_own_units(_Filled(source, parameters)))
+        filled = replace(source, data=own_units(FilledSource(source, parameters)))
         profile = filled.checked(ProfileFile)
         if not profile.unit and not profile.include:
             raise FileError([source.problem(("unit",), "is missing")])
@@ -221,9 +214,9 @@ class _Including:
             parent, at = asked
             raise FileError([parent.problem(at, f"needs a file with one [[unit]] and no [[include]]: {source.name}")])
         for index, number in enumerate(numbers):
-            filled = _Filled(source, {**parameters, "unit": number, "index": index})
+            filled = FilledSource(source, {**parameters, "unit": number, "index": index})
             data = filled.filled(source.data, ())
-            depends = filled.used & {*_OF_UNITS}
+            depends = filled.used & {*OF_UNITS}
             if isinstance(data["unit"][0], dict):
                 data["unit"][0]["unit"] = [number] if depends else list(numbers)
             made = replace(source, data=data)
@@ -256,152 +249,6 @@ def _included(error: ConfigError, name: str, where: str) -> ConfigError:
 
 def _identity(name: str) -> str:
     return os.path.realpath(name)
-
-
-def _declared_parameters(
-    source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
-) -> dict[str, Parameter]:
-    """The parameters of a file, as they hold in the end: its defaults, and what an include gives."""
-    defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
-    if not isinstance(defaults, dict) or not isinstance(required, list):
-        return dict(given)  # the schema will say what is wrong
-    problems = [
-        source.problem(("parameters", name), f"{shown(name)} can not be a name of a parameter")
-        for name in defaults
-        if not name.isidentifier() or name in _OF_UNITS
-    ]
-    known = [*defaults, *(name for name in required if isinstance(name, str))]
-    if asked is not None:
-        parent, at = asked
-        problems += [
-            parent.problem((*at, "with", name), f"{source.name} has no such parameter; {_there_are(known)}")
-            for name in given
-            if name not in known
-        ]
-        problems += [
-            parent.problem((*at, "with"), f"{source.name} needs {name}")
-            for name in required
-            if isinstance(name, str) and name not in given
-        ]
-    elif required:
-        problems.append(source.problem(("required",), f"can only be given by who includes this file: {required[0]}"))
-    if problems:
-        raise FileError(problems)
-    return {**defaults, **given}
-
-
-def _there_are(names: Sequence[str]) -> str:
-    return f"there are {', '.join(names)}" if names else "it has none"
-
-
-class _Filled:
-    """The data of a file with its parameters put in.
-
-    Args:
-        source: the file.
-        parameters: values by name.
-
-    Attributes:
-        source: the file.
-        used: the parameters that were put in so far.
-    """
-
-    def __init__(self, source: Source, parameters: Mapping[str, Parameter]) -> None:
-        self.source = source
-        self.used: set[str] = set()
-        self._parameters = dict(parameters)
-
-    def with_more(self, more: Mapping[str, Parameter]) -> "_Filled":
-        """The same with other parameters beside."""
-        return _Filled(self.source, {**self._parameters, **more})
-
-    def filled(self, node: Any, path: Path) -> Any:  # what TOML has
-        """A part of the data; a new object."""
-        if isinstance(node, str):
-            return self._text(node, path)
-        if isinstance(node, list):
-            return [self.filled(each, (*path, index)) for index, each in enumerate(node)]
-        if isinstance(node, dict):
-            return {key: self.filled(each, (*path, key)) for key, each in node.items()}
-        return node
-
-    def _text(self, text: str, path: Path) -> Parameter:
-        if "${" not in text:
-            return text
-        whole = _INSERT.fullmatch(text)
-        if whole is not None:
-            return self._value(whole[1], path)
-        parts = text.split(_ESCAPED)
-        put_in = 0
-
-        def written(match: re.Match[str]) -> str:
-            nonlocal put_in
-            try:
-                found = _written(self._value(match[1], path))
-            except FileError:
-                raise
-            except ConfigError as error:
-                raise FileError([self.source.problem(path, error.message)]) from None
-            put_in += len(found)
-            if put_in > LONGEST_TEXT:
-                sentence = f"more than {LONGEST_TEXT} characters of parameters would be put into it"
-                raise FileError([self.source.problem(path, sentence)])
-            return found
-
-        return "${".join(_INSERT.sub(written, part) for part in parts)
-
-    def _value(self, text: str, path: Path) -> Parameter:
-        name = text.strip()
-        try:
-            if name not in self._parameters and name.isidentifier():
-                raise ConfigError(f"there is no parameter {shown(name)}; {_there_are(list(self._parameters))}")
-            if name in self._parameters:
-                self.used.add(name)
-                return self._parameters[name]
-            return self._computed(text)
-        except ConfigError as error:
-            raise FileError([self.source.problem(path, error.message)]) from None
-
-    def _computed(self, text: str) -> Parameter:
-        expression = parse_expression(text)
-        values: dict[str, Any] = {}  # parameters that are numbers
-        for name in expression.names:
-            if name not in self._parameters:
-                raise ConfigError(f"there is no parameter {shown(name)}; {_there_are(list(self._parameters))}")
-            if not isinstance(self._parameters[name], int | float):
-                raise ConfigError(f"{name} is no number, but {shown(self._parameters[name])}")
-            self.used.add(name)
-            values[name] = self._parameters[name]
-        return expression.result(values)
-
-
-def _written(value: Parameter) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int) and value.bit_length() > WHOLE_BITS:
-        raise ConfigError(f"a whole number of {value.bit_length()} bits is put in, and {WHOLE_BITS} are the limit")
-    return str(value)
-
-
-def _own_units(filled: _Filled) -> dict[str, Any]:  # what TOML has
-    """The data of a file; in a section for one unit, that unit's number is a parameter too."""
-    data = filled.source.data
-    rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())
-    sections = data.get("unit")
-    if isinstance(sections, list):
-        rest["unit"] = [_own_unit(filled, section, index) for index, section in enumerate(sections)]
-    elif sections is not None:
-        rest["unit"] = sections
-    return rest
-
-
-def _own_unit(filled: _Filled, section: Any, index: int) -> Any:  # what TOML has
-    number = section.get("unit") if isinstance(section, dict) else None
-    if isinstance(number, list) and len(number) == 1:
-        number = number[0]
-    if isinstance(number, int) and not isinstance(number, bool):
-        filled = filled.with_more({"unit": number, "index": 0})
-    return filled.filled(section, ("unit", index))
 
 
 def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source: Source) -> None:

@@ -8,7 +8,6 @@ Knows time as a number; knows no clock, no device and no register. The keys in f
 `waves`         those that depend on time alone: constant, ramp, sine, square
 `chance`        noise and random walk, the same for the same seed
 `sums`          those that go on from their last value: counter and lag
-`expression`    expressions over points
 `formula`       a value that is an expression
 `replay`        recorded values
 `builder`       a section of a file → its behaviour

@@ -19,9 +19,9 @@ from ....config.files.behaviours import (
     SineSection,
     SquareSection,
 )
+from ....points.expression import Expression, Number
 from .behaviour import Behaviour
 from .chance import Noise, RandomWalk, stream_of
-from .expression import Expression, Number
 from .formula import Formula
 from .replay import Recording, Replay
 from .sums import Counter, Lag, SteadyCounter, SteadyLag

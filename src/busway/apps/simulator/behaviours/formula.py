@@ -1,6 +1,6 @@
 """A value that is an expression over other points and the time."""
 
-from .expression import Bound
+from ....points.expression import Bound
 
 
 class Formula:

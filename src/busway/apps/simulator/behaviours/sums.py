@@ -9,7 +9,7 @@
 
 import math
 
-from .expression import Bound
+from ....points.expression import Bound
 
 
 class SteadyCounter:

@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from ....errors import ConfigError
-from ....values.refusal import shown
+from ..errors import ConfigError
+from ..values.refusal import shown
 
 Number = float | int | bool
 Compute = Callable[[float], Any]  # of the time; a number, of whatever type Python makes it

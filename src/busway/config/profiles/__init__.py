@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final
 
-from ....config.reading import read_named_text, read_text
-from ....errors import ConfigError
+from ...errors import ConfigError
+from ..reading import read_named_text, read_text
 
 PREFIX: Final = "device:"
 """How a file says that it includes one of these."""

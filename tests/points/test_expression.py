@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from busway.apps.simulator.behaviours.expression import parse_expression
 from busway.errors import ConfigError
+from busway.points.expression import parse_expression
 
 VALUES: dict[str, float | int | bool] = {"a": 2, "b": 3.0, "tank.level": 1.5, "voltage L1": 230, "3/a": 7}
 

@@ -1,0 +1,174 @@
+"""Parameters of a device file, put into its texts before its schema sees them.
+
+Knows TOML data and the names of parameters; what stands in a file is known by its schema.
+
+1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
+   text. Between the braces an expression may stand: ``${base + 10 * index}``. ``$${`` is ``${`` as it stands.
+2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any; who takes the file in sets them.
+   ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
+3. What is put into one text is bounded: `LONGEST_TEXT`.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from ..errors import ConfigError
+from ..points.expression import WHOLE_BITS, parse_expression
+from ..values.refusal import shown
+from .files.lines import Path
+from .files.problems import FileError
+from .files.schema import Source
+from .files.simulation import Parameter
+
+_INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
+_ESCAPED: Final = "$${"
+OF_UNITS: Final = ("unit", "index")
+LONGEST_TEXT: Final = 10_000
+"""Characters that are put into one text: a parameter that is put twice into the next one's doubles with each file."""
+
+
+def declared_parameters(
+    source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
+) -> dict[str, Parameter]:
+    """The parameters of a file, as they hold in the end: its defaults, and what an include gives."""
+    defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
+    if not isinstance(defaults, dict) or not isinstance(required, list):
+        return dict(given)  # the schema will say what is wrong
+    problems = [
+        source.problem(("parameters", name), f"{shown(name)} can not be a name of a parameter")
+        for name in defaults
+        if not name.isidentifier() or name in OF_UNITS
+    ]
+    known = [*defaults, *(name for name in required if isinstance(name, str))]
+    if asked is not None:
+        parent, at = asked
+        problems += [
+            parent.problem((*at, "with", name), f"{source.name} has no such parameter; {_there_are(known)}")
+            for name in given
+            if name not in known
+        ]
+        problems += [
+            parent.problem((*at, "with"), f"{source.name} needs {name}")
+            for name in required
+            if isinstance(name, str) and name not in given
+        ]
+    elif required:
+        problems.append(source.problem(("required",), f"can only be given by who includes this file: {required[0]}"))
+    if problems:
+        raise FileError(problems)
+    return {**defaults, **given}
+
+
+def _there_are(names: Sequence[str]) -> str:
+    return f"there are {', '.join(names)}" if names else "it has none"
+
+
+class FilledSource:
+    """The data of a file with its parameters put in.
+
+    Args:
+        source: the file.
+        parameters: values by name.
+
+    Attributes:
+        source: the file.
+        used: the parameters that were put in so far.
+    """
+
+    def __init__(self, source: Source, parameters: Mapping[str, Parameter]) -> None:
+        self.source = source
+        self.used: set[str] = set()
+        self._parameters = dict(parameters)
+
+    def with_more(self, more: Mapping[str, Parameter]) -> "FilledSource":
+        """The same with other parameters beside."""
+        return FilledSource(self.source, {**self._parameters, **more})
+
+    def filled(self, node: Any, path: Path) -> Any:  # what TOML has
+        """A part of the data; a new object."""
+        if isinstance(node, str):
+            return self._text(node, path)
+        if isinstance(node, list):
+            return [self.filled(each, (*path, index)) for index, each in enumerate(node)]
+        if isinstance(node, dict):
+            return {key: self.filled(each, (*path, key)) for key, each in node.items()}
+        return node
+
+    def _text(self, text: str, path: Path) -> Parameter:
+        if "${" not in text:
+            return text
+        whole = _INSERT.fullmatch(text)
+        if whole is not None:
+            return self._value(whole[1], path)
+        parts = text.split(_ESCAPED)
+        put_in = 0
+
+        def written(match: re.Match[str]) -> str:
+            nonlocal put_in
+            try:
+                found = _written(self._value(match[1], path))
+            except FileError:
+                raise
+            except ConfigError as error:
+                raise FileError([self.source.problem(path, error.message)]) from None
+            put_in += len(found)
+            if put_in > LONGEST_TEXT:
+                sentence = f"more than {LONGEST_TEXT} characters of parameters would be put into it"
+                raise FileError([self.source.problem(path, sentence)])
+            return found
+
+        return "${".join(_INSERT.sub(written, part) for part in parts)
+
+    def _value(self, text: str, path: Path) -> Parameter:
+        name = text.strip()
+        try:
+            if name not in self._parameters and name.isidentifier():
+                raise ConfigError(f"there is no parameter {shown(name)}; {_there_are(list(self._parameters))}")
+            if name in self._parameters:
+                self.used.add(name)
+                return self._parameters[name]
+            return self._computed(text)
+        except ConfigError as error:
+            raise FileError([self.source.problem(path, error.message)]) from None
+
+    def _computed(self, text: str) -> Parameter:
+        expression = parse_expression(text)
+        values: dict[str, Any] = {}  # parameters that are numbers
+        for name in expression.names:
+            if name not in self._parameters:
+                raise ConfigError(f"there is no parameter {shown(name)}; {_there_are(list(self._parameters))}")
+            if not isinstance(self._parameters[name], int | float):
+                raise ConfigError(f"{name} is no number, but {shown(self._parameters[name])}")
+            self.used.add(name)
+            values[name] = self._parameters[name]
+        return expression.result(values)
+
+
+def _written(value: Parameter) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int) and value.bit_length() > WHOLE_BITS:
+        raise ConfigError(f"a whole number of {value.bit_length()} bits is put in, and {WHOLE_BITS} are the limit")
+    return str(value)
+
+
+def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
+    """The data of a file; in a section for one unit, that unit's number is a parameter too."""
+    data = filled.source.data
+    rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())
+    sections = data.get("unit")
+    if isinstance(sections, list):
+        rest["unit"] = [_own_unit(filled, section, index) for index, section in enumerate(sections)]
+    elif sections is not None:
+        rest["unit"] = sections
+    return rest
+
+
+def _own_unit(filled: FilledSource, section: Any, index: int) -> Any:  # what TOML has
+    number = section.get("unit") if isinstance(section, dict) else None
+    if isinstance(number, list) and len(number) == 1:
+        number = number[0]
+    if isinstance(number, int) and not isinstance(number, bool):
+        filled = filled.with_more({"unit": number, "index": 0})
+    return filled.filled(section, ("unit", index))
