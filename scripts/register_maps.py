@@ -12,8 +12,9 @@ from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.register_map import COLUMNS
 from busway.codes import Table
 from busway.config.files.behaviours import described
-from busway.config.files.simulation import SimulatedPointSection, SimulatedUnitSection, ranged
+from busway.config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from busway.config.profiles import DEVICES, ready_made
+from busway.points.rules import ranged
 from busway.values import format_address
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -95,7 +96,7 @@ def pages() -> dict[Path, str]:
 def index() -> str:
     """The page that lists the devices."""
     rows = [
-        f"| [`{name}`]({name}.md) | {sentence} | {len(unit_of(name)[0].point)} |" for name, sentence in DEVICES.items()
+        f"| [`{name}`]({name}.md) | {sentence} | {len(unit_of(name)[0].placed)} |" for name, sentence in DEVICES.items()
     ]
     return INDEX.format(remark=REMARK, rows="\n".join(rows))
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..apps.gateway.gateway import Gateway
     from ..apps.simulator.plant import Plant
     from ..client.aio import AsyncLink, AsyncUnit
-    from ..config.files.device import PointSection
+    from ..config.files.points import PointSection
     from ..server.server import Server
 
     Tags = Mapping[int, Sequence[PointSection]]

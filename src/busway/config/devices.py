@@ -3,13 +3,16 @@
 Knows the schema and `Device`; reads no file.
 """
 
+import struct
 from collections.abc import Sequence
 from typing import Any
 
 from ..codes import Table
 from ..server.cells import Cells
 from ..server.device import Device
-from .files.device import DeviceFile, PointSection, TableSection, UnitSection
+from .device_writes import judge_writes
+from .files.device import DeviceFile, TableSection, UnitSection
+from .files.points import PointSection
 from .files.simulation import SimulatedUnitSection
 
 
@@ -34,11 +37,24 @@ def build_device(section: UnitSection) -> Device:
         functions=section.functions,
         **options,
     )
-    for point in section.point:
+    points = [each.section for each in section.stored]
+    for point in points:
         if point.value is not None:
-            raw = point.raw(point.value)
-            device.write(point.place, raw if point.form is None else [raw], point.form)  # sixteen bits are one value
+            put_value(device, point, point.value)
+    judge_writes(device, points)
     return device
+
+
+def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: what the point's type says
+    """Set what a point holds, in the unit of measure. Raises `InvalidRequest` if it does not fit."""
+    raw = point.raw(value)
+    form = point.form
+    if form is None or not form.is_part:
+        device.write(point.place, raw if form is None else [raw], form)  # sixteen bits are one value
+        return
+    with device.lock:
+        held = device.peek(point.table, point.place.offset, form.registers) or b""
+        device.write(point.place, list(struct.unpack(f">{form.registers}H", form.merge(raw, held))))
 
 
 def _hole(section: UnitSection, table: Table) -> int | None:

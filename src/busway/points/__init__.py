@@ -4,6 +4,7 @@
 `point`         one point: where it stands, its type, its value: `Point`
 `conversion`    raw number ⇄ value in the unit of measure
 `decoder`       the reply of a read → the values of all its points: `ReadDecoder`
+`derived`       totals of counters, computed points
 `quality`       good, uncertain, bad, and the reasons
 `expression`    expressions over points, in files
 `rules`         how units are read; what is written, reported, alarmed
@@ -12,14 +13,17 @@
 
 from .conversion import Conversion, Linear
 from .decoder import DecodedRead, ReadDecoder
+from .derived import Accumulator, Derivation
 from .point import Point
 from .quality import Quality, Reading, Reason
 from .rules import AlarmRule, ItemRange, ReadRules, ReportRule, WriteRule
 
 __all__ = [
+    "Accumulator",
     "AlarmRule",
     "Conversion",
     "DecodedRead",
+    "Derivation",
     "ItemRange",
     "Linear",
     "Point",

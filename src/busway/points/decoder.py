@@ -10,6 +10,7 @@ Knows points and the bytes of a reply; knows no request and no clock.
 4. Points may overlap. A register that several points use is unpacked once.
 """
 
+import math
 import operator
 import struct
 from array import array
@@ -170,7 +171,7 @@ class _Source:
         self._count = count
         self._numbers: dict[_Number, str] = {}
         self._lines: list[str] = []
-        self.namespace: dict[str, Any] = {}
+        self.namespace: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
 
     def text(self) -> str:
         """The source of ``decode(data, known)``."""

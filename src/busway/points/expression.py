@@ -108,6 +108,10 @@ class Expression:
 
         return value
 
+    def renamed(self, rename: Callable[[str], str]) -> str:
+        """The text of the same expression over other points: each name is put through ``rename``."""
+        return ast.unparse(_Renaming(rename).visit(ast.parse(self.text.strip(), mode="eval").body))
+
     def result(self, values: dict[str, Number]) -> Number:
         """Its value where every name stands for a number; whole numbers stay so.
 
@@ -122,6 +126,25 @@ class Expression:
             raise ConfigError(f"{self.text} has no value: {error}") from error
         _check_whole(self.text, found)
         return found
+
+
+class _Renaming(ast.NodeTransformer):
+    """Puts ``point("…")`` where an expression names a point."""
+
+    def __init__(self, rename: Callable[[str], str]) -> None:
+        self._rename = rename
+
+    def visit(self, node: ast.AST) -> Any:  # a node of any kind
+        name = _dotted(node) if isinstance(node, ast.expr) else None
+        if name is None:
+            if isinstance(node, ast.Call):
+                node.args = [self.visit(each) for each in node.args]
+                return node
+            return self.generic_visit(node)
+        if isinstance(node, ast.Name) and name in (TIME, *_CONSTANTS):
+            return node
+        function = ast.Name(_POINT, ast.Load())
+        return ast.Call(function, [ast.Constant(self._rename(name))], [])
 
 
 def _check_whole(what: str, value: Number) -> None:

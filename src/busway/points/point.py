@@ -16,7 +16,7 @@ from ..values.orders import Wire
 from ..values.refusal import shown
 from .conversion import Conversion, value_of
 from .quality import Reading, Reason
-from .rules import ReportRule, WriteRule
+from .rules import AlarmRule, ReportRule, WriteRule
 
 if TYPE_CHECKING:
     from .decoder import ReadDecoder
@@ -38,14 +38,15 @@ class Point:
         conversion: how raw numbers become values.
         unit_of_measure: ``V``, ``°C``.
         group: the name of the atomic group that it belongs to; all of it is read in one request. None for none.
-        exists: the name of the point that holds how many of its group there are, and its own place among them, from
-            1 on; None where it is always there.
+        exists: for each group around it whose size the device says: the name of the point that holds how many there
+            are, and its own place among them, from 1 on.
         formula: the expression of a computed point; empty for one that is read.
         rollover: the number of an accumulator at which it begins again from 0, in the unit of measure; None if it is
             none.
         poll_class: how often it is read; empty for the class of its device.
         writing: what may be written, and how; None if nothing.
         reporting: when its samples are handed on.
+        alarms: its limits.
         was: the name that it had before; its history goes on.
         description: what it is, for people.
         meta: what else its file says of it.
@@ -58,12 +59,13 @@ class Point:
     conversion: Conversion = _PLAIN
     unit_of_measure: str = ""
     group: str | None = None
-    exists: tuple[str, int] | None = None
+    exists: tuple[tuple[str, int], ...] = ()
     formula: str = ""
     rollover: float | None = None
     poll_class: str = ""
     writing: WriteRule | None = None
     reporting: ReportRule = _EVERY_READ
+    alarms: tuple[AlarmRule, ...] = ()
     was: str = ""
     description: str = ""
     meta: Mapping[str, Any] = field(default_factory=dict)  # Any: what TOML has
@@ -143,6 +145,8 @@ class Point:
         """What the items hold for a value, as their type has it. Raises `InvalidRequest` if it cannot be."""
         if self.formula:
             raise InvalidRequest(f"{self.name} is computed and holds nothing")
+        if isinstance(value, bool) and self.writing is not None and self.writing.on is not None:
+            return self.writing.on if value else self.writing.off
         if self.type == "bit":
             if not isinstance(value, bool):
                 raise InvalidRequest(f"one bit is true or false, not {shown(value)}")

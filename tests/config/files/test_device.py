@@ -14,12 +14,15 @@ from busway.config.files.device import (
     DeviceFile,
     FifoSection,
     FileSection,
+    GroupSection,
     PointSection,
+    ReadSection,
     ServerSection,
     TableSection,
     UnitSection,
     parse_device_file,
 )
+from busway.config.files.points import AlarmSection, LinearSection, ReportSection, WriteSection
 from busway.config.files.problems import FileError
 from busway.errors import ConfigError
 from busway.server.parameters import ListenerParameters
@@ -223,7 +226,8 @@ def test_a_mutated_file_is_right_or_wrong_at_a_line_but_never_a_surprise(seed: i
 
 def test_the_example_of_the_reference_is_right_and_its_mistakes_are_reported_as_it_says() -> None:
     page = REFERENCE.read_text(encoding="utf-8")
-    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    example, points = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert len(parse_device_file(points, "points.toml").unit[0].described()) == 6 + 12 * 3
     assert [point.name for point in parse_device_file(example, "tank.toml").unit[0].point] == [
         "level",
         "temperature",
@@ -239,5 +243,6 @@ def test_the_example_of_the_reference_is_right_and_its_mistakes_are_reported_as_
 def test_the_reference_names_every_key() -> None:
     page = REFERENCE.read_text(encoding="utf-8")
     sections = (DeviceFile, ServerSection, UnitSection, TableSection, FileSection, FifoSection, PointSection)
+    sections += (GroupSection, ReadSection, WriteSection, ReportSection, AlarmSection, LinearSection)
     missing = {key for section in sections for key in section.model_fields if f"`{key}`" not in page}
     assert not missing

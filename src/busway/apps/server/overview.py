@@ -96,5 +96,5 @@ def _unit(section: UnitSection) -> str:
             parts.append(f"{declared.size} {table.label}s")
         elif points:
             parts.append(f"{sum(point.size for point in points)} {table.label}s")
-    parts.append(f"{len(section.point)} points")
+    parts.append(f"{len(section.placed)} points")
     return ", ".join(parts)

@@ -62,7 +62,9 @@ def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reade
     units: dict[int, SimulatedUnit] = {}
     planned: dict[SimulatedPoint, _Plan] = {}
     for unit in declared:
-        forms = [form_of(section) for section in unit.section.point]
+        forms = [
+            form_of(each.section) for each in unit.section.stored if isinstance(each.section, SimulatedPointSection)
+        ]
         for number in unit.section.unit:
             device = build_device(unit.section)
             points = [SimulatedPoint(number, form, device) for form in forms]
@@ -106,9 +108,10 @@ def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
     plans: dict[int, _Plan] = {}
     recordings: dict[str, Recording] = {}
     for unit in declared:
-        for index, point in enumerate(unit.section.point):
-            if point.behaviour is not None:
-                problem = _problems_at(unit, ("point", index, "behaviour"))
+        for placed in unit.section.stored:
+            point = placed.section
+            if isinstance(point, SimulatedPointSection) and point.behaviour is not None:
+                problem = _problems_at(unit, (*placed.path, "behaviour"))
                 try:
                     plans[id(point)] = _plan(point.behaviour, problem, unit.source.name, read, recordings)
                 except FileError as error:

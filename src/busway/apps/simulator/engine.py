@@ -92,7 +92,7 @@ class _Batch:
                 each.point,
                 each.behaviour.value,
                 each.point.form.quantise,
-                each.point.form.section.scale,
+                *each.point.form.factors,
                 self.memories.setdefault(each.point.memory, []).append,
             )
             for each in driven
@@ -103,14 +103,14 @@ class _Batch:
         changed: list[SimulatedPoint] = []
         changes = changed.append
         with self.device.lock:
-            for point, value, quantise, scale, fresh in self.entries:
+            for point, value, quantise, scale, offset, fresh in self.entries:
                 if point.held:
                     continue
                 stored = quantise(value(time))
                 if stored is None or stored == point.stored:
                     continue
                 point.stored = stored
-                point.number = stored * scale
+                point.number = stored * scale + offset
                 point.changed_at = time
                 point.last_writer = SIMULATION
                 fresh(point)

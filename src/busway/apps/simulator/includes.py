@@ -12,7 +12,8 @@ Knows files by their names, includes and parameters; what stands in a file is kn
 4. A file cannot include itself, nor another that does.
 5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
    ones, and not reached by a link of another user (`busway.safe_files`).
-6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and what is put into a text (`busway.config.parameters`).
+6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and in `busway.config.parameters` what is put into
+   a text.
 """
 
 import os

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from ...config.files.device import PointSection
+from ...config.files.points import PointSection
 from ...errors import InvalidRequest
 from ...server.device import Device
 from ...values.refusal import shown

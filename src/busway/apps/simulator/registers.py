@@ -52,6 +52,7 @@ class PointForm:
         size: registers or bits that it takes.
         put: puts a number into bytes.
         quantise: what the registers hold for a value.
+        factors: a number of the registers times the first plus the second is the value.
     """
 
     section: SimulatedPointSection
@@ -62,6 +63,7 @@ class PointForm:
     size: int
     put: Put
     quantise: Quantise
+    factors: tuple[float, float] = (1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,13 @@ def form_of(section: SimulatedPointSection) -> PointForm:
         section.size,
         _put_bit if form is None else _putter(form),
         _quantise_bit if form is None else _quantiser(section, form),
+        _factors(section),
     )
+
+
+def _factors(section: SimulatedPointSection) -> tuple[float, float]:
+    scale, offset = section.conversion.factors()
+    return float(scale), float(offset)
 
 
 def place_of(form: PointForm, device: Device) -> Place:
@@ -116,11 +124,18 @@ def _putter(form: ValueType[Any]) -> Put:
     if letter is not None and form.order == "CDAB":
         return _putter_low_word_first(letter)
     size, encode = 2 * form.registers, form.encode
+    if form.is_part:
+        return lambda data, offset, number: _merge(form, data, offset, number)
 
     def put(data: bytearray, offset: int, number: Any) -> None:
         data[offset : offset + size] = encode([number])
 
     return put
+
+
+def _merge(form: ValueType[Any], data: bytearray, offset: int, number: Any) -> None:
+    size = 2 * form.registers
+    data[offset : offset + size] = form.merge(number, data[offset : offset + size])
 
 
 def _putter_low_word_first(letter: str) -> Put:
@@ -138,32 +153,27 @@ def _quantise_bit(value: float) -> bool | None:
 
 
 def _quantiser(section: SimulatedPointSection, form: ValueType[Any]) -> Quantise:
-    scale = section.scale
+    scale, offset = _factors(section)
     low, high = _range_of_type(form)
-    ends = [end / scale for end in (section.minimum, section.maximum) if end is not None]
     if form.name.startswith("float"):
-        return _float_quantiser(section, scale, low, high)
+        return _float_quantiser(section, low, high)
     # The ends of the range in steps of the scale, inwards: 0.25 at a scale of 0.1 is step 3 as a minimum.
-    inward_low = low if section.minimum is None else section.minimum / scale
-    inward_high = high if section.maximum is None else section.maximum / scale
-    if scale < 0 and ends:
-        inward_low, inward_high = (
-            low if section.maximum is None else section.maximum / scale,
-            high if section.minimum is None else section.minimum / scale,
-        )
+    ends = (section.minimum, section.maximum) if scale > 0 else (section.maximum, section.minimum)
+    inward_low = low if ends[0] is None else (ends[0] - offset) / scale
+    inward_high = high if ends[1] is None else (ends[1] - offset) / scale
     least = max(int(low), math.ceil(inward_low - _ROUNDING))
     most = max(least, min(int(high), math.floor(inward_high + _ROUNDING)))
-    return _whole_quantiser(scale, least, most)
+    return _whole_quantiser(scale, offset, least, most)
 
 
 _ROUNDING: Final = 1e-9
 """What a division by a binary fraction may be off."""
 
 
-def _whole_quantiser(scale: float, least: int, most: int) -> Quantise:
+def _whole_quantiser(scale: float, offset: float, least: int, most: int) -> Quantise:
     def quantise(value: float) -> int | None:
         try:
-            number = round(value / scale)
+            number = round((value - offset) / scale)
         except (ValueError, OverflowError):
             return None if value != value else most if (value > 0) == (scale > 0) else least
         return least if number < least else most if number > most else number
@@ -171,7 +181,8 @@ def _whole_quantiser(scale: float, least: int, most: int) -> Quantise:
     return quantise
 
 
-def _float_quantiser(section: SimulatedPointSection, scale: float, low: float, high: float) -> Quantise:
+def _float_quantiser(section: SimulatedPointSection, low: float, high: float) -> Quantise:
+    scale, offset = _factors(section)
     minimum = -math.inf if section.minimum is None else section.minimum
     maximum = math.inf if section.maximum is None else section.maximum
 
@@ -180,7 +191,7 @@ def _float_quantiser(section: SimulatedPointSection, scale: float, low: float, h
             value = minimum
         elif value > maximum:
             value = maximum
-        number = value / scale
+        number = (value - offset) / scale
         return low if number < low else high if number > high else number
 
     return quantise
@@ -191,9 +202,14 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
     if form.name in _LARGEST:
         return -_LARGEST[form.name], _LARGEST[form.name]
     bits = 16 * form.registers
+    if form.name.startswith("field:"):
+        first, last = form.name.split(":")[1].split("-")
+        bits = int(last) - int(first) + 1
+    elif form.is_part:
+        bits = 8
     if form.name.startswith("bcd"):
         return 0, 10 ** (bits // 4) - 1
-    if form.name.startswith("uint"):
+    if form.name.startswith("uint") or (form.name.startswith("field") and not form.name.endswith("signed")):
         return 0, (1 << bits) - 1
     return -(1 << bits - 1), (1 << bits - 1) - 1
 
@@ -202,4 +218,6 @@ def largest_of(form: PointForm) -> float | None:
     """Where a counter in this type begins again from 0, in the unit of measure; None for bits and floats."""
     if form.form is None or form.form.name.startswith("float"):
         return None
-    return (int(_range_of_type(form.form)[1]) + 1) * abs(form.section.scale)
+    if not isinstance(form.section.rollover, bool):
+        return form.section.rollover
+    return (int(_range_of_type(form.form)[1]) + 1) * abs(form.factors[0])

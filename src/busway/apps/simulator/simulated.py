@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ...codes import Table
+from ...config.devices import put_value
 from ...config.files.behaviours import described
 from ...config.files.simulation import SimulatedPointSection
 from ...errors import BadReply, InvalidRequest
@@ -201,11 +202,9 @@ class SimulatedPoint:
             InvalidRequest: it does not fit the type, the range or the names.
         """
         try:
-            stored = self.section.raw(value)
+            put_value(self.device, self.section, value)
         except InvalidRequest as error:
             raise InvalidRequest(f"{self.key}: {error.message}") from None
-        one = stored if self.form.form is None else [stored]  # sixteen bits are one value
-        self.device.write(self.section.place, one, self.form.form)
         self.look()
 
     def __repr__(self) -> str:

@@ -22,29 +22,30 @@ Rules:
 1. A table that is not declared has exactly the items of its points; in one that is, every point must lie.
 2. ``first`` and the starts of ranges are offsets, 0-based; addresses of points are notations
    (`busway.values.addresses`).
-3. ``value`` is in the unit of measure: the registers hold ``value / scale``. One that does not fit is refused, never
-   truncated.
-4. Points do not share registers; points on single bits may share one.
+3. A group of points is written once, and stands at each of its places.
+4. Points do not share bits of registers, unless one says ``overlaps``.
+5. What is written of one point stands in `points`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from ...codes import MAX_FILE_RECORD_NUMBER, TABLE_SIZE, Table
-from ...errors import ConfigError, InvalidRequest
+from ...codes import MAX_FILE_RECORD_NUMBER, MAX_READ_BITS, MAX_READ_REGISTERS, TABLE_SIZE, Table
+from ...errors import InvalidRequest
+from ...points import ItemRange, Point, ReadRules
 from ...session.parameters import ServerParameters
 from ...transport.tcp import SocketParameters
-from ...values import Address, ValueType, parse_address, value_type
+from ...values import Address, parse_address
 from ...values.refusal import shown
 from .lines import Path
 from .listeners import OF_CLIENTS, ListenerKeys, Url
 from .options import OptionSection, with_options_of
+from .points import MOST_REPEATED, STAND_IN, PointSection, WholeSection, checked, resolved
 from .schema import FileProblems, Section, parse_file
-
-Result = TypeVar("Result")
 
 OBJECT_NUMBERS: Final = {
     "vendor_name": 0,
@@ -57,8 +58,6 @@ OBJECT_NUMBERS: Final = {
 }
 _RUNNING: Final = b"\xff"
 """Run indicator at the end of a server id (Application Protocol V1.1b3 §6.13)."""
-_MOST_STEPS_OFF: Final = 1e-6
-"""How far from a whole number of scale steps a value may be: what binary fractions cost."""
 
 
 def parse_device_file(text: str, name: str) -> "DeviceFile":
@@ -200,106 +199,147 @@ class FifoSection(Section):
         return self
 
 
-class PointSection(Section):
-    """``[[unit.point]]``: one value with a name."""
+class GroupSection(WholeSection):
+    """``[[unit.group]]``: points that belong together, once or several times."""
 
     name: str = Field(min_length=1)
-    address: str
-    type: str | None = None
-    order: str = "ABCD"
-    value: Any = None
-    unit_of_measure: str = ""
-    scale: float = 1.0
-    access: Literal["read", "read-write"] | None = None
-    description: str = ""
+    count: Annotated[int, Field(ge=1, le=MOST_REPEATED)] | None = None
+    count_from: str = ""
+    stride: Annotated[int, Field(ge=0, le=TABLE_SIZE)] = 0
+    atomic: bool = False
+    point: list[PointSection] = Field(default_factory=list)
+    group: "list[GroupSection]" = Field(default_factory=list)
 
-    @cached_property
-    def place(self) -> Address:
-        """Where it stands."""
-        return parse_address(self.address)
+    @classmethod
+    def stand_ins(cls) -> dict[str, Any]:
+        """A group that is nothing but there."""
+        return {"name": "?"}
 
-    @cached_property
-    def table(self) -> Table:
-        """The table it stands in."""
-        table = self.place.table
-        assert table is not None  # a text that names no table is refused
-        return table
+    def faults(self) -> Iterator[tuple[Path, str]]:
+        """What does not fit together."""
+        if self.count_from and self.count is None:
+            yield ("count",), f"is missing: the most that {self.count_from} may say"
+        if self.count is not None and self.count > 1 and not self.stride:
+            yield ("stride",), "is missing: items from one place to the next"
+        if not self.point and not self.group:
+            yield ("point",), "is missing"
+        yield from _repeated("point", "name", [point.name for point in self.point])
 
-    @cached_property
-    def form(self) -> ValueType[Any] | None:
-        """The type of its registers; None for one bit."""
-        if self.table.holds_bits or self.place.bit is not None:
-            return None
-        return value_type(self.type or "uint16", self.order)
-
-    @cached_property
     def size(self) -> int:
-        """Registers or bits that it takes."""
-        return 1 if self.form is None else self.form.registers
+        """How many points it comes to."""
+        return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
-    @property
-    def is_writable(self) -> bool:
-        """Whether Modbus may write it."""
-        return self.table.is_writable and self.access != "read"
+    def names(self) -> Iterator[str]:
+        """The names of its points at one place, without those of inner groups."""
+        return (point.name for point in self.point)
 
-    def raw(self, value: Any) -> Any:
-        """What the registers hold for a value in the unit of measure. Raises `InvalidRequest` if it does not fit."""
-        form = self.form
-        if form is None:
-            if not isinstance(value, bool):
-                raise InvalidRequest(f"one bit is true or false, not {shown(value)}")
-            return value
-        if self.scale != 1.0:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InvalidRequest(f"a number is needed where there is a scale, not {shown(value)}")
-            steps = value / self.scale
-            if not form.name.startswith("float"):
-                if not abs(steps) < 2**64 or abs(steps - round(steps)) > _MOST_STEPS_OFF * max(1.0, abs(steps)):
-                    raise InvalidRequest(f"{shown(value)} is no whole number of steps of {self.scale:g}")
-                steps = round(steps)
-            value = steps
-        form.encode([value])
-        return value
+    def placed(
+        self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
+    ) -> Iterator["PlacedPoint"]:
+        """Its points at all places, each with where it is written."""
+        for index in range(self.count or 1):
+            here = f"{prefix}{self.name}." if self.count is None else f"{prefix}{self.name}.{index + 1}."
+            known = [*(here + name for name in self.names()), *outer]
+            inner = around
+            if self.count_from:
+                inner = _Around((*inner.exists, (resolved(self.count_from, outer), index + 1)), inner.group)
+            if self.atomic and inner.group is None:
+                inner = _Around(inner.exists, here.rstrip("."))
+            shift = by + index * self.stride
+            for number, point in enumerate(self.point):
+                yield PlacedPoint((*path, "point", number), point.moved(here, shift, known), inner.exists, inner.group)
+            for number, group in enumerate(self.group):
+                yield from group.placed((*path, "group", number), here, shift, known, inner)
 
-    def physical(self, raw: Any) -> Any:
-        """The value in the unit of measure of what the registers hold."""
-        if self.scale == 1.0 or isinstance(raw, bool):
-            return raw
-        return float(f"{raw * self.scale:.12g}")  # 183 × 0.1 is 18.3
+
+@dataclass(frozen=True, slots=True)
+class _Around:
+    """What the groups around a point say of it: as `busway.points.Point` has it."""
+
+    exists: tuple[tuple[str, int], ...] = ()
+    group: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedPoint:
+    """A point of a unit, of groups too.
+
+    Attributes:
+        path: where it is written in the unit's section.
+        section: what is written; of a group, as it stands at its place.
+        exists, group: as of `busway.points.Point`.
+    """
+
+    path: Path
+    section: PointSection
+    exists: tuple[tuple[str, int], ...] = ()
+    group: str | None = None
+
+
+class ReadSection(Section):
+    """``read``: how a unit lets itself be read."""
+
+    max_registers: Annotated[int, Field(ge=1, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
+    max_bits: Annotated[int, Field(ge=1, le=MAX_READ_BITS)] = MAX_READ_BITS
+    readable: list[str] = Field(default_factory=list)
+    forbidden: list[str] = Field(default_factory=list)
+    exact: list[str] = Field(default_factory=list)
+    bridge: bool = False
+    one_point: bool = False
+    pause: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    poll_class: str = ""
 
     @model_validator(mode="after")
-    def _check(self) -> "PointSection":
-        place = checked("address", lambda: self.place)
-        if place.table is Table.COILS or place.table is Table.DISCRETE_INPUTS or place.bit is not None:
-            if self.type is not None:
-                raise FileProblems([(("type",), f"{place} is one bit and has no type")])
-            if self.scale != 1.0:
-                raise FileProblems([(("scale",), f"{place} is one bit and has no scale")])
-        else:
-            form = checked("type", lambda: value_type(self.type or "uint16"))
-            form = checked("order", lambda: value_type(self.type or "uint16", self.order))
-            if form.name.startswith("bit:"):
-                raise FileProblems([(("type",), f"one bit is written with its address, {place}.{form.name[4:]}")])
-            if self.scale != 1.0 and not form.name.startswith(("int", "uint", "float", "bcd")):
-                raise FileProblems([(("scale",), f"{form.name} is no number and has no scale")])
-            if not self.scale or self.scale != self.scale or abs(self.scale) == float("inf"):
-                raise FileProblems([(("scale",), f"must be a number other than 0, not {self.scale:g}")])
-            if place.offset + form.registers > TABLE_SIZE:
-                raise FileProblems(
-                    [(("address",), f"{form.registers} registers from {place} on end beyond the last one")]
-                )
-        if self.access == "read-write" and not self.table.is_writable:
-            raise FileProblems([(("access",), f"Modbus can not write {self.table.label}s")])
-        if self.access == "read" and place.bit is not None:
-            raise FileProblems(
-                [(("access",), f"{place} can be written as its register can; give that a range in read_only")]
-            )
-        if self.value is not None:
-            checked("value", lambda: self.raw(self.value))
+    def _check(self) -> "ReadSection":
+        faults: list[tuple[Path, str]] = []
+        for key in ("readable", "forbidden", "exact"):
+            for index, text in enumerate(getattr(self, key)):
+                try:
+                    item_range(text)
+                except InvalidRequest as error:
+                    faults.append(((key, index), error.message))
+        if faults:
+            raise FileProblems(faults)
         return self
 
+    def rules(self) -> ReadRules:
+        """As the read plan has it."""
+        return ReadRules(
+            self.max_registers,
+            self.max_bits,
+            _by_table(self.readable),
+            _by_table(self.forbidden),
+            _by_table(self.exact),
+            bridge=self.bridge,
+            one_point=self.one_point,
+            pause=self.pause,
+        )
 
-class UnitSection(Section):
+
+def item_range(text: str) -> tuple[Table, ItemRange]:
+    """The items of ``4x1-4x100`` or ``holding:0-holding:0x63``, both ends with it. Raises `InvalidRequest`."""
+    first, dash, last = text.partition("-")
+    ends = [parse_address(each.strip()) for each in ((first, last) if dash else (first, first))]
+    if (
+        ends[0].table is None
+        or ends[0].table is not ends[1].table
+        or ends[0].bit is not None
+        or ends[1].bit is not None
+    ):
+        raise InvalidRequest(f"{shown(text)} is no range of items of one table, such as 4x1-4x100")
+    if ends[0].offset > ends[1].offset:
+        raise InvalidRequest(f"{shown(text)} ends before it begins")
+    return ends[0].table, ItemRange(ends[0].offset, ends[1].offset + 1)
+
+
+def _by_table(texts: Sequence[str]) -> dict[Table, list[ItemRange]]:
+    found: dict[Table, list[ItemRange]] = {}
+    for table, span in map(item_range, texts):
+        found.setdefault(table, []).append(span)
+    return found
+
+
+class UnitSection(WholeSection):
     """``[[unit]]``: a device; with several numbers, a device of its own for each."""
 
     unit: Annotated[
@@ -314,6 +354,8 @@ class UnitSection(Section):
     coils: DeclaredTable | None = None
     discrete_inputs: DeclaredTable | None = None
     point: list[PointSection] = Field(default_factory=list)
+    group: list[GroupSection] = Field(default_factory=list)
+    read: ReadSection = ReadSection()
     file: list[FileSection] = Field(default_factory=list)
     fifo: list[FifoSection] = Field(default_factory=list)
     identification: dict[str, Bytes] = Field(default_factory=dict)
@@ -333,26 +375,55 @@ class UnitSection(Section):
         declared: TableSection | None = getattr(self, table.value)
         return declared
 
+    @classmethod
+    def stand_ins(cls) -> dict[str, Any]:
+        """A unit that is nothing but there."""
+        return {"unit": 1}
+
+    @cached_property
+    def placed(self) -> tuple[PlacedPoint, ...]:
+        """All points, those of groups at each of their places."""
+        own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
+        names = [point.name for point in self.point]
+        grouped = (
+            each
+            for index, group in enumerate(self.group)
+            for each in group.placed(("group", index), "", 0, names, _Around())
+        )
+        return (*own, *grouped)
+
+    @cached_property
+    def stored(self) -> tuple[PlacedPoint, ...]:
+        """The points that stand in tables: all but computed ones."""
+        return tuple(each for each in self.placed if not each.section.is_computed)
+
     def points_in(self, table: Table) -> list[PointSection]:
         """The points that stand in a table."""
-        return [point for point in self.point if point.table is table]
+        return [each.section for each in self.stored if each.section.table is table]
+
+    def described(self) -> list[Point]:
+        """The points as all that read them have it, computed ones too."""
+        return [
+            replace(
+                each.section.described,
+                exists=each.exists,
+                group=each.group,
+                poll_class=each.section.poll_class or self.read.poll_class,
+            )
+            for each in self.placed
+        ]
 
     def objects(self) -> dict[int, bytes]:
         """Identification objects by number."""
         return {_object_number(key): value for key, value in self.identification.items()}
 
-    @model_validator(mode="after")
-    def _check(self) -> "UnitSection":
-        faults = [
-            *self._table_faults(),
-            *self._point_faults(),
-            *self._object_faults(),
-            *_repeated("file", "number", [each.number for each in self.file]),
-            *_repeated("fifo", "address", [each.place.offset for each in self.fifo]),
-        ]
-        if faults:
-            raise FileProblems(faults)
-        return self
+    def faults(self) -> Iterator[tuple[Path, str]]:
+        """What does not fit together."""
+        yield from self._table_faults()
+        yield from self._placed_faults()
+        yield from self._object_faults()
+        yield from _repeated("file", "number", [each.number for each in self.file])
+        yield from _repeated("fifo", "address", [each.place.offset for each in self.fifo])
 
     def _table_faults(self) -> Iterator[tuple[Path, str]]:
         for table in Table:
@@ -364,23 +435,22 @@ class UnitSection(Section):
             for path, message in file.faults(bits=False, size=MAX_FILE_RECORD_NUMBER + 1):
                 yield ("file", index, *path), message
 
-    def _point_faults(self) -> Iterator[tuple[Path, str]]:
+    def _placed_faults(self) -> Iterator[tuple[Path, str]]:
+        """What is wrong with the points together; nothing of it is looked at where they cannot be placed."""
+        if sum(group.size() for group in self.group) > MOST_REPEATED:
+            yield ("group",), f"groups come to more than {MOST_REPEATED} points"
+            return
+        try:
+            placed = self.placed
+        except (InvalidRequest, ValidationError) as error:
+            # The first place is right by itself: a further one lies beyond the end of its table.
+            why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error.message
+            yield ("group",), f"its places do not fit: {why}"
+            return
         yield from _repeated("point", "name", [point.name for point in self.point])
-        owners: dict[tuple[Table, int, int | None], str] = {}
-        for index, point in enumerate(self.point):
-            place, declared = point.place, self.table(point.table)
-            if declared is not None and not declared.first <= place.offset <= declared.end - point.size:
-                yield (
-                    ("point", index, "address"),
-                    f"{place} does not lie in the declared {point.table.label}s, {declared.first}…{declared.end - 1}",
-                )
-            for offset in range(place.offset, place.offset + point.size):
-                bits = range(16) if place.bit is None else (place.bit,)
-                taken = next((owners[key] for bit in bits if (key := (point.table, offset, bit)) in owners), None)
-                if taken is not None:
-                    yield ("point", index, "address"), f"{place} is taken by {shown(taken)}"
-                    break
-                owners |= {(point.table, offset, bit): point.name for bit in bits}
+        yield from _overlaps(self, self.stored)
+        yield from _names_that_are_not_there(placed)
+        yield from _circles(placed)
 
     def _object_faults(self) -> Iterator[tuple[Path, str]]:
         numbers: dict[int, str] = {}
@@ -442,9 +512,69 @@ def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path,
         seen.setdefault(value, index)
 
 
-def checked(key: str, make: Callable[[], Result]) -> Result:
-    """What ``make`` gives; what it refuses becomes a fault of ``key`` of the section that is being checked."""
-    try:
-        return make()
-    except (InvalidRequest, ConfigError) as error:
-        raise FileProblems([((key,), error.message)]) from None
+def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
+    """Points that lie outside their table, or on top of each other without saying so."""
+    owners: dict[tuple[Table, int, int], str] = {}
+    for each in stored:
+        point, declared = each.section, unit.table(each.section.table)
+        place = point.place
+        if declared is not None and not declared.first <= place.offset <= declared.end - point.size:
+            sentence = (
+                f"{point.address} does not lie in the declared {point.table.label}s,"
+                f" {declared.first}…{declared.end - 1}"
+            )
+            yield (*each.path, "address"), sentence
+        if point.overlaps:
+            continue
+        bits = point.taken_bits
+        for offset in range(place.offset, place.offset + point.size):
+            taken = next((owners[key] for bit in bits if (key := (point.table, offset, bit)) in owners), None)
+            if taken is not None:
+                yield (*each.path, "address"), f"{point.address} is taken by {shown(taken)}"
+                break
+            owners |= {(point.table, offset, bit): point.name for bit in bits}
+
+
+def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
+    """Points that others name and that there are not, or that hold no number of the kind that is needed."""
+    there = {each.section.name: each.section for each in placed}
+    counts = {name: each.path for each in placed for name, _ in each.exists}
+    needed = [((*each.path, "scale_from"), each.section.scale_from) for each in placed if each.section.scale_from]
+    needed += [((*path[:-2], "count_from"), name) for name, path in counts.items()]
+    for path, name in needed:
+        point = there.get(name)
+        if point is None:
+            yield path, f"there is no point {shown(name)}"
+        elif point.formula == STAND_IN:
+            continue
+        elif point.is_computed or not point.is_whole or point.conversion.changes or point.scale_from:
+            yield path, f"{shown(name)} holds no whole number without a scale"
+    for each in placed:
+        if each.section.is_computed:
+            for name in each.section.expression.names:
+                other = there.get(name)
+                if other is None:
+                    yield (*each.path, "formula"), f"there is no point {shown(name)}"
+                elif not other.is_computed and other.form is not None and not other.is_number:
+                    yield (*each.path, "formula"), f"{shown(name)} holds no number, but {other.form.name}"
+
+
+def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
+    """Computed points that need themselves."""
+    computed = {each.section.name: each for each in placed if each.section.is_computed}
+    done: set[str] = set()
+    for first in computed:
+        path: dict[str, Iterator[str]] = {}
+        following: str | None = first
+        while following is not None or path:
+            if following is not None and following in path:
+                circle = [*list(path)[list(path).index(following) :], following]
+                yield (*computed[following].path, "formula"), f"depends on itself: {' → '.join(circle)}"
+                return
+            if following is not None:
+                path[following] = iter(computed[following].section.expression.names)
+            last = next(reversed(path))
+            following = next((name for name in path[last] if name in computed and name not in done), None)
+            if following is None:
+                done.add(last)
+                del path[last]

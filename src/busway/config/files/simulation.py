@@ -42,15 +42,15 @@ from ...codes import Table
 from ...errors import ConfigError, InvalidRequest
 from ...values.refusal import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
-from .device import PointSection, UnitSection, Whole, checked
+from .device import GroupSection, UnitSection, Whole
 from .faults import FaultSection
 from .lines import Path
-from .schema import FileProblems, Section, json_schema
+from .points import PointSection, checked
+from .schema import Section, json_schema
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"
 _MOST_UNITS: Final = 256
-_NUMBERS: Final = ("int", "uint", "float", "bcd")
 
 
 def _as_hole(value: object) -> object:
@@ -88,72 +88,18 @@ DeclaredHoles = Annotated[HolesSection, BeforeValidator(_as_holes, json_schema_i
 class SimulatedPointSection(PointSection):
     """``[[unit.point]]``: one value with a name, and what makes it change."""
 
-    minimum: Annotated[float, Field(allow_inf_nan=False)] | None = None
-    maximum: Annotated[float, Field(allow_inf_nan=False)] | None = None
-    enumeration: dict[str, int] = Field(default_factory=dict)
     behaviour: DeclaredBehaviour | None = None
 
-    @property
-    def is_number(self) -> bool:
-        """Whether it holds a number, not one bit, text or a group of bits."""
-        return self.form is not None and self.form.name.startswith(_NUMBERS)
-
-    def raw(self, value: Any) -> Any:
-        """What the registers hold for a value or its name. Raises `InvalidRequest` if it does not fit."""
-        if self.enumeration:
-            if isinstance(value, str):
-                if value not in self.enumeration:
-                    raise InvalidRequest(f"there is no {shown(value)}; there are {', '.join(self.enumeration)}")
-                value = self.enumeration[value]
-            elif isinstance(value, bool) or value not in self.enumeration.values():
-                raise InvalidRequest(f"must be {self.names()}, not {shown(value)}")
-        raw = super().raw(value)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            self.check_range(value)
-        return raw
-
-    def check_range(self, value: float) -> None:
-        """Raises `InvalidRequest` if a value lies outside the point's range."""
-        low, high = self.minimum, self.maximum
-        if (low is not None and not value >= low) or (high is not None and not value <= high):
-            raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
-
-    def names(self) -> str:
-        """The names of the numbers that there are: ``off (0), auto (1)``."""
-        return ", ".join(f"{name} ({number})" for name, number in self.enumeration.items())
-
-    @model_validator(mode="after")
-    def _check_simulated(self) -> "SimulatedPointSection":
-        faults = [*self._range_faults(), *self._behaviour_faults()]
-        if faults:
-            raise FileProblems(faults)
-        return self
-
-    def _range_faults(self) -> Iterator[tuple[Path, str]]:
-        for key in ("minimum", "maximum"):
-            if getattr(self, key) is not None and not self.is_number:
-                yield (key,), f"{shown(self.name)} holds no number and has no {key}"
-        if self.minimum is not None and self.maximum is not None and not self.minimum <= self.maximum:
-            yield ("maximum",), f"must be at least the minimum, {self.minimum:g}, not {self.maximum:g}"
-        if not self.enumeration:
-            return
-        if not self.is_number or self.scale != 1.0 or (self.form is not None and self.form.name.startswith("float")):
-            yield ("enumeration",), "names stand for whole numbers without a scale"
-            return
-        seen: dict[int, str] = {}
-        for name, number in self.enumeration.items():
-            if number in seen:
-                yield ("enumeration", name), f"{number} is {shown(seen[number])} already"
-            seen.setdefault(number, name)
-            try:
-                assert self.form is not None
-                self.form.encode([number])
-                self.check_range(number)
-            except InvalidRequest as error:
-                yield ("enumeration", name), error.message
+    def faults(self) -> Iterator[tuple[Path, str]]:
+        """What does not fit together."""
+        faults = list(super().faults())
+        yield from faults or self._behaviour_faults()
 
     def _behaviour_faults(self) -> Iterator[tuple[Path, str]]:
         if self.behaviour is None:
+            return
+        if self.is_computed:
+            yield ("behaviour",), f"{shown(self.name)} is computed and has no behaviour"
             return
         if self.form is not None and not self.is_number:
             yield ("behaviour",), f"{self.form.name} is no number and has no behaviour"
@@ -168,10 +114,18 @@ class SimulatedPointSection(PointSection):
             yield ("value",), f"would never be seen: the behaviour, {self.behaviour.kind}, gives the value at once"
 
 
+class SimulatedGroupSection(GroupSection):
+    """``[[unit.group]]``: points that behave, and belong together."""
+
+    point: list[SimulatedPointSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+    group: "list[SimulatedGroupSection]" = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+
+
 class SimulatedUnitSection(UnitSection):
     """``[[unit]]``: a device that behaves."""
 
     point: list[SimulatedPointSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+    group: list[SimulatedGroupSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
     holes: DeclaredHoles = HolesSection()
 
 
@@ -191,13 +145,6 @@ def unit_numbers(text: str) -> list[int]:
     if repeated is not None:
         raise ConfigError(f"unit {repeated} is there twice")
     return found
-
-
-def ranged(low: float | None, high: float | None) -> str:
-    """A range in words: ``0…100``, ``at least 0``, ``at most 100``."""
-    if low is None:
-        return f"at most {high:g}"
-    return f"at least {low:g}" if high is None else f"{low:g}…{high:g}"
 
 
 Parameter = int | float | bool | str

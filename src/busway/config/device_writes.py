@@ -1,0 +1,90 @@
+"""What Modbus may write to the points of a device: refused where it does not fit them.
+
+Knows points and the hooks of devices.
+
+1. A write is judged by the values that it would leave: outside a point's range, or a number without a name where the
+   numbers have names, is answered with exception 04, and nothing has changed: 03 is about how a request is
+   built, and never about a register's value (Application Protocol V1.1b3 §7).
+2. A write of some of a point's registers is a write of the point.
+"""
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any
+
+from ..codes import Table
+from ..errors import BadReply, InvalidRequest
+from ..pdu.model import Refusal
+from ..pdu.write_items import pack_registers
+from ..server.device import Device
+from ..server.hooks import Change
+from .files.points import PointSection
+
+
+class PlacedItems:
+    """Which of some things a change of items touches.
+
+    Args:
+        spans: for each, its first item and the item after its last one.
+    """
+
+    def __init__(self, spans: Sequence[tuple[int, int]]) -> None:
+        self.order = sorted(range(len(spans)), key=lambda index: spans[index])
+        self._spans = [spans[index] for index in self.order]
+        # Points may overlap: the furthest end so far ascends, where the ends themselves need not.
+        self._ends = list(accumulate((end for _, end in self._spans), max))
+
+    def touched(self, first: int, end: int) -> list[int]:
+        """The places, in what was given, of those that share an item with ``first``…``end - 1``."""
+        found = []
+        at = bisect_left(self._ends, first + 1)
+        while at < len(self._spans) and self._spans[at][0] < end:
+            if self._spans[at][1] > first:
+                found.append(self.order[at])
+            at += 1
+        return found
+
+
+def judge_writes(device: Device, points: Sequence[PointSection]) -> None:
+    """Refuse from now on what does not fit the points of a device."""
+    for table in Table:
+        limited = [point for point in points if point.table is table and _is_limited(point)]
+        if limited and table.is_writable:
+            device.on_write(table, _Limits(device, limited).judge)
+
+
+def _is_limited(point: PointSection) -> bool:
+    return point.minimum is not None or point.maximum is not None or bool(point.enumeration)
+
+
+class _Limits:
+    """Points of one table that take only some values."""
+
+    def __init__(self, device: Device, points: Sequence[PointSection]) -> None:
+        self._device = device
+        self._points = points
+        self._items = PlacedItems([(point.place.offset, point.place.offset + point.size) for point in points])
+
+    def judge(self, change: Change) -> None:
+        """Refuse what does not fit a point."""
+        for index in self._items.touched(change.address, change.address + change.count):
+            point = self._points[index]
+            try:
+                value = point.physical(self._after(point, change))
+                if point.enumeration:
+                    point.raw(value)
+                point.check_range(value)
+            except (InvalidRequest, BadReply) as error:
+                raise Refusal(reason=f"{point.name}: {error.message}") from error
+
+    def _after(self, point: PointSection, change: Change) -> Any:  # what the point's type says
+        """What the registers of a point would hold after a write."""
+        form, start = point.form, point.place.offset
+        assert form is not None  # only numbers have ranges and names
+        registers = list(change.new)
+        data = bytearray(self._device.peek(point.table, start, point.size) or b"")
+        low, high = max(start, change.address), min(start + point.size, change.address + change.count)
+        items = registers[low - change.address : high - change.address]
+        data[2 * (low - start) : 2 * (high - start)] = pack_registers(items)
+        return form.decode(bytes(data))[0]

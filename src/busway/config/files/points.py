@@ -1,0 +1,583 @@
+"""The schema of points: ``[[unit.point]]`` and ``[[unit.group]]``, the same in every file that has devices.
+
+Knows what can be written and what fits together within a point or a group; what a point then does is known by
+`busway.points`, and what fits together in a unit by `device`.
+
+::
+
+    [[unit.point]]
+    name = "temperature"
+    address = "3x1"
+    type = "int16"
+    scale = 0.1
+    invalid = [0x8000]
+    valid = [-40.0, 125.0]
+    unit_of_measure = "°C"
+
+    [[unit.group]]
+    name = "string"
+    count = 12
+    stride = 4
+    point = [
+        { name = "voltage", address = "3x101", scale = 0.1 },
+        { name = "current", address = "3x102", scale = 0.01 },
+    ]
+
+Rules:
+
+1. ``value`` is in the unit of measure: the registers hold ``(value - offset) / scale``. One that does not fit is
+   refused, never truncated.
+2. A point has an address, or a formula; a computed point holds nothing and is not written.
+3. A group is written once. Its points are named ``string.1.voltage`` … ``string.12.voltage``, and stand ``stride``
+   items apart. Inside, names mean points of the same place in the group first, and then those around it.
+4. All that is wrong with a point is said, also where another of its keys is wrong already.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+from pydantic import BeforeValidator, Field, ModelWrapValidatorHandler, ValidationError, model_validator
+
+from ...codes import TABLE_SIZE, Table
+from ...errors import ConfigError, InvalidRequest
+from ...points import AlarmRule, Conversion, Linear, Point, ReportRule, WriteRule
+from ...points.expression import Expression, parse_expression
+from ...points.rules import ranged
+from ...values import Address, ValueType, format_address, parse_address, value_type
+from ...values.refusal import shown
+from .lines import Path
+from .schema import FileProblems, Section, faults_of
+
+Result = TypeVar("Result")
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0, le=1e9)]
+MOST_REPEATED: Final = 10_000
+"""Points that the groups of one unit may come to."""
+
+_NUMBERS: Final = ("int", "uint", "float", "bcd", "field")
+_FIELD: Final = re.compile(r"(?P<register>.+)\.(?P<low>\d{1,2})-(?P<high>\d{1,2})")
+_OF_A_READ: Final = (
+    "address", "type", "order", "value", "scale", "offset", "scale_from", "linear", "invalid", "enumeration", "flags",
+    "minimum", "maximum", "access", "rollover", "overlaps", "write",
+)  # fmt: skip
+"""Keys that a computed point cannot have."""
+_DEADBAND: Final = re.compile(r"(\d+(?:\.\d+)?)\s*%")
+
+
+def checked(key: str, make: Callable[[], Result]) -> Result:
+    """What ``make`` gives; what it refuses becomes a fault of ``key`` of the section that is being checked."""
+    try:
+        return make()
+    except (InvalidRequest, ConfigError) as error:
+        raise FileProblems([((key,), error.message)]) from None
+
+
+class LinearSection(Section):
+    """``linear = { raw = [0, 27648], value = [0.0, 100.0], clamp = true }``."""
+
+    raw: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    value: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    clamp: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> "LinearSection":
+        faults = [((key,), f"has the same number twice, {getattr(self, key)[0]:g}") for key in ("raw", "value")
+                  if getattr(self, key)[0] == getattr(self, key)[1]]  # fmt: skip
+        if faults:
+            raise FileProblems(faults)
+        return self
+
+    def described(self) -> Linear:
+        """As the points have it."""
+        return Linear((self.raw[0], self.raw[1]), (self.value[0], self.value[1]), self.clamp)
+
+
+class WriteSection(Section):
+    """``write``: how a point is written."""
+
+    function: Literal[5, 6, 15, 16, 22] | None = None
+    verify: str = "none"
+    step: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    on: int | None = None
+    off: int | None = None
+
+    @property
+    def place(self) -> Literal["none", "read-back"] | Address:
+        """Where what was written is looked at."""
+        if self.verify == "none":
+            return "none"
+        return "read-back" if self.verify == "read-back" else parse_address(self.verify)
+
+    @model_validator(mode="after")
+    def _check(self) -> "WriteSection":
+        checked("verify", lambda: self.place)
+        if (self.on is None) != (self.off is None):
+            raise FileProblems([(("on" if self.on is None else "off",), "is missing: a switch has both")])
+        return self
+
+
+def _as_report(value: object) -> object:
+    return {"when": value} if isinstance(value, str) else value
+
+
+def _as_deadband(value: object) -> object:
+    """``0.5`` in the unit of measure, or ``"1 %"``."""
+    if isinstance(value, str) and not _DEADBAND.fullmatch(value.strip()):
+        raise ValueError(f'must be a number, or percent such as "1 %", not {shown(value)}')
+    if not isinstance(value, str) and (isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0):
+        raise ValueError(f'must be a number of at least 0, or percent such as "1 %", not {shown(value)}')
+    return value
+
+
+class ReportSection(Section):
+    """``report``: when samples of a point are handed on."""
+
+    when: Literal["every", "change", "change_or_period"] = "every"
+    period: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    deadband: Annotated[float | str, BeforeValidator(_as_deadband)] = 0.0
+    max_silence: Annotated[float, Field(gt=0, le=1e9)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "ReportSection":
+        if (self.period is None) == (self.when == "change_or_period"):
+            wanted = "is missing" if self.period is None else "goes only with change_or_period"
+            raise FileProblems([(("period",), wanted)])
+        if self.deadband and self.when == "every":
+            raise FileProblems([(("deadband",), "has no effect where every sample is reported")])
+        return self
+
+    def described(self) -> ReportRule:
+        """As the points have it."""
+        percent = _DEADBAND.fullmatch(self.deadband.strip()) if isinstance(self.deadband, str) else None
+        band = float(percent[1]) if percent else float(self.deadband)
+        return ReportRule(self.when, self.period, band, percent is not None, self.max_silence)
+
+
+class AlarmSection(Section):
+    """``alarm``: a limit of a point."""
+
+    kind: Literal["HH", "H", "L", "LL"]
+    limit: Finite
+    delay: Seconds = 0.0
+    hysteresis: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    acknowledge: bool = False
+
+    def described(self) -> AlarmRule:
+        """As the points have it."""
+        return AlarmRule(self.kind, self.limit, self.delay, self.hysteresis, self.acknowledge)
+
+
+STAND_IN: Final = "0"
+"""The formula of a point that stands for one that is wrong, while those around it are checked."""
+
+
+class WholeSection(Section):
+    """A section that says all that is wrong with it: also what does not fit together while one of its keys is wrong."""
+
+    def faults(self) -> Iterator[tuple[Path, str]]:
+        """What does not fit together, with its place in the section."""
+        yield from ()
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _all_at_once(cls, data: Any, handler: ModelWrapValidatorHandler[Any]) -> Any:  # Any: what TOML has
+        try:
+            section = handler(data)
+        except ValidationError as error:
+            found = [fault for each in error.errors() for fault in faults_of(each, cls)]
+            raise FileProblems([*found, *cls._further(data, handler, found)]) from None
+        faults = list(section.faults()) if isinstance(section, WholeSection) else []
+        if faults:
+            raise FileProblems(faults)
+        return section
+
+    @classmethod
+    def _further(
+        cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
+    ) -> Iterator[tuple[Path, str]]:
+        """What does not fit together, with stand-ins for what is wrong already."""
+        broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
+        if not isinstance(data, dict) or not broken:
+            return
+        rest = {key: value for key, value in data.items() if (key,) not in broken}
+        for key, index in (each for each in broken if len(each) == 2 and each[0] in rest):
+            if isinstance(rest[key], list) and key in ("point", "group"):
+                rest[key] = [cls._stand_in(one) if at == index else one for at, one in enumerate(rest[key])]
+            else:
+                del rest[key]
+        try:
+            section = handler({**cls.stand_ins(), **rest})
+        except ValidationError:
+            return
+        for path, sentence in section.faults():
+            if path[:1] not in broken and path[:2] not in broken:
+                yield path, sentence
+
+    @classmethod
+    def _stand_in(cls, broken: Any) -> dict[str, Any]:  # Any: what TOML has
+        """A point or group in place of one that is wrong, with its name."""
+        name = broken.get("name") if isinstance(broken, dict) else None
+        point = {"name": name if isinstance(name, str) and name else "?", "formula": STAND_IN}
+        return {"name": "?", "point": [point]} if isinstance(broken, dict) and "point" in broken else point
+
+    @classmethod
+    def stand_ins(cls) -> dict[str, Any]:  # Any: what TOML has
+        """Values for the keys that have no default, used while others are checked."""
+        return {}
+
+
+class PointSection(WholeSection):
+    """``[[unit.point]]``: one value with a name."""
+
+    name: str = Field(min_length=1)
+    address: str = ""
+    formula: str = ""
+    type: str | None = None
+    order: str = "ABCD"
+    value: Any = None
+    unit_of_measure: str = ""
+    scale: float = 1.0
+    offset: Finite = 0.0
+    scale_from: str = ""
+    linear: LinearSection | None = None
+    invalid: list[int | float] = Field(default_factory=list)
+    valid: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    enumeration: dict[str, int] = Field(default_factory=dict)
+    flags: dict[str, Annotated[int, Field(ge=0, le=63)]] = Field(default_factory=dict)
+    minimum: Finite | None = None
+    maximum: Finite | None = None
+    access: Literal["read", "read-write"] | None = None
+    rollover: bool | Annotated[float, Field(gt=0, allow_inf_nan=False)] = False
+    overlaps: bool = False
+    poll_class: str = ""
+    write: WriteSection | None = None
+    report: Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_type=str | ReportSection)] = (
+        ReportSection()
+    )
+    alarm: list[AlarmSection] = Field(default_factory=list)
+    was: str = ""
+    description: str = ""
+    meta: dict[str, Any] = Field(default_factory=dict)  # Any: what TOML has
+
+    @classmethod
+    def stand_ins(cls) -> dict[str, Any]:
+        """A point that is nothing but there."""
+        return {"name": "?", "address": "4x1"}
+
+    @property
+    def is_computed(self) -> bool:
+        """Whether it is computed from others, and stands nowhere."""
+        return bool(self.formula)
+
+    @cached_property
+    def expression(self) -> Expression:
+        """What computes it."""
+        return parse_expression(self.formula)
+
+    @cached_property
+    def place(self) -> Address:
+        """Where it stands."""
+        return parse_address(self._bits[0])
+
+    @cached_property
+    def _bits(self) -> tuple[str, int, int]:
+        """The address of its register, and the bits of a field; -1 and -1 for what is no field."""
+        match = _FIELD.fullmatch(self.address)
+        return (self.address, -1, -1) if match is None else (match["register"], int(match["low"]), int(match["high"]))
+
+    @cached_property
+    def table(self) -> Table:
+        """The table it stands in."""
+        table = self.place.table
+        assert table is not None  # a text that names no table is refused
+        return table
+
+    @cached_property
+    def form(self) -> ValueType[Any] | None:
+        """The type of its registers; None for one bit."""
+        if self.table.holds_bits or self.place.bit is not None:
+            return None
+        _, low, high = self._bits
+        if low < 0:
+            return value_type(self.type or "uint16", self.order)
+        if self.type not in (None, "int16", "uint16"):
+            raise InvalidRequest(f"bits of a register are int16 or uint16, not {shown(self.type)}")
+        return value_type(f"field:{low}-{high}{':signed' if self.type == 'int16' else ''}", self.order)
+
+    @cached_property
+    def size(self) -> int:
+        """Registers or bits that it takes."""
+        return 1 if self.form is None else self.form.registers
+
+    @cached_property
+    def taken_bits(self) -> range:
+        """Bits that it takes of each of its registers."""
+        if self.place.bit is not None:
+            return range(self.place.bit, self.place.bit + 1)
+        kind = "" if self.form is None else self.form.name
+        _, low, high = self._bits
+        if kind.endswith((":low", ":high")) and "int8" in kind:
+            low, high = (0, 7) if kind.endswith("low") else (8, 15)
+        return range(low, high + 1) if high >= 0 else range(16)
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it holds a number, not one bit, text or a group of bits."""
+        return self.form is not None and self.form.name.startswith(_NUMBERS)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether what its registers hold is a whole number."""
+        return self.is_number and self.form is not None and not self.form.name.startswith("float")
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether Modbus may write it."""
+        return not self.is_computed and self.table.is_writable and self.access != "read"
+
+    @cached_property
+    def conversion(self) -> Conversion:
+        """How raw numbers become values."""
+        return Conversion(
+            self.scale,
+            self.offset,
+            self.scale_from,
+            None if self.linear is None else self.linear.described(),
+            tuple(self.invalid),
+            None if self.valid is None else (self.valid[0], self.valid[1]),
+            self.enumeration,
+            self.flags,
+        )
+
+    @cached_property
+    def described(self) -> Point:
+        """The point as all that read it have it; what its unit adds is added by `UnitSection`."""
+        common: dict[str, Any] = {  # Any: arguments of different types
+            "unit_of_measure": self.unit_of_measure,
+            "poll_class": self.poll_class,
+            "reporting": self.report.described(),
+            "alarms": tuple(each.described() for each in self.alarm),
+            "was": self.was,
+            "description": self.description,
+            "meta": self.meta,
+            "conversion": self.conversion,
+        }
+        if self.is_computed:
+            return Point(self.name, Table.HOLDING_REGISTERS, 0, formula=self.formula, **common)
+        form = self.form
+        if form is None and self.place.bit is not None:
+            form = value_type(f"bit:{self.place.bit}", self.order)
+        return Point(
+            self.name,
+            self.table,
+            self.place.offset,
+            form,
+            rollover=self._rollover(),
+            writing=self._writing() if self.is_writable else None,
+            **common,
+        )
+
+    def _rollover(self) -> float | None:
+        if not isinstance(self.rollover, bool):
+            return self.rollover
+        if not self.rollover or self.form is None:
+            return None
+        digits = self.form.name.startswith("bcd")
+        return abs(self.scale) * float((10 if digits else 2) ** ((4 if digits else 16) * self.form.registers))
+
+    def _writing(self) -> WriteRule:
+        write = self.write or WriteSection()
+        return WriteRule(write.function, write.place, self.minimum, self.maximum, write.step, write.on, write.off)
+
+    def raw(self, value: Any) -> Any:
+        """What the registers hold for a value in the unit of measure, or for its name.
+
+        Raises:
+            InvalidRequest: it does not fit the type, the scale, the names or the range.
+        """
+        point = self.described
+        raw = point.raw(value)
+        if point.form is not None:
+            point.form.merge(raw, bytes(2 * point.form.registers))
+        physical = self.enumeration.get(value, value) if isinstance(value, str) else value
+        if isinstance(physical, int | float) and not isinstance(physical, bool):
+            self.check_range(physical)
+        return raw
+
+    def physical(self, raw: Any) -> Any:
+        """The value in the unit of measure of what the registers hold."""
+        return self.described.value(raw)
+
+    def check_range(self, value: float) -> None:
+        """Raises `InvalidRequest` if a value lies outside the point's range."""
+        low, high = self.minimum, self.maximum
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
+
+    def names(self) -> str:
+        """The names of the numbers that there are: ``off (0), auto (1)``."""
+        return self.described.choices()
+
+    def faults(self) -> Iterator[tuple[Path, str]]:
+        """What does not fit together."""
+        return self._computed_faults() if self.formula else self._stored_faults()
+
+    def _computed_faults(self) -> Iterator[tuple[Path, str]]:
+        for key in _OF_A_READ:
+            if key in self.model_fields_set:
+                yield (key,), f"{shown(self.name)} is computed and has no {key}"
+        try:
+            parse_expression(self.formula)
+        except ConfigError as error:
+            yield ("formula",), error.message
+        yield from self._valid_faults()
+
+    def _stored_faults(self) -> Iterator[tuple[Path, str]]:
+        if not self.address:
+            yield ("address",), "is missing"
+            return
+        try:
+            place = self.place
+        except InvalidRequest as error:
+            yield ("address",), error.message
+            return
+        is_bit = place.bit is not None or (place.table is not None and place.table.holds_bits)
+        faults = [*(self._bit_faults(place) if is_bit else self._register_faults(place)), *self._access_faults(place)]
+        yield from faults
+        if faults:
+            return
+        yield from self._number_faults()
+        yield from self._name_faults()
+        yield from self._valid_faults()
+        if self.value is not None:
+            try:
+                self.raw(self.value)
+            except InvalidRequest as error:
+                yield ("value",), error.message
+
+    def _bit_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
+        if self.type is not None:
+            yield ("type",), f"{place} is one bit and has no type"
+        if self._bits[1] >= 0:
+            yield ("address",), f"{self.address} is no field of a register"
+        for key in ("scale", "offset", "scale_from", "linear", "invalid", "valid", "enumeration", "flags", "rollover"):
+            if key in self.model_fields_set and getattr(self, key) != type(self).model_fields[key].default:
+                yield (key,), f"{place} is one bit and has no {key}"
+
+    def _register_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
+        try:
+            plain = value_type(self.type or "uint16")
+        except InvalidRequest as error:
+            yield ("type",), error.message
+            return
+        try:
+            value_type(self.type or "uint16", self.order)
+        except InvalidRequest as error:
+            yield ("order",), error.message
+            return
+        try:
+            form = self.form
+        except InvalidRequest as error:
+            yield ("address" if "field" in error.message else "type",), error.message
+            return
+        assert form is not None
+        if plain.name.startswith("bit:"):
+            yield ("type",), f"one bit is written with its address, {place}.{plain.name[4:]}"
+        if place.offset + form.registers > TABLE_SIZE:
+            yield ("address",), f"{form.registers} registers from {place} on end beyond the last one"
+        if not self.scale or self.scale != self.scale or abs(self.scale) == float("inf"):
+            yield ("scale",), f"must be a number other than 0, not {self.scale:g}"
+        if not form.name.startswith(_NUMBERS):
+            for key in ("scale", "offset", "scale_from", "linear", "rollover"):
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    yield (key,), f"{form.name} is no number and has no {key}"
+
+    def _access_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
+        if self.access == "read-write" and not self.table.is_writable:
+            yield ("access",), f"Modbus can not write {self.table.label}s"
+        if self.access == "read" and (place.bit is not None or self._bits[1] >= 0):
+            yield ("access",), f"{self.address} can be written as its register can; give that a range in read_only"
+        if self.write is not None and not self.is_writable:
+            yield ("write",), f"{shown(self.name)} is only read"
+
+    def _number_faults(self) -> Iterator[tuple[Path, str]]:
+        for key in ("minimum", "maximum"):
+            if getattr(self, key) is not None and not self.is_number:
+                yield (key,), f"{shown(self.name)} holds no number and has no {key}"
+        if self.minimum is not None and self.maximum is not None and not self.minimum <= self.maximum:
+            yield ("maximum",), f"must be at least the minimum, {self.minimum:g}, not {self.maximum:g}"
+        if self.linear is not None and (self.scale != 1.0 or self.offset or self.scale_from):
+            yield ("linear",), "stands instead of scale, offset and scale_from"
+        if self.rollover and not self.is_whole:
+            yield ("rollover",), f"{shown(self.name)} holds no whole number and does not roll over"
+        if self.is_number:
+            for index, each in enumerate(self.invalid):
+                if self.is_whole and (isinstance(each, bool) or each != int(each if math.isfinite(each) else 0)):
+                    yield ("invalid", index), f"must be a whole number, as the registers hold it, not {shown(each)}"
+        elif self.invalid:
+            yield ("invalid",), f"{shown(self.name)} holds no number and has no invalid ones"
+
+    def _valid_faults(self) -> Iterator[tuple[Path, str]]:
+        if self.valid is not None and not self.valid[0] <= self.valid[1]:
+            yield ("valid",), f"must be [low, high], not {shown(self.valid)}"
+        if self.valid is not None and not self.is_computed and not self.is_number:
+            yield ("valid",), f"{shown(self.name)} holds no number and has no valid range"
+        for index, each in enumerate(self.alarm):
+            if not self.is_computed and not self.is_number:
+                yield ("alarm", index), f"{shown(self.name)} holds no number and has no limits"
+            if any(other.kind == each.kind for other in self.alarm[:index]):
+                yield ("alarm", index, "kind"), f"{each.kind} is there already"
+
+    def _name_faults(self) -> Iterator[tuple[Path, str]]:
+        if self.flags and (not self.is_whole or self.conversion.changes or self.scale_from):
+            yield ("flags",), "names of bits go with whole numbers without a scale"
+        if self.flags and self.enumeration:
+            yield ("flags",), "goes not with enumeration: a number is one of several, or has bits"
+        for name, bit in self.flags.items():
+            if self.form is not None and bit >= 16 * self.form.registers:
+                yield ("flags", name), f"{self.form.name} has bits 0…{16 * self.form.registers - 1}, not {bit}"
+        if not self.enumeration:
+            return
+        if not self.is_whole or self.conversion.changes or self.scale_from:
+            yield ("enumeration",), "names stand for whole numbers without a scale"
+            return
+        seen: dict[int, str] = {}
+        for name, number in self.enumeration.items():
+            if number in seen:
+                yield ("enumeration", name), f"{number} is {shown(seen[number])} already"
+            seen.setdefault(number, name)
+            try:
+                assert self.form is not None
+                self.form.merge(number, bytes(2 * self.form.registers))
+                self.check_range(number)
+            except InvalidRequest as error:
+                yield ("enumeration", name), error.message
+
+    def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
+        """The point as it stands at one place of its group.
+
+        Args:
+            prefix: put before its name.
+            by: items from where it is written.
+            known: names of points around, the innermost first, for ``scale_from`` and ``formula``.
+        """
+        keys = {name: getattr(self, name) for name in self.model_fields_set}
+        keys["name"] = prefix + self.name
+        if self.scale_from:
+            keys["scale_from"] = resolved(self.scale_from, known)
+        if self.formula:
+            keys["formula"] = self.expression.renamed(lambda name: resolved(name, known))
+        else:
+            place = self.place
+            shifted = Address(place.table, place.offset + by, place.bit)
+            low, high = self._bits[1:]
+            keys["address"] = format_address(shifted) + (f".{low}-{high}" if low >= 0 else "")
+        return type(self).model_validate(keys)
+
+
+def resolved(name: str, known: Sequence[str]) -> str:
+    """A name as it is found: with the innermost prefix with which there is such a point."""
+    return next((each for each in known if each == name or each.endswith(f".{name}")), name)

@@ -1,0 +1,138 @@
+"""What is made of the values of several reads: totals of counters that roll over, and computed points.
+
+Knows points and their latest readings; knows no request and no clock.
+
+1. The total of an accumulator goes on where its counter begins again. A counter that falls by more than half of its
+   range was set back by its device, and did not roll over: its total goes on too.
+2. A computed point has no value where one of its inputs has none, and is as uncertain as its inputs are.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from .expression import Bound, Expression, parse_expression
+from .point import Point
+from .quality import Quality, Reading, Reason
+
+
+class Accumulator:
+    """A counter of bounded range, counted on for ever.
+
+    Args:
+        rollover: the number at which it begins again from 0.
+
+    Attributes:
+        total: what it has come to.
+        resets: how often the device set it back.
+    """
+
+    __slots__ = ("_last", "resets", "rollover", "total")
+
+    def __init__(self, rollover: float) -> None:
+        self.rollover = rollover
+        self.total = 0.0
+        self.resets = 0
+        self._last: float | None = None
+
+    def take(self, value: float) -> float:
+        """The total, after a value that the counter shows."""
+        last = self._last
+        self._last = value
+        if last is None:
+            self.total = value
+        elif value >= last:
+            self.total += value - last
+        elif last - value > self.rollover / 2:
+            self.total += value + self.rollover - last
+        else:
+            self.resets += 1
+            self.total += value
+        return self.total
+
+
+class Derivation:
+    """The points of one device that are more than what a reply says.
+
+    Args:
+        points: all of the device; those that need nothing are left alone.
+
+    Raises:
+        ConfigError: a formula is none.
+    """
+
+    def __init__(self, points: Iterable[Point]) -> None:
+        points = list(points)
+        self._accumulators = {each.name: Accumulator(each.rollover) for each in points if each.rollover}
+        self._latest: dict[str, Any] = {}  # numbers
+        computed = {each.name: each for each in points if each.formula}
+        expressions = {name: parse_expression(point.formula) for name, point in computed.items()}
+        self._computed = [
+            (computed[name], expressions[name], expressions[name].bind(self._source)) for name in _ordered(expressions)
+        ]
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no point needs it."""
+        return not self._accumulators and not self._computed
+
+    def inputs(self) -> frozenset[str]:
+        """The points that computed ones need."""
+        return frozenset(name for _, expression, _ in self._computed for name in expression.names)
+
+    def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:
+        """Totals and computed values.
+
+        Args:
+            latest: the latest reading of each point that was read; each reading of an accumulator is given once.
+            time: what ``t`` is in formulas, in seconds.
+
+        Returns:
+            The readings of accumulators that have a value in ``latest``, and of all computed points.
+        """
+        found: dict[str, Reading] = {}
+        for name, accumulator in self._accumulators.items():
+            reading = latest.get(name)
+            if reading is not None and reading.value is not None:
+                found[name] = Reading(accumulator.take(reading.value), reading.reason)
+        known = {**latest, **found}
+        for point, expression, compute in self._computed:
+            known[point.name] = found[point.name] = self._result(point, expression, compute, known, time)
+        return found
+
+    def _result(
+        self, point: Point, expression: Expression, compute: Bound, known: Mapping[str, Reading], time: float
+    ) -> Reading:
+        inputs = [known.get(name) for name in expression.names]
+        reason = 0
+        for each in inputs:
+            if each is None or each.value is None or each.quality is Quality.BAD:
+                return Reading(None, Reason.NO_INPUT)
+            reason = each.reason or reason
+        self._latest = {name: known[name].value for name in expression.names}
+        value = compute(time)
+        if math.isnan(value):
+            return Reading(None, Reason.NOT_A_NUMBER)
+        low, high = point.conversion.valid or (None, None)
+        if (low is not None and value < low) or (high is not None and value > high):
+            reason = reason or Reason.OUT_OF_RANGE
+        return Reading(value, reason)
+
+    def _source(self, name: str) -> Any:
+        return lambda: self._latest[name]
+
+
+def _ordered(expressions: Mapping[str, Expression]) -> list[str]:
+    """The computed points, each after those that it needs; circles were refused where the file was read."""
+    done: dict[str, None] = {}
+
+    def visit(name: str, depth: int) -> None:
+        if name in done or name not in expressions or depth > len(expressions):
+            return
+        for other in expressions[name].names:
+            visit(other, depth + 1)
+        done[name] = None
+
+    for name in expressions:
+        visit(name, 0)
+    return list(done)
