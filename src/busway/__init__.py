@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .access.rules import Policy, Rule
     from .apps.collector.store.reading import Store
     from .apps.control.service import Control
-    from .apps.gateway.assembly import load_gateway, simple_gateway
+    from .apps.gateway.configuration import load_gateway, simple_gateway
     from .apps.gateway.gateway import Gateway
     from .apps.server.configuration import Configuration, load_configuration
     from .client.aio import AsyncLink, AsyncUnit
@@ -112,7 +112,7 @@ if TYPE_CHECKING:
 _HOME = {
     "apps.server.configuration": ("Configuration", "load_configuration"),
     "apps.collector.store.reading": ("Store",),
-    "apps.gateway.assembly": ("load_gateway", "simple_gateway"),
+    "apps.gateway.configuration": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),
     "client.option_types": ("LinkOptions",),

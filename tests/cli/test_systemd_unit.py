@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from busway.apps.gateway.assembly import parse_gateway
+from busway.apps.gateway.configuration import parse_gateway
 from busway.cli.systemd_unit import ServiceUnit, program, quoted
 
 LINES = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from busway.apps.gateway.assembly import parse_gateway
+from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 from busway.config.files.gateway import GatewayListenerSection, GatewaySection, RouteSection, UpstreamSection
 from busway.config.files.listeners import ListenerSection

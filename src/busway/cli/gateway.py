@@ -42,7 +42,7 @@ from .running import (
 from .signals import stop_events
 
 if TYPE_CHECKING:
-    from ..apps.gateway.assembly import GatewayConfiguration
+    from ..apps.gateway.configuration import GatewayConfiguration
     from ..apps.gateway.gateway import Gateway
     from ..apps.server.service import Service
     from .readiness import Manager
@@ -134,7 +134,7 @@ def _is_url(word: str) -> bool:
 
 def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
     """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
-    from ..apps.gateway.assembly import load_gateway, simple_gateway
+    from ..apps.gateway.configuration import load_gateway, simple_gateway
     from ..session.parameters import CLIENT_DEADLINE
 
     files = [word for word in words if not _is_url(word)]
@@ -156,7 +156,7 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
 def _check(words: list[str]) -> None:
     """Print what a file means; what is odd, or wrong, goes to stderr."""
-    from ..apps.gateway.assembly import load_gateway
+    from ..apps.gateway.configuration import load_gateway
     from ..apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 
     if len(words) != 1:

@@ -95,7 +95,7 @@ def _access_rules(file: str) -> "AccessRules":
     if sections <= {"policy"}:
         return parse_policy_file(text, file)
     if is_gateway(sections):
-        from ..apps.gateway.assembly import parse_gateway
+        from ..apps.gateway.configuration import parse_gateway
 
         access = parse_gateway(text, file).access
     else:

@@ -41,7 +41,7 @@ DeliverTogether = Callable[[list[bytes]], None]
 """Takes the bytes of late replies to the connection."""
 
 
-class ForwardTarget(Protocol):
+class ReadTarget(Protocol):
     """A unit upstream that reads are forwarded to."""
 
     def ask(self, asker: "ForwardedReads", transactions: Sequence[bytes], plans: "Sequence[ForwardPlan]") -> None:
@@ -77,8 +77,8 @@ class ForwardPlan:
     __slots__ = ("head", "key", "requests", "target")
     place = None
 
-    def __init__(self, target: ForwardTarget, unit: int, request: Request) -> None:
-        self.target: ForwardTarget = target
+    def __init__(self, target: ReadTarget, unit: int, request: Request) -> None:
+        self.target: ReadTarget = target
         self.requests: tuple[Request, ...] = (request,)
         self.key: bytes = request.wire
         # The data follow the head: the answer is as long as the reply that is expected from upstream.
@@ -105,7 +105,7 @@ class ForwardPlans:
     __slots__ = ("known", "others", "sole_target")
 
     def __init__(self) -> None:
-        self.sole_target: ForwardTarget | None = None
+        self.sole_target: ReadTarget | None = None
         self.known: dict[bytes, ForwardPlan] = {}
         self.others: set[bytes] = set()
 
@@ -241,7 +241,7 @@ class ForwardedReads:
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
         """Forward reads to several targets, those of each together."""
-        by_target: dict[ForwardTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
+        by_target: dict[ReadTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))
             those[0].append(transaction)

@@ -11,7 +11,7 @@ from bus import Bus, MasterEnd
 
 import busway
 from busway.apps.gateway.forwarding import Forwarder
-from busway.apps.gateway.handler import ListenerHandler
+from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import ListenerRoutes, Route
 from busway.apps.gateway.upstream import Upstream
 from busway.pdu.general import ExceptionResponse
@@ -61,7 +61,7 @@ class Pollers:
     """
 
     bus: Bus
-    handler: ListenerHandler
+    handler: ListenerRouter
     port: Any = None
     due: list[tuple[float, int, int]] = field(default_factory=list)
     answers: dict[int, int] = field(default_factory=dict)
@@ -127,7 +127,7 @@ def polled(dead: frozenset[int], *, asked: range = UNITS, timeout: float = 0.5) 
     bus.servers({unit: busway.Device(holding_registers=1000) for unit in UNITS if unit not in dead})
     line = Upstream("line", busway.client.settings.link_settings("rtu:///dev/bus", {"timeout": timeout}))
     line.links.append(VirtualLink(master))  # type: ignore[arg-type]  # instead of a port
-    handler = ListenerHandler("office", busway.STANDARD)
+    handler = ListenerRouter("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(upstream="line", units=frozenset(UNITS))]), {"line": Forwarder(line)})
     pollers = Pollers(bus, handler, port=_Nothing())
     bus.ends.append(pollers)

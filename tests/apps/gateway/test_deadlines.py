@@ -11,10 +11,10 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.assembly import simple_gateway
+from busway.apps.gateway.configuration import simple_gateway
 from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.routing_table import worst_case
 from busway.framing.mbap import MbapFrame
 from busway.server.listener import Listener
 from busway.testing.line import PacedLine

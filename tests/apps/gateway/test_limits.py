@@ -14,7 +14,7 @@ from waiting import until
 import busway
 from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
-from busway.apps.gateway.handler import ListenerHandler
+from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, RoutingTable
 from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
@@ -116,7 +116,7 @@ def lines_of(connections: int) -> tuple[Upstream, list[Taking]]:
 def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) -> None:
     line, links = lines_of(4)
     forwarder = Forwarder(line)
-    handler = ListenerHandler("office", busway.STANDARD)
+    handler = ListenerRouter("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(upstream="line", units=ALL_UNITS, cache=60.0)]), {"line": forwarder})
     diagnostics = CommunicationState()
 
@@ -148,9 +148,9 @@ def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) 
         tracemalloc.stop()
     # What may be kept is bounded: 4096 clients with their connection, and 64 blocks of 20 bytes for each of 256 units.
     assert len(line._link_of) <= 4096
-    memory: Any = forwarder.memory
-    assert len(memory._units) <= 256
-    assert all(len(unit.blocks) <= 64 and not unit.reading for unit in memory._units.values())
+    cache: Any = forwarder.cache
+    assert len(cache._units) <= 256
+    assert all(len(unit.blocks) <= 64 and not unit.reading for unit in cache._units.values())
     assert grown < 6_000_000, grown
 
 
@@ -161,7 +161,7 @@ def _ignored(context: RequestContext, reply: object) -> None:
 def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_come() -> None:
     line, links = lines_of(4)
     forwarder = Forwarder(line)
-    handler = ListenerHandler("office", busway.STANDARD)
+    handler = ListenerRouter("office", busway.STANDARD)
     handler.follow(ListenerRoutes([Route(upstream="line")]), {"line": forwarder})
 
     def ask(peer: str, address: int) -> Taking:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import busway
 from busway.apps.gateway.forwarding import Forwarder
-from busway.apps.gateway.handler import ListenerHandler
+from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
 from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
@@ -84,7 +84,7 @@ class InstantLink:
         call.owner.set_result(None)
 
 
-def asked_by(handler: ListenerHandler, unit: int, pdu: bytes, *, peer: str = "client") -> bytes | None:
+def asked_by(handler: ListenerRouter, unit: int, pdu: bytes, *, peer: str = "client") -> bytes | None:
     """The answer to a request; None for silence."""
     seen: list[Message | Deferral] = []
     context = RequestContext(
@@ -226,7 +226,7 @@ def test_what_reaches_the_devices_and_what_comes_back_is_what_the_rules_say(
     behind: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     model: dict[str, dict[int, PlainDevice]] = {"a": {}, "b": {}}
     lines = {name: _line(name, devices) for name, devices in behind.items()}
-    handler = ListenerHandler("office", busway.STANDARD)
+    handler = ListenerRouter("office", busway.STANDARD)
     forwarders = {name: Forwarder(line) for name, (line, _) in lines.items()}
     handler.follow(table.of_listener("office"), forwarders)
     for unit, pdu in requests:
@@ -324,7 +324,7 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     link = InstantLink(dict.fromkeys((1, 255), device))  # type: ignore[arg-type]  # 255 is the device itself
     line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line.links.append(link)  # type: ignore[arg-type]
-    handler = ListenerHandler("office", busway.STANDARD)
+    handler = ListenerRouter("office", busway.STANDARD)
     route = Route(upstream="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
     handler.follow(RoutingTable((route,)).of_listener("office"), {"line": Forwarder(line)})
     written: dict[int, tuple[float, int]] = {}  # when somebody last saw a write end
@@ -353,7 +353,7 @@ def test_a_remembered_value_is_used_at_all() -> None:
     link = InstantLink({1: PlainDevice()})
     line = Upstream("line", link_settings("tcp://127.0.0.1:1", {}), clock=clock.now)
     line.links.append(link)  # type: ignore[arg-type]
-    handler = ListenerHandler("office", busway.STANDARD)
+    handler = ListenerRouter("office", busway.STANDARD)
     handler.follow(RoutingTable((Route(upstream="line", cache=1.0),)).of_listener("office"), {"line": Forwarder(line)})
     for seconds, requests in ((0.0, 1), (0.5, 1), (0.49, 1), (0.02, 2)):
         clock.advance(seconds)

@@ -12,7 +12,7 @@ from scripted_peer import ScriptedPeer
 from waiting import until
 
 import busway
-from busway.apps.gateway.assembly import parse_gateway
+from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.framing.mbap import MbapFrame, encode_mbap

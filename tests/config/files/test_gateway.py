@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from accidents import after_accidents
 
-from busway.apps.gateway.assembly import parse_gateway
+from busway.apps.gateway.configuration import parse_gateway
 from busway.codes import Table
 from busway.config.files.gateway import read_gateway_file
 from busway.config.files.problems import FileError

@@ -1,9 +1,12 @@
 """The gateway: any listener, any upstream (Messaging on TCP/IP V1.0b §4.4.2, "MODBUS/TCP to serial line gateways").
 
-Knows servers and links; a gateway is a server whose handler hands each request to a link.
+Knows servers and links; a gateway is a server whose handler gives each request to a link. From the top down:
 
-* ``routes``: which upstream and unit a request belongs to; ``translation``: what it looks like there
-* ``upstream``: its links; ``sharing``: identical reads in flight; ``cache``: reads answered from memory
-* ``handler``: one listener's requests, from arrival to answer; ``own_unit``: the gateway itself as a device
-* ``gateway``: the whole, with its life: start, drain, reload, status
+* `configuration`: a gateway made from a file; `file_routes`: its routes; `route_checks` and `policy_gaps`: what of them
+  cannot work; `overview`: what they say, in rows for people
+* `gateway`: listeners and upstreams with their life: start, drain, reload, status; `own_unit`: the gateway as a device
+* `router`: the requests of one listener: route and translate; `routes`, `address_index`, `translation`,
+  `decoded_reads`: what it needs for that
+* `forwarding`: batches of requests on their way upstream: share, cancel, answer; `read_cache`, `waiter_deadlines`
+* `upstream`: connections and their status; `upstream_log`, `exception_codes`: what is told of failures, and to whom
 """

@@ -5,8 +5,8 @@ Knows upstreams, calls and who asked; knows no route and no listener.
 1. What one client asks of one unit at once is one call, a batch of one or more: it waits for its turn as one, and
    leaves together as far as the turn allows. Where the upstream takes one request at a time, each is its own batch.
 2. Each request is answered as soon as its own reply is there. None waits for the others of its batch.
-3. A read that is identical to one in flight shares its reply, if no write came between (`memory`). A priority host does
-   not share what still waits in the queue for others: its own read goes before.
+3. A read that is identical to one in flight shares its reply, if no write came between (`read_cache`). A priority host
+   does not share what still waits in the queue for others: its own read goes before.
 4. A client that disconnects takes those of its requests with it that no other client waits for. A write that was sent
    goes on, and until it ends nothing of its unit is shared.
 5. Clients that share a read have a deadline each; the read goes on for the others.
@@ -26,10 +26,10 @@ from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...session.call import Call, Outcome
 from ...session.client import TcpClientSession
-from .answers import NO_PATH
-from .memory import Key, Memory, Place
+from .exception_codes import NO_PATH
+from .read_cache import Key, Place, ReadCache
 from .upstream import Upstream
-from .waiters import WaiterDeadlines
+from .waiter_deadlines import WaiterDeadlines
 
 FOR_EVER: Final = 86_400.0
 """Seconds that a client without a deadline waits for a read that it shares with one that has a deadline."""
@@ -37,7 +37,7 @@ _GOOD: Final = {bytes}
 _REPLIES: Final = (ReadRegisters.Reply, ReadBits.Reply)
 
 
-class Asked(Protocol):
+class ForwardedRequest(Protocol):
     """A client's request as it is asked upstream.
 
     Attributes:
@@ -59,7 +59,7 @@ class Asked(Protocol):
         """The reply to the request as it was before it was split."""
 
 
-class Asker(Protocol):
+class ForwardingClient(Protocol):
     """Who gets the answers to forwarded requests: a connection with its reads, or a single request.
 
     ``tag`` is what it finds a request by; here nothing looks into it.
@@ -90,7 +90,7 @@ class Asker(Protocol):
         """Send the answers that are ready, together."""
 
 
-Waiter = tuple[Asker, Any, Asked]
+Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
 """An asker, and which of its requests waits."""
 _requests_of, _key_of = attrgetter("requests"), attrgetter("key")
 _NO_POSITIONS: frozenset[int] = frozenset()
@@ -121,7 +121,12 @@ class Batch(Call):
     read_at: float = 0.0
 
     def __init__(
-        self, target: "ForwardTarget", link: AsyncLinkDriver, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]
+        self,
+        target: "ForwardTarget",
+        link: AsyncLinkDriver,
+        asker: ForwardingClient,
+        tags: Sequence[Any],
+        asked: Sequence[ForwardedRequest],
     ) -> None:
         requests = asked[0].requests if len(asked) == 1 else list(chain.from_iterable(map(_requests_of, asked)))
         deadline = None if target.deadline is None else link.now() + target.deadline
@@ -134,7 +139,7 @@ class Batch(Call):
             self.is_priority = True
         self.forwarder: Forwarder = target.forwarder
         self.link = link
-        self.asker: Asker | None = asker
+        self.asker: ForwardingClient | None = asker
         self.tags = tags
         self.asked = asked
 
@@ -146,13 +151,13 @@ class Batch(Call):
         """All outcomes are there. The link calls it, as it would complete a future."""
         self.forwarder.answer(self)
 
-    def owed(self, asker: Asker) -> Iterator[Asked]:
+    def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
         """The requests of a client that have not been answered."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
-    def asker_gone(self, asker: Asker) -> None:
+    def asker_gone(self, asker: ForwardingClient) -> None:
         """A client has disconnected."""
         self.forwarder.withdraw(self, asker)
 
@@ -191,36 +196,41 @@ class ForwardTarget:
         self.retries: int = parameters.retries
         self.deadline: float | None = deadline
 
-    def ask(self, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]) -> None:
+    def ask(self, asker: ForwardingClient, tags: Sequence[Any], asked: Sequence[ForwardedRequest]) -> None:
         """Forward requests of one client; each gets its answer, perhaps before this returns."""
         forwarder = self.forwarder
         links = forwarder.upstream.links
         link = links[0] if len(links) == 1 else forwarder.upstream.link_for(asker.peer)
+        shared = forwarder.cache.shared(self.unit) if forwarder.share_reads and asked[0].key else None
         if link is None:
             forwarder.upstream.counters.no_path += len(tags)
             for tag, one in zip(tags, asked, strict=True):
                 forwarder.refuse((asker, tag, one), NO_PATH)
-        elif len(tags) == 1 or forwarder.upstream.pipelines:
-            self._share_or_send(link, asker, tags, asked)
-        else:
+        elif len(tags) > 1 and not forwarder.upstream.pipelines:
             for tag, one in zip(tags, asked, strict=True):
-                self._share_or_send(link, asker, (tag,), (one,))
+                self.ask(asker, (tag,), (one,))
+        elif shared is None:
+            self._send(link, asker, tags, asked, None)
+        else:
+            keys = list(map(_key_of, asked))
+            if shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys):
+                self._send(link, asker, tags, asked, shared)
+            else:
+                self._share(link, asker, tags, asked, shared)
         if forwarder.answered:
             forwarder.send()
 
-    def _share_or_send(self, link: AsyncLinkDriver, asker: Asker, tags: Sequence[Any], asked: Sequence[Asked]) -> None:
-        """Let reads wait for identical ones in flight, and send the others."""
-        forwarder = self.forwarder
-        shared = forwarder.memory.shared(self.unit) if forwarder.share_reads and asked[0].key else None
-        if shared is None:
-            self._send(link, asker, tags, asked, None)
-            return
-        keys = list(map(_key_of, asked))
-        if shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys):
-            self._send(link, asker, tags, asked, shared)
-            return
-        left: dict[Key, tuple[Any, Asked]] = {}
-        twice: list[tuple[Any, Asked]] = []
+    def _share(
+        self,
+        link: AsyncLinkDriver,
+        asker: ForwardingClient,
+        tags: Sequence[Any],
+        asked: Sequence[ForwardedRequest],
+        shared: MutableMapping[Key, Batch],
+    ) -> None:
+        """Let reads wait for identical ones in flight, or of the same client, and send the others."""
+        left: dict[Key, tuple[Any, ForwardedRequest]] = {}
+        twice: list[tuple[Any, ForwardedRequest]] = []
         for tag, one in zip(tags, asked, strict=True):
             batch = shared.get(one.key)
             if batch is not None and (
@@ -234,15 +244,15 @@ class ForwardTarget:
         if left:
             kept, them = zip(*left.values(), strict=True)
             self._send(link, asker, kept, them, shared)
-        if twice:  # now the first of those that are alike is in flight
-            self._share_or_send(link, asker, *zip(*twice, strict=True))
+        for tag, one in twice:  # now the first of those that are alike is in flight
+            self.ask(asker, (tag,), (one,))
 
     def _send(
         self,
         link: AsyncLinkDriver,
-        asker: Asker,
+        asker: ForwardingClient,
         tags: Sequence[Any],
-        asked: Sequence[Asked],
+        asked: Sequence[ForwardedRequest],
         shared: MutableMapping[Key, Batch] | None,
     ) -> None:
         """Hand requests to the link; refuse those that it does not take. Reads are found in ``shared`` by others."""
@@ -252,14 +262,14 @@ class ForwardTarget:
         forwarder.open[batch] = None
         asker.batches[batch] = None
         if batch.is_write:
-            forwarder.memory.write_begins(self.unit)
+            forwarder.cache.write_begins(self.unit)
         elif shared is not None:
             batch.shared = shared
             batch.keys = list(map(_key_of, asked))
             shared.update(dict.fromkeys(batch.keys, batch))
         if asked[0].place is not None:
             batch.place = asked[0].place
-            batch.since, batch.read_at = forwarder.memory.changes(self.unit), forwarder.upstream.clock()
+            batch.since, batch.read_at = forwarder.cache.changes(self.unit), forwarder.upstream.clock()
         try:
             link.begin(batch, link.now())
         except ModbusError as error:
@@ -292,7 +302,7 @@ class ForwardTarget:
             batch.deadline = max(batch.deadline, now + (FOR_EVER if within is None else within))
 
 
-def _position(batch: Batch, asked: Asked) -> int:
+def _position(batch: Batch, asked: ForwardedRequest) -> int:
     """Where a read stands in a batch."""
     return batch.keys.index(asked.key)
 
@@ -306,7 +316,7 @@ class Forwarder:
         same_device: units that are the same device, group by group.
 
     Attributes:
-        memory: reads in flight and remembered values.
+        cache: reads in flight and remembered values.
         open: the batches that have not ended.
         answered: clients with answers that have not been sent yet.
     """
@@ -316,9 +326,9 @@ class Forwarder:
     ) -> None:
         self.upstream = upstream
         self.share_reads = share_reads
-        self.memory: Memory[Batch] = Memory(upstream.register_width, same_device)
+        self.cache: ReadCache[Batch] = ReadCache(upstream.register_width, same_device)
         self.open: dict[Batch, None] = {}
-        self.answered: dict[Asker, None] = {}
+        self.answered: dict[ForwardingClient, None] = {}
         self._all_answered: asyncio.Event | None = None  # while `wait_until_answered` waits
         upstream.watch = self.look
 
@@ -335,7 +345,7 @@ class Forwarder:
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
         """The data of a read, if they are remembered and not older than ``seconds``."""
-        data = self.memory.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
+        data = self.cache.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
         self.upstream.counters.recalled += data is not None
         return data
 
@@ -397,7 +407,7 @@ class Forwarder:
         if len(outcomes) > 1:
             reply = batch.asked[0].whole([one for one in outcomes if isinstance(one, Message)])
         if batch.place is not None and isinstance(reply, _REPLIES):
-            self.memory.remember(batch.unit, batch.place, reply.data, since=batch.since, read_at=batch.read_at)
+            self.cache.remember(batch.unit, batch.place, reply.data, since=batch.since, read_at=batch.read_at)
         for asker, tag, asked in waiters:
             if isinstance(reply, bytes):
                 asker.answer((tag,), (asked,), (reply,))
@@ -440,7 +450,7 @@ class Forwarder:
         self._withdraw_if_alone(batch)
         self.send()
 
-    def withdraw(self, batch: Batch, asker: Asker) -> None:
+    def withdraw(self, batch: Batch, asker: ForwardingClient) -> None:
         """A client has disconnected: what no other waits for is taken back as far as it can be."""
         counters = self.upstream.counters
         if batch.asker is asker:
@@ -465,7 +475,7 @@ class Forwarder:
         """A batch has ended, or no client waits for it any more."""
         del self.open[batch]
         if batch.is_write:
-            self.memory.write_ended(batch.unit)
+            self.cache.write_ended(batch.unit)
         if batch.deadlines is not None:
             batch.deadlines.close()
             batch.deadlines = None  # its timer's callback holds the batch
@@ -484,4 +494,4 @@ class Forwarder:
             self._all_answered.set()
 
 
-__all__ = ["Asked", "Asker", "Batch", "ForwardTarget", "Forwarder"]
+__all__ = ["Batch", "ForwardTarget", "ForwardedRequest", "Forwarder", "ForwardingClient"]

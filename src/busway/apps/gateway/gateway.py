@@ -39,10 +39,10 @@ from ...session.breaker import OPEN_AFTER_BY_FRAMING
 from ...session.handler import Handler
 from ...session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ...session.reconnect import ConnectionState
+from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
-from .functions import RememberingTable
-from .handler import GatewayListenerCounters, ListenerHandler
 from .own_unit import STATES, own_device
+from .router import GatewayListenerCounters, ListenerRouter
 from .routes import RoutingTable
 from .upstream import MAX_CONNECTIONS, Upstream, UpstreamStatus
 
@@ -212,7 +212,7 @@ class GatewayStatus:
 @dataclass(slots=True)
 class _RunningListener:
     listener: GatewayListener
-    handler: ListenerHandler
+    handler: ListenerRouter
     guard: PolicyHandler | None
     server: Server
 
@@ -301,7 +301,7 @@ class Gateway:
         self._listeners: dict[str, _RunningListener] = {}
         self._forwarders: dict[str, Forwarder] = {}  # by the name of their upstream
         self._started = 0.0
-        self._functions: FunctionTable = RememberingTable(plan.functions)
+        self._functions: FunctionTable = CachingFunctionTable(plan.functions)
         self._own: Handler | None = None
         if plan.own_unit is not None:
             self._own = LocalHandler({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
@@ -537,7 +537,7 @@ class Gateway:
     def _made(
         self, listener: GatewayListener, plan: GatewayPlan, forwarders: Mapping[str, Forwarder], policy: Policy | None
     ) -> _RunningListener:
-        handler = ListenerHandler(
+        handler = ListenerRouter(
             listener.name,
             self._functions,
             own=self._own,

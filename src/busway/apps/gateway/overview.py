@@ -8,10 +8,11 @@ from collections.abc import Iterator, Sequence
 from ...client.conversation import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ..server.overview import Row, overview
-from .assembly import GatewayConfiguration
+from .configuration import GatewayConfiguration
+from .file_routes import PlacedRoute
 from .gateway import GatewayListener, GatewayPlan, UpstreamSettings
+from .route_checks import worst_case
 from .routes import ALL_UNITS, Route, RouteAction, units_text
-from .routing_table import PlacedRoute, worst_case
 
 RoutingRow = tuple[str, str, str, str, str, str]
 """Listener, units, functions, addresses, where to, what else."""

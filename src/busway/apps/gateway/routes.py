@@ -17,7 +17,7 @@ from ...codes import LAST_SERIAL_UNIT, TABLE_SIZE, ExceptionCode, Table
 from ...errors import ConfigError
 from ...pdu.general import OpaqueRequest
 from ...pdu.message import Request, Span
-from .segments import Segments
+from .address_index import AddressIndex
 
 _FEW = 3
 """So many routes of a unit are looked through in the time that finding one by its address takes."""
@@ -156,12 +156,12 @@ class Straddles:
 class ListenerRoutes:
     """The routes of one listener, by unit."""
 
-    __slots__ = ("_by_unit", "_segments")
+    __slots__ = ("_by_unit", "_indexed")
 
     def __init__(self, routes: Sequence[Route]) -> None:
         self._by_unit: dict[int, tuple[Route, ...]] = {}
-        # By the routes of a unit, function and table; made at need.
-        self._segments: dict[tuple[int, int, Table], Segments] = {}
+        # The routes of a unit that take a function, with an index of their addresses in a table; made at need.
+        self._indexed: dict[tuple[int, int, Table], tuple[list[Route], AddressIndex]] = {}
         for unit in range(256):
             found: list[Route] = []
             for route in routes:
@@ -182,12 +182,13 @@ class ListenerRoutes:
     def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
         """What `_looked_through` finds, in a time that does not grow with the number of routes."""
         key = id(routes), request.code, touch.table
-        segments = self._segments.get(key)
-        if segments is None:
-            taking = [one for one in routes if not one.functions or request.code in one.functions]
-            segments = self._segments[key] = Segments(touch.table, taking)
+        indexed = self._indexed.get(key)
+        if indexed is None:
+            indexed = self._indexed[key] = _indexed(routes, request.code, touch.table)
+        taking, index = indexed
         end = touch.address + touch.count
-        route = segments.first_touched(touch.address, end)
+        position = index.first_touched(touch.address, end)
+        route = None if position is None else taking[position]
         taken = None if route is None else route.addresses
         if route is None or taken is None or (taken.first <= touch.address and end <= taken.end):
             return route
@@ -226,6 +227,17 @@ class ListenerRoutes:
         return tuple(
             dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
         )
+
+
+def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list[Route], AddressIndex]:
+    """The routes that take a function, those of other tables left out, and the index of their addresses."""
+    taking = [
+        one
+        for one in routes
+        if (not one.functions or function in one.functions) and (one.addresses is None or one.addresses.table is table)
+    ]
+    ranges = [None if one.addresses is None else (one.addresses.first, one.addresses.end) for one in taking]
+    return taking, AddressIndex(ranges)
 
 
 def _touched_at_once(request: Request) -> Span | None:

@@ -27,8 +27,8 @@ from ...session.breaker import BreakerState
 from ...session.call_tracker import ClientCounters
 from ...session.reconnect import ConnectionEvent
 from ...session.serial_client import SerialClientSession
-from .answers import code_for
-from .news import UpstreamNews
+from .exception_codes import code_for
+from .upstream_log import UpstreamLog
 
 MAX_CONNECTIONS = 16
 _CLIENTS_REMEMBERED = 4096
@@ -157,7 +157,7 @@ class Upstream:
         self._keeper: asyncio.Task[None] | None = None  # of a serial port
         self._port_gone = asyncio.Event()
         is_port = settings.endpoint.carrier == "serial"
-        self.news: UpstreamNews = UpstreamNews(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
+        self.news: UpstreamLog = UpstreamLog(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
         self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; who asked last comes last
         self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
         self.register_width = settings.parameters.register_width

@@ -1,6 +1,6 @@
 """The schema of gateway files: listeners, links to what is behind the gateway, and routes between them.
 
-Knows what can be written; what goes together is judged by `busway.apps.gateway.assembly`.
+Knows what can be written; what goes together is judged by `busway.apps.gateway.configuration`.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
 are the same here.
 

@@ -1,57 +1,37 @@
-"""The routes of a gateway file, and what of them cannot work, said before anything runs.
+"""What of the routes of a gateway file cannot work, said before anything runs.
 
 Knows what the sections say and what upstreams and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2,
 T32).
 
-1. A route without units is for all units that its upstream can have behind.
-2. What can never work is refused: a route that is never reached, a unit that an upstream or a listener cannot have, a
+1. What can never work is refused: a route that is never reached, a unit that an upstream or a listener cannot have, a
    client that gives up before the upstream can have answered, an upstream that leads back to a listener.
-3. What works, but hardly as it was meant, is a warning: units that an earlier route takes, an upstream without a route.
+2. What works, but hardly as it was meant, is a warning: units that an earlier route takes, an upstream without a route.
 """
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from ...access.rules import Policy
 from ...client.conversation import timing_of
 from ...codes import LAST_SERIAL_UNIT
-from ...config.files.gateway import GatewayFile, RouteSection
+from ...config.files.gateway import GatewayFile
 from ...config.files.lines import Path as Place
 from ...config.report import Judge
-from ...errors import ConfigError
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.naming import is_loopback
+from .file_routes import PlacedListener, PlacedRoute, upstream_units
 from .gateway import UpstreamSettings
-from .placed import PlacedRoute
-from .routes import ALL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
-from .ways_past import ways_past
+from .policy_gaps import policy_gaps
+from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
 
-SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 _SAME = {"localhost": "127.0.0.1"}
 _REQUEST_CHARACTERS = {"rtu": (8, 256), "ascii": (17, 513)}
 """Characters of a request to read, and of the longest to write (Serial Line V1.02 §2.5)."""
 _MOST_REGISTERS = 125
 _MOST_BITS = 2000
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedListener:
-    """A listener, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
-
-    name: str
-    endpoint: Endpoint
-    place: Place
-    deadline: float | None
-    is_chosen: bool = False
-
-    @property
-    def is_serial(self) -> bool:
-        """Whether its clients are masters, who know units 1…247 only."""
-        return self.endpoint.framing != "mbap"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,73 +45,6 @@ class WorstCase:
 
     seconds: float
     sum: str
-
-
-# The routes.
-
-
-def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
-    """The routes of a file, without those that the judge refuses."""
-    if not file.route:
-        return [
-            PlacedRoute(Route(upstream=name, units=_upstream_units(upstream)), ("link", 0), None)
-            for name, upstream in upstreams.items()
-        ]
-    found = []
-    for index, section in enumerate(file.route):
-        at: Place = ("route", index)
-        if section.link is not None and section.link not in upstreams:
-            continue  # the judge has been told of the upstream
-        made = judge.make(partial(_route, section, upstreams), partial(_key_of, section, at))
-        if made is not None:
-            found.append(PlacedRoute(made, at, section))
-    return found
-
-
-def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
-    return (*at, key) if key is not None and key in section.model_fields_set else at
-
-
-def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> Route:
-    upstream = None if section.link is None else upstreams[section.link]
-    asked = section.asked_units()
-    addresses = section.asked_addresses()
-    action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
-    return Route(
-        upstream=section.link or "",
-        listeners=frozenset(section.listeners or ()),
-        units=_default_units(section, upstream) if asked is None else asked,
-        functions=section.asked_functions(),
-        addresses=None if addresses is None else AddressRange(*addresses),
-        unit=section.unit,
-        unit_offset=section.unit_offset,
-        shift=section.shift,
-        max_registers=section.max_registers,
-        max_bits=section.max_bits,
-        split_writes=section.split_writes,
-        action=action,
-        code=1 if section.refuse is None else section.refuse,
-        cache=section.cache,
-        timeout=section.timeout,
-        name=section.name,
-    )
-
-
-def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """The units of a route that names none: those that its upstream can have."""
-    if upstream is None:
-        return ALL_UNITS
-    behind = _upstream_units(upstream)
-    if section.unit is not None:
-        return behind
-    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
-    if not units:
-        raise ConfigError(f"leaves no unit that {section.link!r} has", key="unit_offset")
-    return units
-
-
-def _upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
-    return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 
 # What cannot work.
@@ -163,7 +76,7 @@ def judge_routes(
         *_hidden_own_unit(file, routes),
         *_idle_listeners(routes, listeners),
         *_upstreams_slower_than_the_default(routes, listeners, upstreams),
-        *(() if policy is None else ways_past(policy, routes)),
+        *(() if policy is None else policy_gaps(policy, routes)),
         *_same_servers(file, upstreams),
     ):
         judge.warn(at, sentence)
@@ -256,7 +169,7 @@ def _impossible_units(
 ) -> Faults:
     for placed in routes:
         route, section = placed.route, placed.section
-        if route.upstream and _upstream_units(upstreams[route.upstream]) is SERIAL_UNITS:
+        if route.upstream and upstream_units(upstreams[route.upstream]) is SERIAL_UNITS:
             wrong = sorted(unit for unit in route.units if route.upstream_unit(unit) not in SERIAL_UNITS)
             if wrong:
                 yield placed.key("unit", "unit_offset", "units"), _no_upstream_unit(route, wrong[0])
@@ -298,17 +211,6 @@ def _gaps_on_networks(routes: Sequence[PlacedRoute], upstreams: Mapping[str, Ups
     for placed in routes:
         if placed.gap and placed.route.upstream and upstreams[placed.route.upstream].link.line is None:
             yield placed.key("request_gap"), "is an option of the link where that is no serial line"
-
-
-def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """The gaps that routes ask for, by the unit behind: the longest of each."""
-    found: dict[int, float] = {}
-    for placed in routes:
-        if placed.gap and placed.route.upstream == upstream:
-            for unit in placed.route.units:
-                behind = placed.route.upstream_unit(unit)
-                found[behind] = max(placed.gap, found.get(behind, 0.0))
-    return found
 
 
 def _touches(code: int, addresses: AddressRange) -> bool:
@@ -492,6 +394,3 @@ def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults
         if own in route.units and not route.functions and route.addresses is None and (is_written or is_named):
             yield placed.key("units"), f"takes unit {own}, by which the gateway itself could be asked"
             return
-
-
-__all__ = ["PlacedListener", "PlacedRoute", "WorstCase", "judge_routes", "placed_routes", "unit_gaps", "worst_case"]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import busway
 from busway.access.authorizer import PolicyHandler
 from busway.apps.gateway.forwarding import Forwarder
-from busway.apps.gateway.handler import ListenerHandler
+from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import AddressRange, ListenerRoutes, Route, RouteAction
 from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
@@ -158,7 +158,7 @@ class WireLink:
 class LongRoad:
     """A handler that shows nothing but its long road."""
 
-    def __init__(self, inner: ListenerHandler) -> None:
+    def __init__(self, inner: ListenerRouter) -> None:
         self.inner = inner
         self.functions: FunctionTable = inner.functions
         self.generation = 0
@@ -222,7 +222,7 @@ class Plant:
         self.line = Upstream("line", link_settings("tcp://127.0.0.1:1", options))
         self.forwarder = Forwarder(self.line, share_reads=share_reads)
         self.link = WireLink(self.line)
-        self.listener = ListenerHandler("office", busway.STANDARD)
+        self.listener = ListenerRouter("office", busway.STANDARD)
         self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.forwarder})
         self.handler: Any = self.listener if batches else LongRoad(self.listener)
         if policy is not None:
@@ -348,7 +348,7 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     queued = plant.link.session._queue
     assert asked == [{}, {}, {}]
     assert (plant.forwarder.open_requests, queued.size, queued.waiting, len(queued.begun)) == (0, 0, 0, 0)
-    assert not any(unit.reading or unit.open_writes for unit in plant.forwarder.memory._units.values())
+    assert not any(unit.reading or unit.open_writes for unit in plant.forwarder.cache._units.values())
     for client in clients:
         assert client.session._reads is not None
         assert not client.session._reads.batches

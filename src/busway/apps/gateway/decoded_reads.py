@@ -9,7 +9,7 @@ from ...pdu.read_items import ReadBits, ReadRegisters
 REMEMBERED = 4096
 
 
-class RememberingTable(FunctionTable):
+class CachingFunctionTable(FunctionTable):
     """Gives one object for the same read, so that it is decoded once, and encoded once for the upstream.
 
     Clients of a gateway ask the same few questions for ever: 1.5 µs of 12 per transaction.

@@ -22,7 +22,7 @@ AT_NEED: Final = "tried again when something is asked"
 """What follows it elsewhere."""
 
 
-class UpstreamNews:
+class UpstreamLog:
     """The log lines of one upstream.
 
     Args:

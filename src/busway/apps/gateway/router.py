@@ -6,7 +6,7 @@ Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on
    upstream takes it only where a route lets the listener write so to each of its units, and the policy the client:
    all of them will hear it.
 2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
-   listener is silent there, because it never hears of those units (`ListenerHandler.serial_units`).
+   listener is silent there, because it never hears of those units (`ListenerRouter.serial_units`).
 3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
    not frame it. A function that is not known is forwarded unread.
 """
@@ -63,7 +63,7 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
     return 0
 
 
-class ListenerHandler:
+class ListenerRouter:
     """The handler of one listener.
 
     Attributes:

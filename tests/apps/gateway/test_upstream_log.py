@@ -9,7 +9,7 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.gateway import Gateway, simple_plan
-from busway.apps.gateway.news import UpstreamNews
+from busway.apps.gateway.upstream_log import UpstreamLog
 from busway.testing.line import PacedLine
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.settings import SerialSettings
@@ -27,8 +27,8 @@ class Clock:
         return self.now
 
 
-def news(clock: Clock | None = None, *, is_waited_for: bool = True) -> UpstreamNews:
-    return UpstreamNews("hall", "rtu:///dev/ttyX", is_waited_for=is_waited_for, clock=clock or Clock())
+def news(clock: Clock | None = None, *, is_waited_for: bool = True) -> UpstreamLog:
+    return UpstreamLog("hall", "rtu:///dev/ttyX", is_waited_for=is_waited_for, clock=clock or Clock())
 
 
 def told(caplog: pytest.LogCaptureFixture) -> list[str]:

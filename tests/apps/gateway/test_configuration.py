@@ -6,7 +6,7 @@ import pytest
 from waiting import until
 
 import busway
-from busway.apps.gateway.assembly import GatewayConfiguration, load_gateway, parse_gateway, simple_gateway
+from busway.apps.gateway.configuration import GatewayConfiguration, load_gateway, parse_gateway, simple_gateway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction

@@ -57,7 +57,7 @@ class _Unit(Generic[Shared]):
         self.blocks.clear()
 
 
-class Memory(Generic[Shared]):
+class ReadCache(Generic[Shared]):
     """The memory of one upstream. ``Shared`` is whatever stands for a read in flight.
 
     Args:

@@ -11,14 +11,14 @@ from ...access.notation import Range
 from ...access.rules import Action, Policy, Rule
 from ...codes import Table
 from ...config.files.lines import Path as Place
-from .placed import PlacedRoute
+from .file_routes import PlacedRoute
 from .routes import Route
 
 Device = tuple[str, int]
 """Upstream, and unit behind."""
 
 
-def ways_past(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
+def policy_gaps(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
     """The rules that do not hold for all ways to their devices: where each stands, and a sentence."""
     forwards = [one for one in routes if one.route.upstream]
     for index, rule in enumerate(policy.rules):
@@ -111,4 +111,4 @@ def _taken(route: Route, table: Table, items: Range) -> Range | None:
     return (low, high) if low < high else None
 
 
-__all__ = ["ways_past"]
+__all__ = ["policy_gaps"]

@@ -2,10 +2,10 @@
 
 import pytest
 
-from busway.apps.gateway.assembly import parse_gateway
+from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import UpstreamSettings
+from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import ALL_UNITS, Route
-from busway.apps.gateway.routing_table import worst_case
 from busway.config.files.problems import FileError
 
 LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'

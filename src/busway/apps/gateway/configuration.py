@@ -1,6 +1,6 @@
 """A gateway put together from one file, or from a few URLs (Messaging on TCP/IP V1.0b §4.4.2; clauses T24, T32).
 
-Knows which section becomes which part of a gateway; `routing_table` knows what cannot work. It reads its file and no
+Knows which section becomes which part of a gateway; `route_checks` knows what cannot work. It reads its file and no
 other.
 
 >>> configuration = load_gateway("gateway.toml")                       # doctest: +SKIP
@@ -33,9 +33,10 @@ from ...session.parameters import CLIENT_DEADLINE, ServerParameters
 from ...transport.tcp import SocketParameters
 from ...transport.tls.parameters import TlsParameters
 from ..server.configuration import Configuration, put_together
+from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import UPSTREAM_DEFAULTS, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from .route_checks import judge_routes
 from .routes import RoutingTable
-from .routing_table import PlacedListener, PlacedRoute, judge_routes, placed_routes, unit_gaps
 
 COMMAND = "busway gateway"
 """The name of what stands in no file."""

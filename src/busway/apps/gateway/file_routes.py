@@ -1,0 +1,134 @@
+"""The routes and listeners that a gateway file declares, with where they stand: so that an error can name its key.
+
+Knows sections and routes; judges nothing.
+
+A route without units is for all units that its upstream can have.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from ...config.files.gateway import GatewayFile, RouteSection
+from ...config.files.lines import Path as Place
+from ...config.report import Judge
+from ...errors import ConfigError
+from ...options.endpoints import Endpoint
+from .gateway import UpstreamSettings
+from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedRoute:
+    """A route, and where it stands; ``section`` is None for the one of a file without routes."""
+
+    route: Route
+    place: Place
+    section: RouteSection | None
+
+    @property
+    def title(self) -> str:
+        """How sentences call it."""
+        return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
+
+    @property
+    def gap(self) -> float:
+        """Seconds that its unit is left alone after it has replied."""
+        return (self.section.request_gap or 0.0) if self.section is not None else 0.0
+
+    def key(self, *names: str) -> Place:
+        """Where the first of these keys stands that is set, or else the route itself."""
+        written = set() if self.section is None else self.section.model_fields_set
+        return next(((*self.place, name) for name in names if name in written), self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedListener:
+    """A listener, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
+
+    name: str
+    endpoint: Endpoint
+    place: Place
+    deadline: float | None
+    is_chosen: bool = False
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether its clients are masters, who know units 1…247 only."""
+        return self.endpoint.framing != "mbap"
+
+
+def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
+    """The routes of a file, without those that the judge refuses."""
+    if not file.route:
+        return [
+            PlacedRoute(Route(upstream=name, units=upstream_units(upstream)), ("link", 0), None)
+            for name, upstream in upstreams.items()
+        ]
+    found = []
+    for index, section in enumerate(file.route):
+        at: Place = ("route", index)
+        if section.link is not None and section.link not in upstreams:
+            continue  # the judge has been told of the upstream
+        made = judge.make(partial(_route, section, upstreams), partial(_key_of, section, at))
+        if made is not None:
+            found.append(PlacedRoute(made, at, section))
+    return found
+
+
+def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
+    return (*at, key) if key is not None and key in section.model_fields_set else at
+
+
+def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> Route:
+    upstream = None if section.link is None else upstreams[section.link]
+    asked = section.asked_units()
+    addresses = section.asked_addresses()
+    action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
+    return Route(
+        upstream=section.link or "",
+        listeners=frozenset(section.listeners or ()),
+        units=_default_units(section, upstream) if asked is None else asked,
+        functions=section.asked_functions(),
+        addresses=None if addresses is None else AddressRange(*addresses),
+        unit=section.unit,
+        unit_offset=section.unit_offset,
+        shift=section.shift,
+        max_registers=section.max_registers,
+        max_bits=section.max_bits,
+        split_writes=section.split_writes,
+        action=action,
+        code=1 if section.refuse is None else section.refuse,
+        cache=section.cache,
+        timeout=section.timeout,
+        name=section.name,
+    )
+
+
+def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> frozenset[int]:
+    """The units of a route that names none: those that its upstream can have."""
+    if upstream is None:
+        return ALL_UNITS
+    behind = upstream_units(upstream)
+    if section.unit is not None:
+        return behind
+    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
+    if not units:
+        raise ConfigError(f"leaves no unit that {section.link!r} has", key="unit_offset")
+    return units
+
+
+def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
+    """The units that an upstream can have."""
+    return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
+
+
+def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
+    """The gaps that routes ask for, by the unit behind: the longest of each."""
+    found: dict[int, float] = {}
+    for placed in routes:
+        if placed.gap and placed.route.upstream == upstream:
+            for unit in placed.route.units:
+                behind = placed.route.upstream_unit(unit)
+                found[behind] = max(placed.gap, found.get(behind, 0.0))
+    return found
