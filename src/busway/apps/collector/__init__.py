@@ -8,6 +8,9 @@
 `plans`         the plans of one device, by the classes that are due
 `schedule`      which read of a link is next, and when
 `admission`     whether a link can do what its devices are to be asked
+`poller`        the polling engine of one link
+`reply_timeout` how long to wait for a device
+`sample_clock`  the clock of samples, which never runs back
 `samples`       a sample, its quality and reason; the samples of one read; intervals without reads
 `store`         the folder that keeps samples: written, sealed, read
 ==============  =======================================================================

@@ -61,6 +61,7 @@ class CostLearner:
 
     Attributes:
         reads: how many reads it has seen.
+        widths: the widths that these had.
     """
 
     def __init__(self, assumed: ReadCost, *, fixed: bool = True) -> None:
@@ -69,22 +70,23 @@ class CostLearner:
         self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
         self._in_order: list[float] = []  # the estimates of the base, for the median
         self._estimates: deque[float] = deque()
+<<<<<<< HEAD
         self.reads: int = 0
+=======
+        self.reads = 0
+        self.widths: set[int] = set()
+>>>>>>> 5ee4471 (Poll the devices of a link: samples with reasons, intervals, leases, writes first; times that never run back; timeouts that adapt where replies are numbered)
 
     def observe(self, table: Table, width: int, seconds: float) -> None:
         """Note a read that succeeded at its first attempt, ``seconds`` after its request began."""
         self.reads += 1
+        self.widths.add(width)
         self._seen.append((table, width, seconds))
         estimate = seconds - self._assumed.per_item(table) * width
         self._estimates.append(estimate)
         insort(self._in_order, estimate)
         if len(self._estimates) > MEMORY:
             self._in_order.remove(self._estimates.popleft())
-
-    @property
-    def widths(self) -> set[int]:
-        """The widths that it has seen lately."""
-        return {width for _, width, _ in self._seen}
 
     @property
     def is_settled(self) -> bool:

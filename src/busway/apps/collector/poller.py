@@ -1,0 +1,371 @@
+"""The polling engine of one link: makes the reads that the schedule says, and turns replies into samples.
+
+Knows the schedule, a link of asyncio and the decoders of points; knows no store and no file.
+
+1. Every read that is made for its values gives each of its points a sample: good, or bad with the reason. A probe of a
+   silent device that fails gives none: the interval in which the device is suspended stands for its samples.
+2. The time of a sample is the middle of its transaction; half of its length is kept.
+3. Nothing that a device or a link does ends the engine. A defect in a sink or decoder is not its business: what they
+   raise ends the task, and whoever runs it knows.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+from ...codes import ExceptionCode, Table
+from ...errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply, Overloaded
+from ...pdu.message import Request
+from ...pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from ...points.decoder import ReadDecoder
+from ...points.point import Point
+from ...points.quality import Reason, exception_reason
+from .learning import ReadOutcome, outcome_of
+from .plan import PlannedRead
+from .plans import PlanBook
+from .reply_timeout import ReplyTimeout
+from .sample_clock import SampleClock
+from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
+from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
+
+MOST_DECODERS: Final = 512
+"""Compiled reads of one device that are kept."""
+
+_REQUESTS: Final = {
+    Table.COILS: ReadCoils,
+    Table.DISCRETE_INPUTS: ReadDiscreteInputs,
+    Table.INPUT_REGISTERS: ReadInputRegisters,
+    Table.HOLDING_REGISTERS: ReadHoldingRegisters,
+}
+_NOBODY_THERE: Final = frozenset(
+    {ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND}
+)
+
+
+class PollLink(Protocol):
+    """What the engine needs of a link; `busway.AsyncLink` is one."""
+
+    async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+        """A reply or an error for each request."""
+
+
+@dataclass(frozen=True, slots=True)
+class _CompiledRead:
+    """A planned read, ready to be made: its request, the decoder of its reply, and whose samples it brings."""
+
+    read: PlannedRead
+    request: Any  # a request of the table's class
+    decoder: ReadDecoder
+    group: PointGroup
+
+
+@dataclass(slots=True)
+class PolledDevice:
+    """A device as the engine asks it.
+
+    Attributes:
+        name: its name.
+        unit: its unit identifier.
+        book: its plans.
+        timeout: how long to wait for it.
+        scale_factors: the exponents that its points hold, by name.
+        reads, failures: how many were made for its values, and how many of these failed.
+        last_seconds: how long its last transaction took.
+        last_error: what was wrong last; empty where nothing ever was.
+        suspended: the interval that is open while it is suspended or in maintenance.
+    """
+
+    name: str
+    unit: int
+    book: PlanBook
+    timeout: ReplyTimeout
+    scale_factors: dict[str, int] = field(default_factory=dict)
+    reads: int = 0
+    failures: int = 0
+    last_seconds: float = 0.0
+    last_error: str = ""
+    suspended: StateInterval | None = None
+    _compiled: dict[int, _CompiledRead] = field(default_factory=dict)
+
+    def compiled(self, read: PlannedRead) -> _CompiledRead:
+        """A read of it, compiled at its first use."""
+        found = self._compiled.get(id(read))
+        if found is None or found.read is not read:
+            if len(self._compiled) >= MOST_DECODERS:
+                self._compiled.clear()
+            points: Sequence[Point] = read.items
+            found = self._compiled[id(read)] = _CompiledRead(
+                read,
+                _REQUESTS[read.table](read.start, read.width),
+                ReadDecoder(points, read.table, read.start, read.width),
+                PointGroup(self.name, tuple(point.name for point in points)),
+            )
+        return found
+
+
+class LinkPoller:
+    """Polls the devices of one link. `run` is a task of an event loop; all else is for the same thread.
+
+    Args:
+        name: the link's name.
+        link: where requests go.
+        schedule: what is next; the devices are added to it by `add`.
+        clock: the clock of samples.
+        samples: takes each batch at once; must not block.
+        intervals: takes each interval as it begins and as it ends.
+        numbered: whether replies carry a number, so that timeouts may adapt.
+        now: seconds of the monotonic clock, that of the schedule.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        link: PollLink,
+        schedule: LinkSchedule,
+        clock: SampleClock,
+        samples: Callable[[SampleBatch], None],
+        intervals: Callable[[StateInterval], None],
+        *,
+        numbered: bool,
+        now: Callable[[], float],
+    ) -> None:
+        self.name = name
+        self.link = link
+        self.schedule = schedule
+        self.devices: dict[str, PolledDevice] = {}
+        self._clock = clock
+        self._samples = samples
+        self._intervals = intervals
+        self._numbered = numbered
+        self._now = now
+        self._wake: asyncio.Event | None = None
+
+    # Devices.
+
+    def add(self, name: str, unit: int, book: PlanBook, periods: Mapping[str, float]) -> None:
+        """Poll a device from now on; ``periods`` are seconds by class."""
+        timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered)
+        self.devices[name] = PolledDevice(name, unit, book, timeout)
+        self.schedule.add(name, book, periods, self._now())
+        self.wake()
+
+    def remove(self, name: str) -> None:
+        """Stop polling a device."""
+        device = self.devices.pop(name, None)
+        if device is not None:
+            self._end_interval(device)
+            self.schedule.remove(name)
+
+    def pause(self, name: str, *, paused: bool) -> None:
+        """Begin or end the maintenance of a device: it is not polled meanwhile."""
+        device = self.devices[name]
+        self.schedule.pause(name, paused=paused, now=self._now())
+        self._end_interval(device)
+        if paused:
+            self._begin_interval(device, Reason.MAINTENANCE, self._now())
+        self.wake()
+
+    def lease(self, name: str, points: Sequence[str], period: float, seconds: float) -> None:
+        """Read some points of a device every ``period`` seconds for ``seconds``, before the classes."""
+        wanted = set(points)
+        items = [each for each in self.devices[name].book.points() if each.name in wanted]
+        now = self._now()
+        self.schedule.lease(name, items, period, now + seconds, now)
+        self.wake()
+
+    def write(self, name: str, perform: Callable[[], Awaitable[None]]) -> bool:
+        """Queue a write to a device, before all reads; False where too many wait.
+
+        Args:
+            name: the device.
+            perform: makes the write on the link. It must not raise: it tells its outcome to who asked for it.
+        """
+        taken = self.schedule.write(name, perform)
+        self.wake()
+        return taken
+
+    def wake(self) -> None:
+        """Look again at what is next."""
+        if self._wake is not None:
+            self._wake.set()
+
+    # The task.
+
+    async def run(self) -> None:
+        """Poll until the task is cancelled."""
+        self._wake = asyncio.Event()
+        while True:
+            turn = self.schedule.next(self._now())
+            if isinstance(turn, float):
+                await self._sleep(turn - self._now())
+            else:
+                await self.make(turn)
+
+    async def _sleep(self, seconds: float) -> None:
+        assert self._wake is not None
+        self._wake.clear()
+        try:
+            async with asyncio.timeout(max(seconds, 0.0)):
+                await self._wake.wait()
+        except TimeoutError:
+            pass
+
+    def close(self) -> None:
+        """End the open intervals: the collector stops."""
+        for device in self.devices.values():
+            self._end_interval(device)
+
+    async def make(self, turn: Turn) -> None:
+        """Make the reads or the write of one turn, and note what came of it."""
+        device = self.devices.get(turn.device)
+        began = self._now()
+        if turn.kind is TurnKind.WRITE:
+            await turn.write()
+            self.schedule.done(turn, began, self._now(), TurnOutcome.ANSWERED)
+            return
+        if device is None:
+            self.schedule.done(turn, began, began, TurnOutcome.DOWN)
+            return
+        if turn.round is not None and turn.round.skipped_since is not None:
+            self._tell_skipped(turn.device, turn.round.skipped_since, began)
+            turn.round.skipped_since = None
+        compiled = [device.compiled(read) for read in turn.reads]
+        options = {"timeout": device.timeout.seconds, "retries": 0}
+        try:
+            outcomes = await self.link.run(device.unit, [each.request for each in compiled], options)
+        except ModbusError as error:
+            outcomes = [error] * len(compiled)
+        ended = self._now()
+        self._take(device, turn, compiled, outcomes, began, ended)
+
+    # What came of it.
+
+    def _take(
+        self,
+        device: PolledDevice,
+        turn: Turn,
+        compiled: Sequence[_CompiledRead],
+        outcomes: Sequence[Any],  # replies and errors
+        began: float,
+        ended: float,
+    ) -> None:
+        middle = self._clock.time_ns((began + ended) / 2)
+        half = int((ended - began) * 500_000_000)
+        result = TurnOutcome.SILENT
+        device.last_seconds = ended - began
+        for each, outcome in zip(compiled, outcomes, strict=True):
+            error = outcome if isinstance(outcome, ModbusError) else None
+            if error is None:
+                try:
+                    batch = self._decoded(device, each, outcome, middle, half)
+                except BadReply as broken:
+                    error = broken
+            if error is not None:
+                result = self._failed(device, turn, each, error, result, middle, half)
+                continue
+            result = TurnOutcome.ANSWERED
+            self._samples(batch)
+            device.reads += turn.kind is TurnKind.ROUND
+            self._learn(device, turn, each.read, ReadOutcome.SUCCESS, ended - began, alone=len(compiled) == 1)
+        if result is TurnOutcome.ANSWERED:
+            device.timeout.answered(ended - began)
+            if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
+                self._end_interval(device)
+        elif result is TurnOutcome.SILENT:
+            device.timeout.silent()
+        self.schedule.done(turn, began, ended, result)
+        if result is not TurnOutcome.ANSWERED and device.suspended is None and self.schedule.devices.get(device.name):
+            down = result is TurnOutcome.DOWN
+            self._begin_interval(device, Reason.NO_CONNECTION if down else Reason.SUSPENDED, ended)
+
+    def _decoded(
+        self, device: PolledDevice, compiled: _CompiledRead, reply: Any, middle: int, half: int
+    ) -> SampleBatch:
+        decoder = compiled.decoder
+        data = reply.data
+        if len(data) != decoder.size:
+            raise BadReply(f"{len(data)} bytes came where {decoder.size} were asked for")
+        found = decoder.decode(data, device.scale_factors)
+        if not found.flaws and self._clock.is_right:
+            return SampleBatch(compiled.group, middle, half, found.values)
+        usual = Reason.NONE if self._clock.is_right else Reason.CLOCK
+        reasons = [int(usual)] * len(found.values)
+        for place, reason in found.flaws.items():
+            reasons[place] = reason
+        return SampleBatch(compiled.group, middle, half, found.values, reasons)
+
+    def _failed(
+        self,
+        device: PolledDevice,
+        turn: Turn,
+        compiled: _CompiledRead,
+        error: ModbusError,
+        before: TurnOutcome,
+        middle: int,
+        half: int,
+    ) -> TurnOutcome:
+        """Note a read that failed; gives the outcome of the turn with it."""
+        reason, result = _judged(error)
+        device.last_error = str(error)
+        if turn.kind is TurnKind.ROUND:
+            device.reads += 1
+            device.failures += 1
+            self._samples(failed_batch(compiled.group, middle, half, reason))
+        code = error.code if isinstance(error, ExceptionReply) else None
+        outcome = outcome_of(code, silent=result is TurnOutcome.SILENT and code is None)
+        self._learn(device, turn, compiled.read, outcome, 0.0, alone=False, code=code or 0)
+        if TurnOutcome.ANSWERED in (before, result):
+            return TurnOutcome.ANSWERED
+        return result
+
+    def _learn(
+        self,
+        device: PolledDevice,
+        turn: Turn,
+        read: PlannedRead,
+        outcome: ReadOutcome,
+        seconds: float,
+        *,
+        alone: bool,
+        code: int = 0,
+    ) -> None:
+        if turn.kind is TurnKind.QUESTION:
+            device.book.answered(read, outcome, seconds, code)
+        elif outcome is not ReadOutcome.SUCCESS:
+            device.book.failed(read, outcome, code)
+        elif alone:
+            device.book.succeeded(read, seconds)
+
+    # Intervals.
+
+    def _tell_skipped(self, device: str, since: float, until: float) -> None:
+        begin, end = self._clock.time_ns(since), self._clock.time_ns(until)
+        self._intervals(StateInterval(device, begin, max(begin, end), Reason.SKIPPED))
+
+    def _begin_interval(self, device: PolledDevice, reason: int, at: float) -> None:
+        device.suspended = StateInterval(device.name, self._clock.time_ns(at), None, reason)
+        self._intervals(device.suspended)
+
+    def _end_interval(self, device: PolledDevice) -> None:
+        begun = device.suspended
+        if begun is not None:
+            device.suspended = None
+            end = max(begun.begin, self._clock.time_ns(self._now()))
+            self._intervals(StateInterval(begun.device, begun.begin, end, begun.reason))
+
+
+def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
+    """The reason of samples for an error, and what it says about the device."""
+    if isinstance(error, ExceptionReply):
+        nobody = error.code in _NOBODY_THERE
+        return exception_reason(error.code), TurnOutcome.SILENT if nobody else TurnOutcome.ANSWERED
+    if isinstance(error, BadReply):
+        return Reason.BROKEN_REPLY, TurnOutcome.ANSWERED
+    if isinstance(error, NoReply):
+        return Reason.IN_DOUBT if error.kind == "in doubt" else Reason.TIMEOUT, TurnOutcome.SILENT
+    if isinstance(error, LinkDown | Overloaded):
+        return Reason.NO_CONNECTION, TurnOutcome.DOWN
+    if isinstance(error, InvalidRequest | ConfigError):
+        return Reason.CONFIGURATION, TurnOutcome.DOWN
+    return Reason.BROKEN_REPLY, TurnOutcome.ANSWERED

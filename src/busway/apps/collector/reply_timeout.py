@@ -1,0 +1,52 @@
+"""How long to wait for replies of one device: adapted where replies are numbered, as configured on lines.
+
+Pure: knows seconds.
+
+1. Where replies carry a number, one that comes too late does no harm. So the time is that of TCP (RFC 6298): smoothed
+   reply time plus four times its deviation, doubled by each silence, between `SHORTEST` and the configured time.
+2. On a line a timeout makes doubt about the next reply, so the configured time is never shortened.
+"""
+
+from typing import Final
+
+SHORTEST: Final = 0.1
+"""Seconds: a device that answers in a millisecond may still clean up its memory now and then."""
+_GAIN: Final = 0.125
+_DEVIATION_GAIN: Final = 0.25
+
+
+class ReplyTimeout:
+    """The timeout of one device.
+
+    Args:
+        configured: seconds; the longest, and the one to begin with.
+        numbered: whether replies carry a number.
+
+    Attributes:
+        seconds: how long to wait for the next reply.
+    """
+
+    __slots__ = ("_configured", "_deviation", "_numbered", "_smoothed", "seconds")
+
+    def __init__(self, configured: float, *, numbered: bool) -> None:
+        self._configured = configured
+        self._numbered = numbered
+        self._smoothed: float | None = None
+        self._deviation = 0.0
+        self.seconds = configured
+
+    def answered(self, elapsed: float) -> None:
+        """Note a reply after ``elapsed`` seconds."""
+        if not self._numbered:
+            return
+        if self._smoothed is None:
+            self._smoothed, self._deviation = elapsed, elapsed / 2
+        else:
+            self._deviation += _DEVIATION_GAIN * (abs(elapsed - self._smoothed) - self._deviation)
+            self._smoothed += _GAIN * (elapsed - self._smoothed)
+        self.seconds = min(max(self._smoothed + 4 * self._deviation, SHORTEST), self._configured)
+
+    def silent(self) -> None:
+        """Note that no reply came."""
+        if self._numbered:
+            self.seconds = min(2 * self.seconds, self._configured)

@@ -1,0 +1,60 @@
+"""The clock of samples: one that never runs back, near the wall clock of the system.
+
+Pure: knows readings of two clocks; reads none itself.
+
+1. The time of a sample is a monotonic time plus an offset, so that the order of samples is that of their transactions.
+2. The offset follows the wall clock. A wall clock that was set forward is followed at once. One that was set back is
+   followed by going at half speed, because a jump would put new samples before old ones; until that is done, the time
+   is not known to be right.
+3. A wall clock that shows a time before this program was written is not known to be right either: many devices have no
+   battery, and begin in 1970.
+"""
+
+from typing import Final
+
+NANOSECONDS: Final = 1_000_000_000
+EARLIEST: Final = 1_767_225_600 * NANOSECONDS
+"""2026-01-01: no sample is older than this program."""
+TOLERANCE: Final = NANOSECONDS // 2
+"""Differences up to here are followed without saying that the time is not known to be right."""
+
+
+class SampleClock:
+    """Turns monotonic times into nanoseconds since 1970.
+
+    Args:
+        monotonic: seconds of the monotonic clock, now.
+        wall: nanoseconds since 1970 by the wall clock, at the same time.
+    """
+
+    def __init__(self, monotonic: float, wall: int) -> None:
+        self._offset = wall - int(monotonic * NANOSECONDS)
+        self._behind = 0  # nanoseconds by which the wall clock is behind, still to be made up for
+        self._since = monotonic
+        self._wall_is_right = wall >= EARLIEST
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the time is known to be right."""
+        return self._wall_is_right and self._behind <= TOLERANCE
+
+    def adjust(self, monotonic: float, wall: int) -> None:
+        """Compare with the wall clock: ``wall`` is its time at ``monotonic``. Call it every few seconds."""
+        self._offset += self._made_up(monotonic)
+        self._since = monotonic
+        self._wall_is_right = wall >= EARLIEST
+        ahead = wall - int(monotonic * NANOSECONDS) - self._offset
+        if ahead >= 0:
+            self._offset += ahead
+            self._behind = 0
+        else:
+            self._behind = -ahead
+
+    def time_ns(self, monotonic: float) -> int:
+        """Nanoseconds since 1970 at a time since the last `adjust`."""
+        time = int(monotonic * NANOSECONDS) + self._offset
+        return time + self._made_up(monotonic) if self._behind else time
+
+    def _made_up(self, monotonic: float) -> int:
+        """By how much the offset has fallen since the last `adjust`, at half speed: 0 or less."""
+        return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

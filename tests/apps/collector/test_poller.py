@@ -1,0 +1,330 @@
+"""The polling engine: samples of what devices say, reasons for what they do not, intervals, and what it learns."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+import busway
+from busway.apps.collector.cost import network_cost
+from busway.apps.collector.plans import PlanBook
+from busway.apps.collector.poller import LinkPoller
+from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, SampleClock
+from busway.apps.collector.samples import SampleBatch, StateInterval
+from busway.apps.collector.schedule import LinkSchedule
+from busway.codes import Table
+from busway.errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
+from busway.pdu.message import Request
+from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
+from busway.points import Conversion, Point, ReadRules, Reason
+from busway.points.quality import exception_reason
+from busway.values import value_type
+
+H = Table.HOLDING_REGISTERS
+START = EARLIEST + 1000 * NANOSECONDS
+
+
+def number(name: str, start: int, type: str = "uint16", **more: Any) -> Point:
+    return Point(name, H, start, value_type(type), **more)
+
+
+@dataclass
+class Device:
+    """Registers that hold their own address, behind a link whose transactions take 20 ms of a fake clock."""
+
+    now: float = 100.0
+    error: Callable[[], ModbusError] | None = None
+    holes: Sequence[int] = ()
+    asked: list[Request] = field(default_factory=list)
+    timeouts: list[float] = field(default_factory=list)
+
+    async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+        self.timeouts.append(call_options["timeout"])
+        self.now += 0.02
+        return [self.answer(request) for request in requests]
+
+    def answer(self, request: Any) -> Any:
+        self.asked.append(request)
+        if self.error is not None:
+            return self.error()
+        if any(request.address <= hole < request.address + request.count for hole in self.holes):
+            return ExceptionReply(2)
+        if isinstance(request, ReadCoils):
+            return ReadCoils.Reply(bytes((request.count + 7) // 8))
+        data = b"".join((request.address + at).to_bytes(2, "big") for at in range(request.count))
+        return ReadHoldingRegisters.Reply(data)
+
+
+@dataclass
+class Bench:
+    """An engine over a fake device."""
+
+    points: Sequence[Point]
+    device: Device = field(default_factory=Device)
+    rules: ReadRules = field(default_factory=lambda: ReadRules(bridge=True))
+    batches: list[SampleBatch] = field(default_factory=list)
+    intervals: list[StateInterval] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.schedule = LinkSchedule(1.0)
+        self.book = PlanBook({"c": self.points}, self.rules, network_cost())
+        self.poller = LinkPoller(
+            "hall",
+            self.device,
+            self.schedule,
+            SampleClock(0.0, START),
+            self.batches.append,
+            self.intervals.append,
+            numbered=True,
+            now=lambda: self.device.now,
+        )
+        self.poller.add("meter", 7, self.book, {"c": 1.0})
+
+    async def until(self, time: float) -> None:
+        while self.device.now < time:
+            turn = self.schedule.next(self.device.now)
+            if isinstance(turn, float):
+                self.device.now = min(max(turn, self.device.now + 1e-6), time)
+            else:
+                await self.poller.make(turn)
+
+
+async def test_each_point_of_a_read_gets_a_sample_with_the_middle_of_the_transaction() -> None:
+    bench = Bench([number("a", 4), number("b", 10, conversion=Conversion(scale=0.1)), number("c", 5, "uint32")])
+    await bench.until(103)
+    batch = max(bench.batches, key=len)
+    assert batch.device == "meter"
+    assert dict(zip(batch.points, batch.values, strict=True)) == {"a": 4, "c": (5 << 16) + 6, "b": 1.0}
+    assert batch.reasons == 0
+    assert batch.half_width == pytest.approx(10_000_000, abs=2)
+    begun = (batch.time - START) / NANOSECONDS - 0.01
+    assert 100 < begun < bench.device.now
+
+
+async def test_a_value_that_is_not_good_has_its_reason_and_the_others_are_good() -> None:
+    bench = Bench([number("a", 4), number("b", 5, conversion=Conversion(invalid=(5,)))])
+    await bench.until(103)
+    batch = max(bench.batches, key=len)
+    assert list(batch.values) == [4, None]
+    assert list(batch.reason_column()) == [0, Reason.NO_VALUE]
+
+
+async def test_coils_are_read_as_states() -> None:
+    bench = Bench([Point("run", Table.COILS, 3), Point("stop", Table.COILS, 5)])
+    await bench.until(103)
+    assert list(max(bench.batches, key=len).values) == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (lambda: ExceptionReply(4), exception_reason(4)),
+        (lambda: ExceptionReply(0x55), exception_reason(0x55)),
+        (lambda: BadReply("a length that cannot be"), Reason.BROKEN_REPLY),
+    ],
+)
+async def test_what_a_device_refuses_or_breaks_is_a_sample_with_the_reason(
+    error: Callable[[], ModbusError], reason: int
+) -> None:
+    bench = Bench([number("a", 4), number("b", 5)])
+    await bench.until(102)
+    bench.device.error = error
+    bench.batches.clear()
+    await bench.until(110)
+    assert len(bench.batches) >= 7  # the device lives and keeps its period
+    assert {batch.reasons for batch in bench.batches} == {reason}
+    assert {tuple(batch.values) for batch in bench.batches} == {(None, None)}
+    assert not bench.intervals
+
+
+@pytest.mark.parametrize(
+    ("error", "reason", "interval"),
+    [
+        (lambda: NoReply("no reply"), Reason.TIMEOUT, Reason.SUSPENDED),
+        (lambda: NoReply("not asked", kind="in doubt"), Reason.IN_DOUBT, Reason.SUSPENDED),
+        (lambda: LinkDown("refused"), Reason.NO_CONNECTION, Reason.NO_CONNECTION),
+        (lambda: ExceptionReply(0x0B), exception_reason(0x0B), Reason.SUSPENDED),
+    ],
+)
+async def test_a_silent_device_has_one_bad_sample_and_then_an_interval_until_it_answers(
+    error: Callable[[], ModbusError], reason: int, interval: int
+) -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(102)
+    bench.device.error = error
+    bench.batches.clear()
+    await bench.until(200)
+    assert [batch.reasons for batch in bench.batches] == [reason]
+    assert [(each.reason, each.end) for each in bench.intervals] == [(interval, None)]
+    bench.device.error = None
+    await bench.until(400)
+    begun, ended = bench.intervals
+    assert (ended.begin, ended.reason) == (begun.begin, begun.reason)
+    assert ended.end is not None
+    assert bench.batches[1].reasons == 0
+    assert bench.batches[1].time <= ended.end
+    assert len(bench.batches) > 100
+
+
+async def test_an_error_of_the_whole_call_is_that_of_each_read() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(102)
+
+    async def run(unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+        raise LinkDown("the link is closed")
+
+    bench.device.run = run  # type: ignore[method-assign]
+    bench.batches.clear()
+    await bench.until(104)
+    assert [batch.reasons for batch in bench.batches] == [Reason.NO_CONNECTION]
+
+
+async def test_a_hole_is_learnt_and_then_not_asked_for_again() -> None:
+    bench = Bench([number(f"p{at}", at) for at in range(40)])
+    bench.device.holes = [17]
+    await bench.until(150)
+    assert [(hole.start, hole.code) for hole in bench.book.knowledge.holes] == [(17, 2)]
+    bench.batches.clear()
+    bench.device.asked.clear()
+    await bench.until(170)
+    assert {batch.reasons for batch in bench.batches} == {0}
+    assert not [each for each in bench.device.asked if each.address <= 17 < each.address + each.count]
+
+
+async def test_the_cost_of_reads_is_learnt_from_their_times() -> None:
+    bench = Bench([number(f"p{at}", at) for at in range(40)])
+    await bench.until(200)
+    assert bench.book.cost.base == pytest.approx(0.02, rel=0.01)
+    assert bench.book.knowledge.base == pytest.approx(0.02, rel=0.01)
+
+
+async def test_the_timeout_follows_the_device_where_replies_are_numbered() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(150)
+    assert bench.device.timeouts[0] == 1.0
+    assert bench.device.timeouts[-1] == 0.1
+
+
+async def test_maintenance_is_an_interval_without_reads() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(105)
+    bench.poller.pause("meter", paused=True)
+    bench.device.asked.clear()
+    await bench.until(150)
+    assert not bench.device.asked
+    bench.poller.pause("meter", paused=False)
+    await bench.until(160)
+    assert [each.reason for each in bench.intervals] == [Reason.MAINTENANCE] * 2
+    assert len(bench.device.asked) >= 9
+
+
+async def test_skipped_rounds_are_an_interval() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(105)
+    bench.device.now += 10  # the machine slept
+    await bench.until(120)
+    (skipped,) = bench.intervals
+    assert skipped.reason == Reason.SKIPPED
+    assert skipped.end is not None
+    assert skipped.end - skipped.begin == pytest.approx(10 * NANOSECONDS, rel=0.15)
+
+
+async def test_a_sample_says_when_the_clock_is_not_known_to_be_right() -> None:
+    bench = Bench([number("a", 4)])
+    bench.poller._clock = SampleClock(0.0, 1)
+    await bench.until(103)
+    assert list(bench.batches[-1].reason_column()) == [Reason.CLOCK]
+    assert list(bench.batches[-1].values) == [4]
+
+
+async def test_leased_points_are_read_more_often_while_the_lease_lasts() -> None:
+    bench = Bench([number("a", 4), number("b", 500)])
+    await bench.until(105)
+    bench.poller.lease("meter", ["a"], 0.1, 5.0)
+    bench.batches.clear()
+    await bench.until(110)
+    assert sum("a" in batch.points for batch in bench.batches) >= 45
+    assert sum("b" in batch.points for batch in bench.batches) <= 7
+    bench.batches.clear()
+    await bench.until(120)
+    assert sum("a" in batch.points for batch in bench.batches) <= 12
+
+
+async def test_a_write_goes_before_the_reads() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(105)
+    done: list[int] = []
+
+    async def perform() -> None:
+        done.append(len(bench.device.asked))
+
+    before = len(bench.device.asked)
+    bench.device.now += 3
+    assert bench.poller.write("meter", perform)
+    await bench.until(110)
+    assert done == [before]
+
+
+async def test_a_device_is_polled_over_a_real_link_until_the_task_is_cancelled() -> None:
+    units = {1: busway.Device(holding_registers=100)}
+    async with busway.serve("tcp://127.0.0.1:0", units=units) as server, busway.open(server.endpoints[0]) as link:
+        units[1].holding_registers[3:5] = [300, 400]
+        loop = asyncio.get_running_loop()
+        batches: asyncio.Queue[SampleBatch] = asyncio.Queue()
+        schedule = LinkSchedule(1.0, batch=4)
+        poller = LinkPoller(
+            "plc",
+            link,
+            schedule,
+            SampleClock(loop.time(), START),
+            batches.put_nowait,
+            print,
+            numbered=True,
+            now=loop.time,
+        )
+        points = [number("x", 3), number("y", 4), number("far", 99)]
+        poller.add("plc", 1, PlanBook({"c": points}, ReadRules(), network_cost()), {"c": 0.02})
+        task = asyncio.create_task(poller.run())
+        seen: dict[str, Any] = {}
+        async with asyncio.timeout(10):
+            while len(seen) < 3:
+                batch = await batches.get()
+                assert batch.reasons == 0
+                seen |= dict(zip(batch.points, batch.values, strict=True))
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert seen == {"x": 300, "y": 400, "far": 0}
+
+
+async def test_a_write_wakes_an_engine_that_sleeps() -> None:
+    loop = asyncio.get_running_loop()
+    schedule = LinkSchedule(1.0)
+    device = Device()
+    poller = LinkPoller(
+        "plc",
+        device,
+        schedule,
+        SampleClock(loop.time(), START),
+        lambda batch: None,
+        print,
+        numbered=True,
+        now=loop.time,
+    )
+    poller.add("plc", 1, PlanBook({"c": [number("a", 1)]}, ReadRules(), network_cost()), {"c": 3600.0})
+    task = asyncio.create_task(poller.run())
+    written = asyncio.Event()
+    perform: Callable[[], Awaitable[None]] = lambda: _set(written)  # noqa: E731
+    await asyncio.sleep(0)
+    poller.write("plc", perform)
+    async with asyncio.timeout(10):
+        await written.wait()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+
+
+async def _set(event: asyncio.Event) -> None:
+    event.set()
