@@ -19,7 +19,6 @@ from ...errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, Lin
 from ...pdu.message import Request
 from ...pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from ...points.decoder import ReadDecoder
-from ...points.point import Point
 from ...points.quality import Reason, exception_reason
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
@@ -31,6 +30,8 @@ from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
 MOST_DECODERS: Final = 512
 """Compiled reads of one device that are kept."""
+MOST_SHARED_DECODERS: Final = 4096
+"""Decoders that all devices share."""
 
 _REQUESTS: Final = {
     Table.COILS: ReadCoils,
@@ -58,6 +59,20 @@ class _CompiledRead:
     request: Any  # a request of the table's class
     decoder: ReadDecoder
     group: PointGroup
+
+
+_decoders: dict[tuple[Any, ...], ReadDecoder] = {}
+"""Decoders by their read and the identities of its points, which they keep alive. Devices of one profile share them."""
+
+
+def _decoder_of(read: PlannedRead) -> ReadDecoder:
+    key = (read.table, read.start, read.width, *map(id, read.items))
+    found = _decoders.get(key)
+    if found is None:
+        if len(_decoders) >= MOST_SHARED_DECODERS:
+            _decoders.clear()
+        found = _decoders[key] = ReadDecoder(read.items, read.table, read.start, read.width)
+    return found
 
 
 @dataclass(slots=True)
@@ -94,12 +109,11 @@ class PolledDevice:
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
                 self._compiled.clear()
-            points: Sequence[Point] = read.items
             found = self._compiled[id(read)] = _CompiledRead(
                 read,
                 _REQUESTS[read.table](read.start, read.width),
-                ReadDecoder(points, read.table, read.start, read.width),
-                PointGroup(self.name, tuple(point.name for point in points)),
+                _decoder_of(read),
+                PointGroup(self.name, tuple(point.name for point in read.items)),
             )
         return found
 
