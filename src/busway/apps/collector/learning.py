@@ -70,12 +70,8 @@ class CostLearner:
         self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
         self._in_order: list[float] = []  # the estimates of the base, for the median
         self._estimates: deque[float] = deque()
-<<<<<<< HEAD
         self.reads: int = 0
-=======
-        self.reads = 0
         self.widths: set[int] = set()
->>>>>>> 5ee4471 (Poll the devices of a link: samples with reasons, intervals, leases, writes first; times that never run back; timeouts that adapt where replies are numbered)
 
     def observe(self, table: Table, width: int, seconds: float) -> None:
         """Note a read that succeeded at its first attempt, ``seconds`` after its request began."""
