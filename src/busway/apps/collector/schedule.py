@@ -432,7 +432,7 @@ class LinkSchedule:
             self._credit = min(self._credit + gained, self.timeout)
         self._credited_at = now
 
-    def _silent_front(self) -> ScheduledDevice | None:
+    def _first_silent(self) -> ScheduledDevice | None:
         """The silent device whose probe is due first."""
         while self._silent:
             when, _, name = self._silent[0]
@@ -457,7 +457,7 @@ class LinkSchedule:
         return None
 
     def _probe(self, now: float) -> Turn | None:
-        device = self._silent_front()
+        device = self._first_silent()
         if device is None or device.probe_at > now or self._credit < -1e-9:
             return None
         heapq.heappop(self._silent)
@@ -485,7 +485,7 @@ class LinkSchedule:
 
     def _next_event(self, now: float) -> float:
         soonest = self._releases[0][0] if self._releases else now + LONGEST_BACKOFF
-        device = self._silent_front()
+        device = self._first_silent()
         if device is not None:
             has_credit_at = now - min(self._credit, 0.0) / self._share
             soonest = min(soonest, max(device.probe_at, has_credit_at))
