@@ -49,12 +49,14 @@ demo: $(VENV)/.installed ## a small plant on 127.0.0.1, polled and shown for ten
 test: check test-unit test-real-time test-interop test-packaging test-versions ## everything that tests the project
 
 .PHONY: check
-check: $(VENV)/.installed-dev ## format, lint, types and the way imports point
+check: $(VENV)/.installed-dev ## format, lint, types, the way imports point, and what tests import
 	@echo "== format, lint, types, imports"
 	@$(RUN)/ruff format --check --quiet . || { echo "error: run '$(RUN)/ruff format .'" >&2; exit 1; }
 	@$(RUN)/ruff check --quiet .
 	@$(RUN)/mypy --no-error-summary
 	@$(RUN)/lint-imports --no-cache >/dev/null || { $(RUN)/lint-imports --no-cache; exit 1; }
+	@$(RUN)/python -m pytest --quiet --no-summary tests/test_imports.py >/dev/null || \
+		{ $(RUN)/python -m pytest --quiet tests/test_imports.py; exit 1; }
 
 .PHONY: test-unit
 test-unit: $(VENV)/.installed-dev ## unit tests, side by side

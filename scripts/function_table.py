@@ -1,4 +1,4 @@
-"""Writes the table of function codes in README.md from ``busway.STANDARD``. With ``--check``: only compares.
+"""Writes the table of docs/reference/functions.md from ``busway.STANDARD``. With ``--check``: only compares.
 
 Knows the declarations of the functions and the page; nothing in the table is written by hand but the methods' names.
 """
@@ -62,5 +62,5 @@ def title(function: type[busway.Request]) -> str:
 
 
 if __name__ == "__main__":
-    file = ROOT / "README.md"
+    file = ROOT / "docs" / "reference" / "functions.md"
     update(file, replaced(file.read_text(encoding="utf-8"), "functions", render()))
