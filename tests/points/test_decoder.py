@@ -168,6 +168,13 @@ def test_a_scale_factor_of_another_read_holds_from_then_on_and_absurd_ones_do_no
     assert decoder.decode(b"\x00\x07", {"W_SF": 11}).values == [None]
 
 
+def test_a_scale_factor_that_another_read_needs_is_remembered() -> None:
+    factor = Point("W_SF", HOLDING, 1, value_type("int16"), is_exponent=True)
+    known: dict[str, int] = {}
+    ReadDecoder([factor], HOLDING, 1, 1).decode(b"\xff\xfe", known)
+    assert known == {"W_SF": -2}
+
+
 def test_bits_and_fields_of_one_register_and_points_on_top_of_each_other() -> None:
     forms = {
         "word": "uint16",

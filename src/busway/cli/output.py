@@ -216,6 +216,35 @@ class LiveTableWriter:
         self._live.stop()
 
 
+class LivePage:
+    """Aligned lines that are drawn anew in their place."""
+
+    def __init__(self) -> None:
+        from rich.live import Live
+
+        self._live = Live(auto_refresh=False)
+        self._live.start()
+
+    @staticmethod
+    def fits() -> bool:
+        """Whether stdout is a terminal."""
+        return sys.stdout.isatty()
+
+    def show(self, lines: Sequence[Sequence[str]], time: str) -> None:
+        """Show these cells, a line each."""
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        grid = RichTable(show_header=False, box=None, caption=time[11:19] or None, caption_justify="left")
+        for cells in lines:
+            grid.add_row(*(Text(printable(cell)) for cell in cells))
+        self._live.update(grid, refresh=True)
+
+    def close(self) -> None:
+        """Leave the last lines as they are."""
+        self._live.stop()
+
+
 def _table(rows: Sequence[TableRow], time: str) -> Any:
     from rich.table import Table as RichTable
     from rich.text import Text

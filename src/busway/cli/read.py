@@ -46,6 +46,8 @@ Examples:
   busway read tcp://10.0.0.5 4x101 --type float32 --order CDAB
   busway read tcp://10.0.0.5:5020 3x1 1x5 holding:0x10 --unit 3 --json
   busway read tcp://10.0.0.5 0x1 -n 16 --watch 1s
+  busway read tcp://10.0.0.5 --points meter.toml --unit 7 --json
+  busway read tcp://10.0.0.5 --points device:meter voltage_l1 "energy_*" --watch 1s
 
 Addresses: 4x1 or 40001 is the first holding register, 3x1 the first input register,
 0x1 the first coil, 1x1 the first discrete input; 4x1.3 is bit 3 of a register;
@@ -66,7 +68,12 @@ class Wanted:
 
 def read(
     url: str = URL,
-    addresses: list[str] = typer.Argument(..., metavar="ADDRESS...", help="Where to read: 4x1, 3x17, 0x1, holding:0."),
+    addresses: list[str] | None = typer.Argument(
+        None, metavar="ADDRESS...", help="Where to read: 4x1, 3x17, 0x1, holding:0; with --points, names of points."
+    ),
+    points: str | None = typer.Option(
+        None, "--points", metavar="FILE", help="Read the points of a device file, or of device:NAME, by their names."
+    ),
     count: str = typer.Option("1", "-n", "--count", metavar="N", help="Number of values from each address on."),
     unit: str | None = UNIT,
     kind: str | None = TYPE,
@@ -83,6 +90,16 @@ def read(
     """Read values from a device."""
     number = whole_number(count, "--count", 1, 65_536)
     period = None if watch is None else seconds(watch, "--watch", low=0.01)
+    if points is not None:
+        chosen = {"--count": count != "1", "--type": kind is not None, "--order": order != "ABCD", "--split": split}
+        wrong = next((name for name, given in chosen.items() if given), None)
+        if wrong is not None:
+            raise ConfigError("does not go with --points: the file says it", key=wrong)
+        return _read_points(
+            url, addresses or [], points, unit, period, as_json, as_csv, timeout, retries, capture, verbose
+        )
+    if not addresses:
+        raise ConfigError("what to read is missing: addresses such as 4x1, or --points FILE", key="ADDRESS...")
     wanted = [_wanted(address, kind, order, number, split=split) for address in addresses]
     with (
         capturing(capture),
@@ -95,6 +112,24 @@ def read(
             with suppress(KeyboardInterrupt):  # this is how watching ends
                 _read_again_and_again(asked, wanted, writer, period, split=split)
     return ExitCode.DONE
+
+
+def _read_points(
+    url: str, names: list[str], file: str, unit: str | None, period: float | None, as_json: bool, as_csv: bool,
+    timeout: str | None, retries: str | None, capture: str | None, verbose: int,
+) -> int:  # fmt: skip
+    """The points of a file, by their names."""
+    from .read_points import PointReader, load_points, read_points
+
+    number, section = load_points(file, None if unit is None else whole_number(unit, "--unit", 0, 255))
+    with (
+        capturing(capture),
+        opened_unit(
+            url, unit=None if number is None else str(number), timeout=timeout, retries=retries, verbose=verbose
+        ) as asked,
+    ):
+        reader = PointReader(asked, section, names)
+        return read_points(reader, unit=number, as_json=as_json, as_csv=as_csv, period=period)
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:

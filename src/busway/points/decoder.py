@@ -180,6 +180,7 @@ class _Source:
             if number is not None and number not in self._numbers:
                 self._numbers[number] = f"n{len(self._numbers)}"
         needed = {point.conversion.scale_from for point in self._points} - {""}
+        needed |= {point.name for point in self._points if point.is_exponent}
         for place in sorted(range(len(self._points)), key=lambda each: self._points[each].name not in needed):
             self._point(place, self._points[place], is_exponent=self._points[place].name in needed)
         values = ", ".join(f"v{place}" for place in range(len(self._points)))

@@ -40,6 +40,7 @@ class Point:
         group: the name of the atomic group that it belongs to; all of it is read in one request. None for none.
         exists: for each group around it whose size the device says: the name of the point that holds how many there
             are, and its own place among them, from 1 on.
+        is_exponent: whether another point names it in ``scale_from``; then decoders remember its value.
         formula: the expression of a computed point; empty for one that is read.
         rollover: the number of an accumulator at which it begins again from 0, in the unit of measure; None if it is
             none.
@@ -60,6 +61,7 @@ class Point:
     unit_of_measure: str = ""
     group: str | None = None
     exists: tuple[tuple[str, int], ...] = ()
+    is_exponent: bool = False
     formula: str = ""
     rollover: float | None = None
     poll_class: str = ""

@@ -403,9 +403,11 @@ class UnitSection(WholeSection):
 
     def described(self) -> list[Point]:
         """The points as all that read them have it, computed ones too."""
+        exponents = {each.section.scale_from for each in self.placed}
         return [
             replace(
                 each.section.described,
+                is_exponent=each.section.name in exponents,
                 exists=each.exists,
                 group=each.group,
                 poll_class=each.section.poll_class or self.read.poll_class,

@@ -1,0 +1,319 @@
+"""``busway read --points FILE``: the points of a device by name, in as few requests as its rules allow.
+
+1. What is wrong with the file is said as a whole, and nothing is sent then.
+2. A read that fails is a record of each of its points, with the reason. A read of several points that the device
+   refuses is asked again point by point: one bad register does not spoil the rest.
+3. What others depend on is read first: how many members a group has.
+"""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, Final
+
+from ..codes import ExceptionCode
+from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
+from ..points import Derivation, Point, Quality, ReadDecoder, Reading, Reason
+from ..points.quality import exception_reason, reason_text
+from ..values import format_address
+from .exits import ExitCode, exit_code_of
+from .output import LivePage, fewest_digits, json_value, print_aligned, print_csv, print_json, shown_value
+
+if TYPE_CHECKING:
+    from ..client.blocking import BlockingUnit
+    from ..config.files.device import UnitSection
+
+_COLUMNS: Final = ("point", "value", "unit_of_measure", "quality", "reason", "label", "address", "type", "raw")
+_REFUSED: Final = (ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE)
+
+
+@dataclass(frozen=True, slots=True)
+class PointRecord:
+    """What is said of one point.
+
+    Attributes:
+        point: it.
+        reading: its value, or why there is none.
+        raw: its items in wire order; empty where they are not known.
+    """
+
+    point: Point
+    reading: Reading
+    raw: bytes = b""
+
+    @property
+    def value(self) -> Any:  # what its type says
+        """Its value with the fewest digits that its registers tell apart."""
+        value, point = self.reading.value, self.point
+        if isinstance(value, float) and point.type.startswith("float") and not point.conversion.changes:
+            return fewest_digits(value, 2 * point.width)
+        return value
+
+    @property
+    def address(self) -> str:
+        """Where it stands; empty for a computed point."""
+        if self.point.formula:
+            return ""
+        name = self.point.type
+        field = "." + name.removeprefix("field:").partition(":")[0] if name.startswith("field:") else ""
+        return format_address(self.point.address) + field
+
+
+def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]":
+    """The unit of a file that is meant, and its number.
+
+    Args:
+        name: a device file, a simulation file, ``device:NAME``, or a register map whose name ends in ``.csv``.
+        unit: the number that was asked for; None for the one that the file has.
+
+    Raises:
+        ConfigError: the file cannot be, or it is not clear which of its units is meant.
+    """
+    from ..apps.simulator.includes import load_declaration
+    from ..apps.simulator.register_map import read_register_map
+    from ..config.files.simulation import SimulatedUnitSection
+
+    if name.lower().endswith(".csv"):
+        return unit, SimulatedUnitSection.model_validate({"unit": 1, "point": read_register_map(name)})
+    sections = [each.section for each in load_declaration(name).units]
+    numbers = [number for section in sections for number in section.unit]
+    if unit is None:
+        if len(numbers) != 1:
+            raise ConfigError(f"{name} has the units {', '.join(map(str, numbers))}: say which", key="--unit")
+        return numbers[0], sections[0]
+    found = next((section for section in sections if unit in section.unit), None)
+    if found is None and len(sections) != 1:
+        raise ConfigError(f"{name} has the units {', '.join(map(str, numbers))}, not {unit}", key="--unit")
+    return unit, found or sections[0]
+
+
+def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
+    """The points of a unit whose names fit: all, or those of some names and patterns (``string.*``)."""
+    points = section.described()
+    for name in names:
+        if not any(fnmatchcase(point.name, name) for point in points):
+            there = ", ".join(point.name for point in points[:12]) + (", …" if len(points) > 12 else "")
+            raise ConfigError(f"there is no such point; there are {there}", key=name)
+    return [point for point in points if not names or any(fnmatchcase(point.name, name) for name in names)]
+
+
+class PointReader:
+    """Reads some points of a unit, again and again.
+
+    Args:
+        unit: the device.
+        section: its description.
+        names: those that are wanted, or patterns; none for all.
+    """
+
+    def __init__(self, unit: "BlockingUnit", section: "UnitSection", names: Sequence[str]) -> None:
+        self._unit = unit
+        self._rules = section.read.rules()
+        self._all = {point.name: point for point in section.described()}
+        self.points = chosen_points(section, names)
+        needed = self._with_inputs(self.points)
+        self._derivation = Derivation(needed)
+        self._stored = [point for point in needed if not point.formula]
+        self._known: dict[str, int] = {}
+        self.code: int = ExitCode.DONE
+        """Of the first failure of the last round."""
+
+    def _with_inputs(self, points: Iterable[Point]) -> list[Point]:
+        """The points, and those that they are computed from or scaled with."""
+        found: dict[str, Point] = {}
+        waiting = [point.name for point in points]
+        while waiting:
+            point = self._all[waiting.pop()]
+            if point.name in found:
+                continue
+            found[point.name] = point
+            inputs = Derivation([point]).inputs() if point.formula else ()
+            waiting += [*inputs, *(name for name, _ in point.exists)]
+            waiting += [point.conversion.scale_from] if point.conversion.scale_from else []
+        return [point for point in self._all.values() if point.name in found]
+
+    def read(self) -> list[PointRecord]:
+        """One round: a record for each point that is wanted and exists, in the order of the file."""
+        self.code = ExitCode.DONE
+        counting = {name for point in self._stored for name, _ in point.exists}
+        records = self._read([point for point in self._stored if point.name in counting])
+        rest = [point for point in self._stored if point.name not in counting and _exists(point, records)]
+        records |= self._read(rest)
+        derived = self._derivation.apply({name: each.reading for name, each in records.items()}, time.monotonic())
+        for name, reading in derived.items():
+            raw = records[name].raw if name in records else b""
+            records[name] = PointRecord(self._all[name], reading, raw)
+        return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
+
+    def _read(self, points: Sequence[Point]) -> dict[str, PointRecord]:
+        from ..apps.collector.cost import network_cost
+        from ..apps.collector.plan import plan_reads
+
+        plan = plan_reads(points, self._rules, network_cost())
+        replies: list[tuple[ReadDecoder, bytes]] = []
+        found = {each.item.name: self._failed(each.item, Reason.CONFIGURATION) for each in plan.unreadable}
+        for read in plan.reads:
+            members = [point for point in read.items if point in points]
+            self._ask(members, read.start, read.width, replies, found)
+        # Twice where scale factors come from another read: then all are known.
+        decoded = [(decoder, data, decoder.decode(data, self._known)) for decoder, data in replies]
+        if any(Reason.NO_SCALE_FACTOR in each.flaws.values() for _, _, each in decoded):
+            decoded = [(decoder, data, decoder.decode(data, self._known)) for decoder, data in replies]
+        for decoder, data, result in decoded:
+            for place, point in enumerate(decoder.points):
+                reading = Reading(result.values[place], result.flaws.get(place, Reason.NONE))
+                found[point.name] = PointRecord(point, reading, _items(decoder, point, data))
+        return found
+
+    def _ask(
+        self,
+        points: list[Point],
+        start: int,
+        width: int,
+        replies: list[tuple[ReadDecoder, bytes]],
+        found: dict[str, PointRecord],
+    ) -> None:
+        """One read; where the device refuses it and it has several points, each of them alone."""
+        from ..client.operations import READ
+
+        table = points[0].table
+        if self._rules.pause:
+            time.sleep(self._rules.pause)
+        try:
+            (reply,) = self._unit.execute_many([READ[table](start, width)])
+        except InvalidRequest:
+            raise
+        except ModbusError as error:
+            if len(points) > 1 and isinstance(error, ExceptionReply) and error.code in _REFUSED:
+                for point in points:
+                    self._ask([point], point.start, point.width, replies, found)
+                return
+            self.code = self.code or exit_code_of(error)
+            for point in points:
+                found[point.name] = self._failed(point, reason_of(error))
+        else:
+            replies.append((ReadDecoder(points, table, start, width), bytes(reply.data)))
+
+    def _failed(self, point: Point, reason: int) -> PointRecord:
+        return PointRecord(point, Reading(None, reason))
+
+
+def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
+    """Whether a member of a group is there, as far as the device has said."""
+    for name, place in point.exists:
+        record = records.get(name)
+        if record is not None and record.reading.value is not None and place > record.reading.value:
+            return False
+    return True
+
+
+def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
+    """The bytes of one point of a reply; of a bit one byte, 0 or 1."""
+    first = point.start - decoder.start
+    if point.table.holds_bits:
+        return bytes([data[first // 8] >> (first & 7) & 1])
+    return data[2 * first : 2 * (first + point.width)]
+
+
+def reason_of(error: ModbusError) -> int:
+    """The reason of a reading that an error left without a value."""
+    if isinstance(error, ExceptionReply):
+        return exception_reason(error.code)
+    if isinstance(error, BadReply):
+        return Reason.BROKEN_REPLY
+    if isinstance(error, LinkDown):
+        return Reason.NO_CONNECTION
+    return Reason.IN_DOUBT if getattr(error, "kind", "") == "in doubt" else Reason.TIMEOUT
+
+
+def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv: bool, period: float | None) -> int:
+    """Read once, or again and again until Ctrl-C; the exit code."""
+    with closing(_PointWriter(unit, as_json=as_json, as_csv=as_csv, repeats=period is not None)) as writer:
+        if period is None:
+            writer.write(reader.read())
+            return reader.code
+        due = time.monotonic()
+        with suppress(KeyboardInterrupt):
+            while True:
+                now = datetime.now().astimezone().isoformat(timespec="milliseconds")
+                writer.write(reader.read(), now)
+                due = max(due + period, time.monotonic())
+                time.sleep(max(0.0, due - time.monotonic()))
+    return ExitCode.DONE
+
+
+class _PointWriter:
+    """Shows records: as JSON lines, CSV, or columns; drawn anew in their place on a terminal."""
+
+    def __init__(self, unit: int | None, *, as_json: bool, as_csv: bool, repeats: bool) -> None:
+        if as_json and as_csv:
+            raise ConfigError("does not go with --json", key="--csv")
+        self._unit = unit
+        self._as_json, self._as_csv = as_json, as_csv
+        self._has_header = False
+        self._page = LivePage() if repeats and not as_json and not as_csv and LivePage.fits() else None
+
+    def close(self) -> None:
+        """No more records come."""
+        if self._page is not None:
+            self._page.close()
+
+    def write(self, records: Sequence[PointRecord], now: str = "") -> None:
+        """Show the records of a round."""
+        if self._as_json:
+            for record in records:
+                print_json(({"time": now} if now else {}) | ({} if self._unit is None else {"unit": self._unit})
+                           | _fields(record))  # fmt: skip
+        elif self._as_csv:
+            header = [] if self._has_header else [*(["time"] if now else []), *_COLUMNS]
+            self._has_header = True
+            print_csv(header, [[*([now] if now else []), *_cells(record, raw=record.raw.hex())] for record in records])
+        elif self._page is not None:
+            self._page.show([_shown(record) for record in records], now)
+        else:
+            print_aligned([[*([now] if now else []), *_shown(record)] for record in records])
+
+
+def _fields(record: PointRecord) -> dict[str, Any]:
+    """A record as JSON has it."""
+    point, reading = record.point, record.reading
+    fields = {
+        "point": point.name,
+        "value": json_value(record.value),
+        "unit_of_measure": point.unit_of_measure,
+        "quality": reading.quality.label,
+        "reason": reason_text(reading.reason),
+        "address": record.address,
+        "type": point.type,
+        "raw": record.raw.hex(),
+    }
+    label = point.label(reading.value)
+    return fields | ({"label": label} if label else {})
+
+
+def _cells(record: PointRecord, raw: str) -> list[str]:
+    point, reading = record.point, record.reading
+    return [
+        point.name,
+        "" if reading.value is None else shown_value(record.value),
+        point.unit_of_measure,
+        reading.quality.label,
+        reason_text(reading.reason),
+        point.label(reading.value),
+        record.address,
+        point.type,
+        raw,
+    ]
+
+
+def _shown(record: PointRecord) -> list[str]:
+    """Name, value with unit of measure and label, quality where it is not good, address, raw."""
+    point, reading = record.point, record.reading
+    value = "—" if reading.value is None else shown_value(record.value)
+    label = point.label(reading.value)
+    raw = record.raw.hex(" ", 2) if len(record.raw) > 1 else record.raw[:1].hex().lstrip("0") or record.raw.hex()[:1]
+    why = f"{reading.quality.label}: {reason_text(reading.reason)}" if reading.quality is not Quality.GOOD else ""
+    return [point.name, value, point.unit_of_measure, label, why, record.address, raw]

@@ -1,0 +1,62 @@
+"""A device file or profile, with its parameters put in, as the description of one unit.
+
+Knows files, parameters and the schema of units; includes and plays nothing (`busway.apps.simulator` does).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from pydantic import ValidationError
+
+from ...errors import ConfigError
+from ...values.refusal import shown
+from ..files.problems import FileError
+from ..files.schema import faults_of, in_order, read_source
+from ..files.simulation import Parameter, ProfileFile, SimulatedUnitSection
+from ..parameters import FilledSource, declared_parameters
+from . import read_profile
+
+
+def load_profile(name: str, *, unit: int, parameters: Mapping[str, Parameter] | None = None) -> SimulatedUnitSection:
+    """The one unit that a file describes, under the number of a device.
+
+    Args:
+        name: path of a file with one ``[[unit]]``, or ``device:NAME``.
+        unit: the number of the device, 0…255, whatever the file says.
+        parameters: values of the file's parameters.
+
+    Raises:
+        FileError: all that is wrong with it, each with file, line and key.
+        ConfigError: it cannot be read, has no such parameter, needs one that is not given, or has several units.
+    """
+    given = dict(parameters or {})
+    source = read_source(read_profile(name), name)
+    defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
+    known = [*defaults, *required] if isinstance(defaults, dict) and isinstance(required, list) else []
+    for each in given:
+        if each not in known:
+            raise ConfigError(f"there is no such parameter in it; there are {', '.join(known) or 'none'}", key=each)
+    missing = [each for each in known if each not in given and each not in defaults]
+    if missing:
+        raise ConfigError(f"needs the parameter {shown(missing[0])}", file=name)
+    source = replace(source, data={key: value for key, value in source.data.items() if key != "required"})
+    values = {**declared_parameters(source, {}, None), **given, "unit": unit, "index": 0}
+    data = FilledSource(source, values).filled(source.data, ())
+    sections = data.get("unit")
+    if not isinstance(sections, list) or len(sections) != 1 or data.get("include"):
+        raise ConfigError("a profile has one [[unit]] and no [[include]]", file=name)
+    if isinstance(sections[0], dict):
+        sections[0]["unit"] = [unit]
+    filled = replace(source, data=data)
+    shape = {key: value for key, value in data.items() if key in ProfileFile.model_fields}
+    replace(source, data=shape).checked(ProfileFile)
+    try:
+        return SimulatedUnitSection.model_validate(sections[0])
+    except ValidationError as error:
+        raise FileError(
+            in_order(
+                filled.problem(("unit", 0, *path), sentence)
+                for each in error.errors()
+                for path, sentence in faults_of(each, SimulatedUnitSection)
+            )
+        ) from None
