@@ -68,6 +68,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         "_half_closed",
         "_is_queued",
         "_is_rated",
+        "_is_single",
         "_is_stuck",
         "_late",
         "_management",
@@ -104,6 +105,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._half_closed = False
         self._is_queued = False  # it waits for its turn
         self._is_rated = False
+        self._is_single = management.parameters.single_adu_segments
         self._is_stuck = False
         self._late: list[bytes] | None = None  # late replies that leave at the end of this turn
         self.session: Session | None = None
@@ -150,14 +152,15 @@ class ServerConnection(asyncio.BufferedProtocol):
         if self._management.turns.is_crowded and self._must_wait(session, nbytes):
             return
         replies = session.receive(self._buffer, nbytes)
-        self._finish(session, replies, nbytes)
+        if replies:
+            self._write(replies)
+        if session.deferred or session.failures or session.unfinished or session.broken or self._is_rated:
+            self._finish(session, nbytes)
         if session.spent > 1 or nbytes > _MANY_BYTES:
             self._look_at_share(session, nbytes)
 
-    def _finish(self, session: Session, replies: list[bytes], size: int) -> None:
-        """Send the replies to ``size`` received bytes, then start deferred answers, timeouts and error handling."""
-        if replies:
-            self._write(replies)
+    def _finish(self, session: Session, size: int) -> None:
+        """Start deferred answers, timeouts and error handling after ``size`` received bytes were answered."""
         if session.deferred:
             self._start_waiting(session)
         if session.failures:
@@ -252,7 +255,10 @@ class ServerConnection(asyncio.BufferedProtocol):
             return False
         if session.rest:
             size = len(session.rest)
-            self._finish(session, session.go_on(), size)
+            replies = session.go_on()
+            if replies:
+                self._write(replies)
+            self._finish(session, size)
             session.spent = 0
         self.is_greedy = self.is_greedy or bool(session.rest)
         return bool(session.rest) and not (self._is_stuck or self._transport.is_closing())
@@ -373,7 +379,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     def _write(self, replies: list[bytes]) -> None:
         self.last_used = time.monotonic()
-        if self._management.parameters.single_adu_segments:
+        if self._is_single:
             for reply in replies:
                 self._transport.write(reply)
                 self.sent += len(reply)
