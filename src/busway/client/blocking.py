@@ -20,6 +20,7 @@ from ..pdu.read_items import (
     ReadFifoQueue,
     ReadHoldingRegisters,
     ReadInputRegisters,
+    read_request,
 )
 from ..pdu.wide import wide
 from ..pdu.write_items import (
@@ -30,15 +31,15 @@ from ..pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from ..session.call_tracker import ClientCounters
+from ..session.call import CallOptions, call_for
 from ..session.reconnect import ConnectionState
+from ..session.retries import ClientCounters
 from ..values import Address, ValueType
 from ..values.names import FloatName, IntegerName, Level, Order
 from .blocking_link import BlockingLinkDriver
 from .blocking_pool import BLOCKING_POOL
-from .calls import (
+from .checks import (
     SHOWN_STATE,
-    call_for,
     check_selected,
     closed_error,
     default_unit,
@@ -47,13 +48,11 @@ from .calls import (
 )
 from .management import LinkSelection, selection
 from .operations import (
-    CallOptions,
     Operation,
     WriteFunction,
     diagnostic_data,
     diagnostic_request,
     read_identification,
-    read_request,
     read_values,
     write_values,
 )

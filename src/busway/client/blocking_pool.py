@@ -6,7 +6,7 @@ from weakref import WeakKeyDictionary
 
 from ..session.parameters import TransactionScope
 from .blocking_link import BlockingLinkDriver
-from .calls import check_same
+from .checks import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for

@@ -11,11 +11,10 @@ from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import Parity, SerialTiming
 from ..session.breaker import Breakers
-from ..session.call import Call
-from ..session.call_tracker import ClientCounters
+from ..session.call import Call, Places
 from ..session.client import TcpClientSession
 from ..session.line_framing import line_framing
-from ..session.requests_in_flight import Places
+from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
 from ..transport.serial.settings import SerialSettings
 from .settings import LineSettings, LinkSettings

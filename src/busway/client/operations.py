@@ -5,9 +5,8 @@ operation is a generator that yields requests (one, or several to send together)
 """
 
 import contextlib
-from collections.abc import Callable, Generator, Sequence
-from functools import lru_cache
-from typing import Any, Literal, TypedDict
+from collections.abc import Generator, Sequence
+from typing import Any, Literal
 
 from ..codes import MAX_READ_BITS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
 from ..errors import BadReply, InvalidRequest
@@ -35,30 +34,10 @@ from ..pdu.write_items import (
 )
 from ..values import Address, ValueType, parse_address, value_type
 
-
-@lru_cache(maxsize=4096, typed=True)
-def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Build a read of a range; the same range gives the same object, so a poller encodes each request once."""
-    return kind(address, count)
-
-
 Operation = Generator[Sequence[Request], Sequence[Message], Any]
 WriteFunction = Literal["auto", "single", "multiple"]
 
 LEVELS = {"basic": 1, "regular": 2, "extended": EXTENDED}
-
-
-class CallOptions(TypedDict, total=False):
-    """Options of every call; what is left out is taken from the link.
-
-    timeout: seconds per attempt. retries: further attempts of reads. deadline: seconds in all, queueing included.
-    idempotent: a write may be executed twice, so it is repeated like a read.
-    """
-
-    timeout: float
-    retries: int
-    deadline: float
-    idempotent: bool
 
 
 def read_values(

@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 from ..errors import ConfigError
 from ..session.parameters import TransactionScope
-from .calls import check_same
+from .checks import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for

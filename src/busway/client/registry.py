@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from weakref import WeakSet
 
 from ..errors import ConfigError, LinkDown
-from ..session.call_tracker import ClientCounters
+from ..session.retries import ClientCounters
 from ..transport.dialled import counted_by
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from collections import deque
 from typing import Protocol
 
 from ..errors import ConfigError
-from ..session.requests_in_flight import Places, places
+from ..session.call import Places, places
 
 
 class ScopedLink(Protocol):

@@ -1,7 +1,9 @@
 """Functions 01–04 and 24: reading the four tables and a queue of registers."""
 
 import struct
-from typing import ClassVar
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, ClassVar
 
 from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
 from .bits import unpack_bits
@@ -155,3 +157,9 @@ def _table(function: type[Request]) -> Table:
 def _read(model: DataModel, table: Table, address: int, count: int, context: Context) -> bytes:
     model.check(table, address, count, False)
     return model.read(table, address, count, context)
+
+
+@lru_cache(maxsize=4096, typed=True)
+def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
+    """Build a read of a range; the same range gives the same object, so a poller encodes each request once."""
+    return kind(address, count)

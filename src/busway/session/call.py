@@ -1,19 +1,49 @@
-"""A call of the application: one or many requests to one unit, and their outcomes.
+"""Calls of the application, and their requests in flight over TCP: single ones and pipelined batches.
 
-Knows its own progress; knows no connection and no bytes (Messaging on TCP/IP V1.0b §4.4.1: "user application demand").
+A call is one or many requests to one unit, with their outcomes (Messaging on TCP/IP V1.0b §4.4.1: "user application
+demand"). Knows its own progress and the layout of consecutive ADUs; knows no connection and no queue. Retries and
+the errors that end a request are in `retries`.
+
+1. What does not depend on transactions is computed once and kept with the requests (`Request.memo`): a poller sends the
+   same requests again and again.
+2. A reply is recognised by its transaction and the seven bytes after it: protocol, length, unit, function, byte count.
+   On any other reply the session splits the batch (`PipelinedBatch.apart`) and matches each request by itself.
+3. While a batch is in flight no request sent after it has ended, because any other reply splits the batch first. So its
+   identifiers are the latest ones, and need not be looked up among those of later requests.
 """
 
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from operator import attrgetter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypedDict
 
-from ..errors import ModbusError
+from ..errors import InvalidRequest, ModbusError
 from ..pdu.message import Message, Request
+from .parameters import ClientParameters
 
 Outcome = Message | ModbusError
 
-
 _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
+_IS_WRITE = attrgetter("is_write")
+_BEHIND = struct.Struct(">HHB")
+"""The MBAP header after the transaction: protocol, length, unit."""
+HEAD_SIZE = 9
+"""Bytes that identify a reply: the transaction and the seven bytes after it."""
+
+
+class CallOptions(TypedDict, total=False):
+    """Options of every call; what is left out is taken from the link.
+
+    timeout: seconds per attempt. retries: further attempts of reads. deadline: seconds in all, queueing included.
+    idempotent: a write may be executed twice, so it is repeated like a read.
+    """
+
+    timeout: float
+    retries: int
+    deadline: float
+    idempotent: bool
 
 
 class Call:
@@ -110,3 +140,252 @@ class Call:
     def error(self) -> ModbusError | None:
         """The first error among the outcomes."""
         return next((outcome for outcome in self.outcomes if isinstance(outcome, ModbusError)), None)
+
+
+def call_for(
+    unit: int,
+    requests: Sequence[Request],
+    defaults: ClientParameters,
+    call_options: CallOptions,
+    now: float,
+    caller: object = None,
+) -> Call:
+    """Build the `Call` of one method call; ``caller`` may be set later, if the call has to queue."""
+    deadline = defaults.deadline
+    timeout = defaults.timeout
+    retries = defaults.retries
+    idempotent = False
+    if call_options:
+        timeout, retries, deadline, idempotent = _checked(call_options, timeout, retries, deadline)
+    return Call(
+        unit,
+        requests,
+        requests[0].is_write if len(requests) == 1 else any(map(_IS_WRITE, requests)),
+        timeout,
+        retries,
+        idempotent,
+        caller,
+        None if deadline is None else now + deadline,
+    )
+
+
+def _checked(
+    call_options: CallOptions, timeout: float, retries: int, deadline: float | None
+) -> tuple[float, int, float | None, bool]:
+    rest: dict[str, Any] = dict(call_options)
+    timeout = rest.pop("timeout", None) or timeout
+    retries = rest.pop("retries", retries)
+    deadline = rest.pop("deadline", None) or deadline
+    idempotent = rest.pop("idempotent", False)
+    if rest:
+        raise InvalidRequest(
+            f"unknown option {next(iter(rest))}; a call takes timeout, retries, deadline and idempotent"
+        )
+    if not 0 < timeout <= 3600:
+        raise InvalidRequest(f"timeout must be above 0 and at most 3600 seconds, not {timeout}")
+    if not 0 <= retries <= 100:
+        raise InvalidRequest(f"retries must be 0…100, not {retries}")
+    if deadline is not None and deadline <= 0:
+        raise InvalidRequest(f"deadline must be above 0 seconds, not {deadline}")
+    return timeout, retries, deadline, idempotent
+
+
+class EncodedRequest:
+    """The bytes of a request to one unit on TCP, and of its expected reply, without the transaction.
+
+    Attributes:
+        unit: the unit identifier.
+        tail: the ADU of the request without its transaction.
+        head: the seven bytes after the transaction of a fitting reply; empty if they do not suffice to recognise it.
+        reply_size: bytes of the ADU of a fitting reply.
+        take: builds the reply from its data.
+        others: the routes of the same request to all units, if it was sent to more than one.
+        plan: the plan of the last pipelined batch that began with this request.
+    """
+
+    __slots__ = ("head", "others", "plan", "reply_size", "tail", "take", "unit")
+
+    def __init__(self, request: Request, unit: int) -> None:
+        wire = request.prepare()
+        size, prefix, take = request.expected_size, request.expected_prefix, request.take
+        self.unit: int = unit
+        self.tail: bytes = _BEHIND.pack(0, len(wire) + 1, unit) + wire
+        self.reply_size: int = 7 + size
+        self.take: Any = take
+        is_known = take is not None and size > 0 and len(prefix) == 2
+        self.head: bytes = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
+        self.others: dict[int, EncodedRequest] | None = None
+        self.plan: BatchPlan | None = None
+
+
+def route_of(request: Request, unit: int) -> EncodedRequest:
+    """The route of a request to a unit; made at the first use and kept with the request."""
+    try:
+        route: EncodedRequest = request.memo
+    except AttributeError:
+        route = EncodedRequest(request, unit)
+    else:
+        if route.unit == unit:
+            return route
+        route = _other_route(request, unit, route)
+    request.remember(route)
+    return route
+
+
+def _other_route(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
+    """The route to a unit for a request that has routes to others; all of them share one table by unit."""
+    if known.others is None:
+        known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
+    found = known.others.get(unit)
+    if found is None:
+        found = known.others[unit] = EncodedRequest(request, unit)
+        found.others = known.others
+    return found
+
+
+class RequestInFlight:
+    """A slot for one request in flight; a connection reuses the same few objects."""
+
+    __slots__ = ("call", "expires", "position", "route", "sent")
+
+    call: Call | None  # None: cancelled
+    position: int
+    route: EncodedRequest
+    sent: float
+    expires: float
+
+
+Places = list[RequestInFlight]
+"""The free slots for requests in flight."""
+
+
+def places(count: int) -> Places:
+    """Make ``count`` free slots for requests in flight, for one session or shared by the sessions of a client."""
+    return [RequestInFlight() for _ in range(count)]
+
+
+class BatchPlan:
+    """The bytes of several requests to one unit, and of their expected replies, without the transactions.
+
+    Attributes:
+        following: the requests after the first. The first request holds the plan, so the plan does not refer to it:
+            that would be a reference cycle for each call.
+        fits: whether all replies can be recognised by their first bytes; otherwise the requests cannot be batched.
+        heads: the seven bytes after the transaction of each reply.
+        reply_sizes, reply_size: bytes of the ADU of each reply, and of all together.
+        takers: builds each reply from its data.
+    """
+
+    __slots__ = (
+        "_fields",
+        "_is_plain",
+        "_pack",
+        "_unpack_from",
+        "fits",
+        "following",
+        "heads",
+        "reply_size",
+        "reply_sizes",
+        "takers",
+    )
+
+    def __init__(self, first: EncodedRequest, following: tuple[Request, ...]) -> None:
+        routes = [first, *[route_of(request, first.unit) for request in following]]
+        self.following: tuple[Request, ...] = following
+        self.fits: bool = all(route.head for route in routes)
+        self.heads: tuple[bytes, ...] = tuple(route.head for route in routes)
+        self.reply_sizes: tuple[int, ...] = tuple(route.reply_size for route in routes)
+        self.reply_size: int = sum(self.reply_sizes)
+        self.takers: tuple[Any, ...] = tuple(route.take for route in routes)
+        self._is_plain = set(self.takers) == {bytes}  # the caller wants the data as they came (a gateway)
+        self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
+        if self.fits:
+            out, back = _shapes(tuple(len(route.tail) for route in routes), self.reply_sizes)
+            self._pack, self._unpack_from = out.pack, back.unpack_from
+
+    def encode(self, transactions: Sequence[int]) -> bytes:
+        """The ADUs of all requests with these transactions, joined."""
+        fields = self._fields.copy()  # another thread may use the same plan
+        fields[0::2] = transactions
+        return self._pack(*fields)
+
+    def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
+        """All replies, if ``buffer`` from ``at`` on holds them complete and in the order of the requests, else None."""
+        fields = self._unpack_from(buffer, at)
+        if fields[0::3] != transactions or fields[1::3] != self.heads:
+            return None
+        if self._is_plain:
+            return list(fields[2::3])
+        return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
+
+
+@lru_cache(maxsize=256)
+def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
+    """Struct layouts of the requests and of the replies of a batch; ``tails`` and ``replies`` are sizes in bytes."""
+    out = "".join(f"H{size}s" for size in tails)
+    back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
+    return struct.Struct(">" + out), struct.Struct(">" + back)
+
+
+def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
+    """The batch plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
+    route = route_of(requests[first], unit)
+    following = tuple(requests[first + 1 : first + count])
+    plan = route.plan
+    if plan is None or plan.following != following:  # as a rule the very same objects, so this is no work
+        plan = route.plan = BatchPlan(route, following)
+    return plan
+
+
+class PipelinedBatch:
+    """Consecutive requests of one call that were sent together and whose replies are expected in order.
+
+    Attributes:
+        call: the call they belong to.
+        first: position of the first request in the call.
+        plan: their bytes without transactions.
+        transactions: their transaction identifiers.
+        places: the slots they take, one for each request still without its reply.
+        answered: how many of them, counted from the first, have their reply.
+        sent, expires: when they were sent and when they time out, in the clock of ``now``.
+    """
+
+    __slots__ = ("answered", "call", "expires", "first", "places", "plan", "sent", "transactions")
+
+    def __init__(
+        self,
+        call: Call,
+        first: int,
+        plan: BatchPlan,
+        transactions: tuple[int, ...],
+        places: Places,
+        sent: float,
+    ) -> None:
+        self.call: Call = call
+        self.first: int = first
+        self.plan: BatchPlan = plan
+        self.transactions: tuple[int, ...] = transactions
+        self.places: Places = places
+        self.answered: int = 0
+        self.sent: float = sent
+        self.expires: float = sent + call.timeout
+
+    def expects(self, buffer: bytes, at: int) -> bool:
+        """Whether the frame that begins at ``at`` is the next expected reply."""
+        following = self.answered
+        return (
+            buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
+            and buffer[at] << 8 | buffer[at + 1] == self.transactions[following]
+        )
+
+    def apart(self) -> Iterator[tuple[int, RequestInFlight]]:
+        """Split the batch: give each request that has no reply yet as a single one, with its transaction."""
+        call = self.call
+        for index in range(self.answered, len(self.transactions)):
+            awaited = self.places.pop()
+            awaited.call = call
+            awaited.position = self.first + index
+            awaited.route = route_of(call.requests[awaited.position], call.unit)
+            awaited.sent = self.sent
+            awaited.expires = self.expires
+            yield self.transactions[index], awaited

@@ -32,11 +32,10 @@ from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from .breaker import Breakers, BreakerState
-from .call import Call
-from .call_tracker import CallTracker, ClientCounters
+from .call import HEAD_SIZE, Call, PipelinedBatch, Places, RequestInFlight, places, plan_of, route_of
 from .parameters import ClientParameters, MismatchPolicy
 from .queue import BURST
-from .requests_in_flight import HEAD_SIZE, PipelinedBatch, Places, RequestInFlight, places, plan_of, route_of
+from .retries import CallTracker, ClientCounters
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096

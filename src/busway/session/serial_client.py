@@ -41,10 +41,10 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .breaker import BreakerParameters, Breakers
 from .call import Call
-from .call_tracker import CallTracker, ClientCounters, function_of
 from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
 from .line_framing import LineFraming
 from .parameters import ClientParameters
+from .retries import CallTracker, ClientCounters, function_of
 
 OWED_FOR: Final = 2.0
 """Multiple of the timeout after which a reply has come even from a unit that breaks the order (`doubt` rule 5)."""

@@ -24,8 +24,8 @@ from ...codes import ExceptionCode
 from ...errors import ConfigError, LinkDown, ModbusError
 from ...server.diagnosis import StatusIndicator, StatusIndicators
 from ...session.breaker import BreakerState
-from ...session.call_tracker import ClientCounters
 from ...session.reconnect import ConnectionEvent
+from ...session.retries import ClientCounters
 from ...session.serial_client import SerialClientSession
 from .exception_codes import code_for
 from .upstream_log import UpstreamLog

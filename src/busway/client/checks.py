@@ -1,25 +1,19 @@
-"""Helpers of both interfaces: options of a call, default units, and checks of settings before a link is shared.
+"""Checks that both interfaces make: units, settings of a link that is shared, errors of calls that were refused.
 
 Knows defaults and checks; knows no link and does no IO.
 """
 
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
-from typing import Any
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkClosed, ModbusError, NoReply, WriteOutcomeUnknown
 from ..options.endpoints import Endpoint
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
-from ..session.call import Call
-from ..session.call_tracker import function_of
-from ..session.parameters import ClientParameters
 from ..session.reconnect import ConnectionState
-from .operations import CallOptions
+from ..session.retries import function_of
 from .settings import CALL_DEFAULTS, LinkSettings
 
-_IS_WRITE = attrgetter("is_write")
 SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
     ConnectionState.UP.value: "connected",
     ConnectionState.DOWN.value: "not connected",
@@ -58,54 +52,6 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
     if may_help:
         assert isinstance(outcome, ModbusError)
         outcome.message += f"; unit {unit} was assumed because none was named"
-
-
-def call_for(
-    unit: int,
-    requests: Sequence[Request],
-    defaults: ClientParameters,
-    call_options: CallOptions,
-    now: float,
-    caller: object = None,
-) -> Call:
-    """Build the `Call` of one method call; ``caller`` may be set later, if the call has to queue."""
-    deadline = defaults.deadline
-    timeout = defaults.timeout
-    retries = defaults.retries
-    idempotent = False
-    if call_options:
-        timeout, retries, deadline, idempotent = _checked(call_options, timeout, retries, deadline)
-    return Call(
-        unit,
-        requests,
-        requests[0].is_write if len(requests) == 1 else any(map(_IS_WRITE, requests)),
-        timeout,
-        retries,
-        idempotent,
-        caller,
-        None if deadline is None else now + deadline,
-    )
-
-
-def _checked(
-    call_options: CallOptions, timeout: float, retries: int, deadline: float | None
-) -> tuple[float, int, float | None, bool]:
-    rest: dict[str, Any] = dict(call_options)
-    timeout = rest.pop("timeout", None) or timeout
-    retries = rest.pop("retries", retries)
-    deadline = rest.pop("deadline", None) or deadline
-    idempotent = rest.pop("idempotent", False)
-    if rest:
-        raise InvalidRequest(
-            f"unknown option {next(iter(rest))}; a call takes timeout, retries, deadline and idempotent"
-        )
-    if not 0 < timeout <= 3600:
-        raise InvalidRequest(f"timeout must be above 0 and at most 3600 seconds, not {timeout}")
-    if not 0 <= retries <= 100:
-        raise InvalidRequest(f"retries must be 0…100, not {retries}")
-    if deadline is not None and deadline <= 0:
-        raise InvalidRequest(f"deadline must be above 0 seconds, not {deadline}")
-    return timeout, retries, deadline, idempotent
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:

@@ -9,8 +9,8 @@ from busway.pdu.message import Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.call_tracker import CallTracker
 from busway.session.parameters import ClientParameters
+from busway.session.retries import CallTracker
 
 READ, WRITE = ReadHoldingRegisters(5, 1), WriteSingleRegister(6, 1)
 
