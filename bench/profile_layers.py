@@ -25,12 +25,12 @@ from offline.timing import quickest
 from offline.wire import NUMBERS, Device, MemoryLoop, Wire
 
 import busway
+from busway.options.client import ClientParameters
 from busway.server.local import LocalHandler
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
-from busway.session.parameters import ClientParameters
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 

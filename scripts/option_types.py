@@ -1,50 +1,24 @@
-"""Writes the types of the options of `connect`, `open` and `serve…` from the parameter classes. ``--check``: compares.
+"""Writes the types of the options of `connect`, `open` and `serve…` from their declarations. ``--check``: compares.
 
-Knows dataclasses and annotations; an option that is added to a parameter class has a type here after the next run.
+Knows declared options; one that is added has a type here after the next run.
 """
 
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from enum import Enum
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 from marked import ROOT, update
 
-from busway.client.management import ManagementParameters
 from busway.framing.timing import Parity
+from busway.options.declaration import Option, declared
+from busway.options.offer import LINKS, SERVERS
 from busway.options.presets import Preset
-from busway.options.text import ALIASES
-from busway.server.parameters import ListenerParameters
-from busway.session.breaker import BreakerParameters
-from busway.session.line_framing import FramingParameters
-from busway.session.parameters import ClientParameters, ServerParameters
-from busway.session.serial_client import SerialClientParameters
-from busway.transport.serial.opening import OpeningParameters
-from busway.transport.serial.settings import SerialSettings
-from busway.transport.tcp import SocketParameters
-from busway.transport.tls.parameters import OF_SERVERS, TlsParameters
-
-LINKS = (
-    ClientParameters,
-    SocketParameters,
-    ManagementParameters,
-    TlsParameters,
-    SerialClientParameters,
-    BreakerParameters,
-    FramingParameters,
-    SerialSettings,
-    OpeningParameters,
-)
-"""What `busway.connect` and `busway.open` take, all schemes together."""
-SERVERS = (ServerParameters, ListenerParameters, SocketParameters)
-"""What `busway.serve` takes."""
 
 HEAD = '''"""{title}
 
-Written by ``scripts/option_types.py`` from the parameter classes, which say what each option means.
+Written by ``scripts/option_types.py`` from `busway.options`, where each option is declared.
 """
 
 {imports}
@@ -64,24 +38,20 @@ class Source:
         self._package = package
         self._imports: dict[str, set[str]] = {"typing": {"TypedDict"}}
 
-    def keys(self, kinds: Sequence[type[Any]], *, without: Iterable[str] = ()) -> dict[str, str]:
+    def keys(self, kinds: Sequence[type[Any]], *, role: str = "") -> dict[str, str]:
         """The options of parameter classes, each with the text of its type."""
-        found: dict[str, str] = {}
-        for kind in kinds:
-            hints = get_type_hints(kind)
-            for field in fields(kind):
-                if field.name not in without:
-                    found[field.name] = self.text(hints[field.name])
-        return found
+        options = [option for kind in kinds for option in declared(kind).values()]
+        taken = [one for one in options if not role or all(on.fits_role(role) for on in one.on)]
+        found = {one.name: self.text(one) for one in taken}
+        return found | {alias: found[one.name] for one in taken for alias in one.aliases}
 
-    def text(self, hint: Any) -> str:
-        """The annotation of what may be given for a type."""
-        kinds = get_args(hint) or (hint,)
-        return " | ".join(text for kind in kinds for text in self._texts(kind))
+    def text(self, option: Option) -> str:
+        """The annotation of what may be given for an option."""
+        texts = [text for kind in option.kinds for text in self.texts(kind)]
+        return " | ".join([*texts, "None"] if option.is_optional else texts)
 
-    def _texts(self, kind: Any) -> list[str]:
-        if kind is NoneType:
-            return ["None"]
+    def texts(self, kind: Any) -> list[str]:
+        """The annotations of what may be given for a type."""
         if kind.__module__ == "builtins":
             return [str(kind.__name__)]
         self._import(kind.__module__, kind.__name__)
@@ -112,9 +82,7 @@ class Source:
 def link_options() -> str:
     """``client/option_types.py``."""
     source = Source("client")
-    keys = source.keys(LINKS, without=OF_SERVERS)
-    keys["preset"] = source.text(Preset)
-    keys |= {alias: keys[name] for alias, name in ALIASES.items()}
+    keys = source.keys(LINKS, role="client") | {"preset": " | ".join(source.texts(Preset))}
     return source.render(
         "LinkOptions",
         "The options of `busway.connect` and `busway.open`, for type checkers.",
@@ -126,9 +94,7 @@ def link_options() -> str:
 def server_options() -> str:
     """``server/option_types.py``."""
     source = Source("server")
-    keys = source.keys(SERVERS)
-    keys["preset"] = source.text(Preset)
-    keys["standard_port"] = "bool"
+    keys = source.keys(SERVERS) | {"preset": " | ".join(source.texts(Preset))}
     return source.render(
         "ServerOptions",
         "The options of `busway.serve`, for type checkers.",

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from .observe.metrics.endpoint import start_metrics
     from .observe.trace import TRACE, TraceLevel
     from .options.endpoints import Endpoint, parse_endpoint
+    from .options.server import ListenerParameters
+    from .options.tls import TlsParameters
     from .pdu.diagnostics import (
         GetCommEventCounter,
         GetCommEventLog,
@@ -85,12 +87,10 @@ if TYPE_CHECKING:
     from .server.hooks import Access, Change
     from .server.listener import Listener
     from .server.option_types import ServerOptions
-    from .server.parameters import ListenerParameters
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
     from .session.handler import LATER, SILENCE, RequestContext
-    from .transport.tls.parameters import TlsParameters
     from .values import Address, ValueType, parse_address, value_type
     from .values.constants import (
         BCD16,
@@ -176,13 +176,13 @@ _HOME = {
     "access.audit": ("AuditLog",),
     "server.listener": ("Listener",),
     "server.option_types": ("ServerOptions",),
-    "server.parameters": ("ListenerParameters",),
+    "options.server": ("ListenerParameters",),
     "access.authorizer": ("PolicyHandler",),
     "server.server": ("Server",),
     "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
     "server.single_block": ("SingleBlock",),
     "session.handler": ("LATER", "SILENCE", "RequestContext"),
-    "transport.tls.parameters": ("TlsParameters",),
+    "options.tls": ("TlsParameters",),
     "values.constants": (
         "BCD16",
         "BCD32",

@@ -13,13 +13,14 @@ from busway.access.authorizer import PolicyHandler
 from busway.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
 from busway.observe.metrics.handler import metered
+from busway.options.server import UnitPolicy
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import LocalHandler, UnitPolicy
+from busway.server.local import LocalHandler
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import LATER, SILENCE, Handler, ListedUnits, ReadPlanner, RequestContext, UnitHolder
 from busway.session.server import TcpServerSession

@@ -2,11 +2,11 @@
 
 import pytest
 
-from busway.access.networks import Networks
 from busway.access.question import Asker, Question
 from busway.access.rules import DEFAULT_RULE, Action, Limits, Policy, Rule, Zone, zones_of
 from busway.codes import Table
 from busway.errors import ConfigError
+from busway.options.networks import Networks
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, FunctionTable
 from busway.pdu.message import ReplyMessage, Request, Touch

@@ -3,7 +3,7 @@
 import pytest
 
 import busway
-from busway.client.management import ManagementParameters
+from busway.options.client import ManagementParameters
 from busway.testing import faulty_server, known_device
 
 AMPLE = 5.0

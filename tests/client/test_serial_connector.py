@@ -10,10 +10,10 @@ from busway.errors import BadReply, NoReply
 from busway.framing.conversation import Role
 from busway.framing.rtu import encode_rtu
 from busway.framing.timing import SerialTiming
+from busway.options.client import ClientParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.call import Call
 from busway.session.line_framing import line_framing
-from busway.session.parameters import ClientParameters
 from busway.session.serial_client import SerialClientSession
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.connection import SerialConnection

@@ -19,8 +19,8 @@ from tls_peers import OF_SSL, VERSIONS, one_version, query, receive_adu
 
 import busway
 from busway.errors import ConfigError, LinkDown, WriteOutcomeUnknown
+from busway.options.tls import TlsVersion
 from busway.testing.certificates import CertificateFiles, CertificateStore
-from busway.transport.tls.parameters import TlsVersion
 
 REGISTER = 1234
 Store = CertificateStore

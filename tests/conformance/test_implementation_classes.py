@@ -12,11 +12,11 @@ import busway
 from busway.client.settings import link_settings
 from busway.errors import ConfigError, InvalidRequest, NoReply
 from busway.options.endpoints import parse_endpoint
+from busway.options.ports import SerialSettings
+from busway.options.server import ListenerParameters
 from busway.server.listener import Listener
 from busway.server.listener_settings import listener_settings
-from busway.server.parameters import ListenerParameters
 from busway.testing.line import PacedLine
-from busway.transport.serial.settings import SerialSettings
 
 pytestmark = pytest.mark.clause("S18")
 

@@ -17,6 +17,8 @@ import busway
 from busway.access.question import Question
 from busway.access.rates import Rates
 from busway.codes import Table
+from busway.options.client import ClientParameters
+from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
@@ -27,10 +29,9 @@ from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.handler import RequestContext
-from busway.session.parameters import ClientParameters
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
-from busway.transport.tcp import SocketParameters
+from busway.transport.tcp import configure
 
 pytestmark = pytest.mark.clause("T4")
 
@@ -123,7 +124,7 @@ def test_parameters_of_the_stack_alone_are_set_on_any_socket() -> None:
         socket.create_server(("127.0.0.1", 0)) as listener,
         socket.create_connection(listener.getsockname()) as dialled,
     ):
-        SocketParameters(keepalive_idle=71).apply(dialled)
+        configure(dialled, SocketParameters(keepalive_idle=71))
         assert dialled.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
         assert dialled.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == 71
 

@@ -9,8 +9,9 @@ from waiting import until
 import busway
 from busway.client.connector import TcpConnector
 from busway.client.settings import link_settings
+from busway.options.sockets import SocketParameters
 from busway.testing import CertificateStore
-from busway.transport.tcp import SocketParameters
+from busway.transport.tcp import configure
 
 ANY_PORT = "tcp://127.0.0.1:0"
 CHOSEN = {
@@ -121,7 +122,7 @@ def test_the_user_timeout_never_makes_keepalive_wait_for_longer_than_its_own_fig
     parameters = SocketParameters(**chosen)  # type: ignore[arg-type]
     assert parameters.effective_user_timeout == expected
     with socket.socket() as connection:
-        parameters.apply(connection)
+        configure(connection, parameters)
         assert options_of(connection)["user_timeout"] == (expected or 0)
 
 

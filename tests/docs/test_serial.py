@@ -6,12 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
+from busway.options.ports import OpeningParameters, SerialSettings
 from busway.options.text import option_names
-from busway.session.breaker import BreakerParameters
-from busway.session.line_framing import FramingParameters
-from busway.session.serial_client import SerialClientParameters
-from busway.transport.serial.opening import OpeningParameters
-from busway.transport.serial.settings import SerialSettings
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "serial.md"
 CLASSES = (SerialSettings, OpeningParameters, FramingParameters, SerialClientParameters, BreakerParameters)

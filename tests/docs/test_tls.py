@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from busway.options.tls import NULL_SUITES, SUITES, TlsParameters
 from busway.transport.tls.failures import FailureKind
-from busway.transport.tls.parameters import NULL_SUITES, SUITES, TlsParameters
 
 PAGE = Path(__file__).parents[2] / "docs" / "security.md"
 UNSEEN = {FailureKind.OTHER, FailureKind.WRONG_NAME}

@@ -7,9 +7,10 @@ import pytest
 import busway
 from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
+from busway.options.server import UnitPolicy
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
-from busway.server.local import LocalHandler, UnitPolicy
+from busway.server.local import LocalHandler
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import RequestContext
 from busway.testing import FAULT_PROFILES, Carrier, Contact, Exchange, Faults, FaultyConversation, golden_adu

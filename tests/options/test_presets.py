@@ -11,27 +11,23 @@ import busway
 from busway.client.settings import link_settings
 from busway.config.files.device import parse_device_file
 from busway.errors import ConfigError
-from busway.options.presets import (
-    STRICT_LINE_LISTENERS,
-    STRICT_LINKS,
-    STRICT_SERVERS,
-    STRICT_TLS_LISTENERS,
-    Preset,
-    preset_of,
-)
+from busway.options.client import MismatchPolicy, TransactionScope
+from busway.options.offer import LINKS, LISTENERS, SERVERS, Offer
+from busway.options.presets import Preset, preset_of, strict_settings
+from busway.options.server import ListenerParameters, Scope, UnitPolicy, UnlistedUnit
+from busway.options.tls import TlsParameters
 from busway.server.device import Device
 from busway.server.listener import Listener
 from busway.server.listener_settings import listener_settings
-from busway.server.local import LocalHandler, UnitPolicy, UnlistedUnit
-from busway.server.parameters import ListenerParameters
-from busway.server.strict import STANDARD_PORT, with_server_preset
-from busway.session.parameters import MismatchPolicy, Scope, TransactionScope
+from busway.server.local import LocalHandler
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))
-EVERYWHERE = {
-    one.option: one for one in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_TLS_LISTENERS, *STRICT_SERVERS)
-}
+STRICT_LINKS = strict_settings(Offer.of(LINKS).options)
+STRICT_SERVERS = strict_settings(Offer.of(SERVERS).options)
+STRICT_LISTENERS = strict_settings(Offer.of(LISTENERS).options)
+EVERYWHERE = STRICT_LINKS | STRICT_LISTENERS | STRICT_SERVERS
+TLS = TlsParameters(certificate="server.pem", authority="ca.pem")
 URLS = ("tcp://h", "udp://h", "rtu:///dev/x", "ascii:///dev/x", "rtu+tcp://h:1", "ascii+udp://h:1")
 
 
@@ -61,13 +57,13 @@ def test_whatever_the_preset_changes_is_stated_as_a_deviation() -> None:
     for url in URLS:
         defaults |= dict(settings_in(link_settings(url, {})))
     changed = set()
-    for setting in STRICT_LINKS:
-        default = defaults[setting.option]
+    for option, setting in STRICT_LINKS.items():
+        default = defaults.get(option, setting.value)
         if getattr(default, "value", default) != setting.value:
-            changed.add(setting.option)
+            changed.add(option)
     assert changed <= stated
-    assert {one.option for one in STRICT_TLS_LISTENERS} <= stated
-    assert {one.option for one in STRICT_SERVERS} - stated <= {"keepalive", "no_delay"}  # those are our defaults
+    assert "require_purpose" in stated
+    assert set(STRICT_SERVERS) - stated <= {"keepalive", "no_delay"}  # those are our defaults
 
 
 @pytest.mark.clause("S21")
@@ -76,17 +72,17 @@ def test_a_link_has_every_setting_of_the_preset_that_its_scheme_has(url: str) ->
     plain, strict = (dict(settings_in(link_settings(url, options))) for options in ({}, {"preset": "strict"}))
     in_url = dict(settings_in(link_settings(f"{url}?preset=strict", {})))
     assert {**in_url, "endpoint": None, "options": None} == {**strict, "endpoint": None, "options": None}
-    for setting in STRICT_LINKS:
+    for option, setting in STRICT_LINKS.items():
         refused = False
         try:
-            link_settings(url, {setting.option: setting.value})
+            link_settings(url, {option: setting.value})
         except ConfigError:
             refused = True  # its scheme does not have it
         if refused:
-            assert strict.get(setting.option) == plain.get(setting.option)
+            assert strict.get(option) == plain.get(option)
         else:
-            value = strict[setting.option]
-            assert getattr(value, "value", value) == setting.value, setting.option
+            value = strict[option]
+            assert getattr(value, "value", value) == setting.value, option
 
 
 @pytest.mark.clause("S21")
@@ -135,9 +131,9 @@ def test_a_preset_that_is_not_there_is_refused() -> None:
 
 def test_the_reference_lists_every_setting_of_the_preset() -> None:
     page = (ROOT / "docs" / "reference" / "defaults.md").read_text(encoding="utf-8")
-    for setting in (*STRICT_LINKS, *STRICT_LINE_LISTENERS, *STRICT_TLS_LISTENERS, *STRICT_SERVERS):
+    for option, setting in (*STRICT_LINKS.items(), *STRICT_LISTENERS.items(), *STRICT_SERVERS.items()):
         value = "on" if setting.value is True else setting.value
-        shown = f"`{setting.option}={value:g}`" if isinstance(value, int | float) else f"`{setting.option}={value}`"
+        shown = f"`{option}={value:g}`" if isinstance(value, int | float) else f"`{option}={value}`"
         assert f"{shown}*" in page if setting.adaptable else shown in page, setting.option
 
 
@@ -241,10 +237,8 @@ def test_a_file_chooses_the_preset_of_its_server(text: str) -> None:
     ],
 )
 def test_502_is_listened_on_beside_another_port_once_for_each_host(places: list[str], expected: list[str]) -> None:
-    found, left = with_server_preset(places, {STANDARD_PORT: "on", "other": 1}, takes=())
-    added = [one for one in found if isinstance(one, Listener)]
-    assert [str(one.endpoint) for one in added] == expected
-    assert left == {"other": 1}
+    server = busway.serve(*places, units={1: Device(coils=1)}, tls=TLS, standard_port="on")  # type: ignore[arg-type]
+    assert [one.endpoint.url for one in server._settings[len(places) :]] == expected
 
 
 @pytest.mark.clause("T3")
@@ -262,8 +256,6 @@ def test_the_listener_on_502_has_access_rules_and_limits_of_the_one_it_stands_be
         return False
 
     beside = Listener("tcp://127.0.0.1:5020", access=nobody, limits=ListenerParameters(max_connections=3))
-    found, _ = with_server_preset([beside], {"preset": "strict"}, takes=())
-    added = found[1]
-    assert isinstance(added, Listener)
+    added = busway.serve(beside, units={1: Device(coils=1)}, preset="strict")._settings[1]
     assert added.access is nobody
     assert added.limits == ListenerParameters(max_connections=3, single_adu_segments=True)

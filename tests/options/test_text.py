@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from busway.errors import ConfigError
+from busway.options.client import ClientParameters, MismatchPolicy
+from busway.options.server import Scope, ServerParameters
 from busway.options.text import build_parameters, option_names
-from busway.session.parameters import ClientParameters, MismatchPolicy, Scope, ServerParameters
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from waiting import until
 import busway
 import busway.server.pools
 from busway.access.addresses import AddressList
-from busway.access.networks import Networks
+from busway.options.networks import Networks
+from busway.options.server import ListenerParameters
 from busway.server.authorisation import Authorise
 from busway.server.listener import Listener
-from busway.server.parameters import ListenerParameters
 from busway.server.pools import Pool
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu

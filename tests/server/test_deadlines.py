@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from busway.options.server import ListenerParameters
 from busway.server.deadlines import Deadlines, Overdue
-from busway.server.parameters import ListenerParameters
 
 
 @dataclass(eq=False)

@@ -7,6 +7,7 @@ import pytest
 
 import busway
 from busway.framing.rtu import encode_rtu
+from busway.options.ports import SerialSettings
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
@@ -15,7 +16,6 @@ from busway.server.tcp import settle
 from busway.session.handler import Outcome, RequestContext
 from busway.testing.line import PacedLine
 from busway.transport.serial.blocking import BlockingSerialPort
-from busway.transport.serial.settings import SerialSettings
 
 BAUD = 115_200
 READ = encode_rtu(5, ReadHoldingRegisters(0, 2).encode())

@@ -17,11 +17,11 @@ from waiting import until
 
 import busway
 from busway.errors import ConfigError
+from busway.options.tls import TlsParameters, TlsVersion
 from busway.server.listener import Listener
 from busway.server.serving import ServerThread
 from busway.server.status import SecurityStatus
 from busway.testing.certificates import CertificateFiles, CertificateStore
-from busway.transport.tls.parameters import TlsParameters, TlsVersion
 
 pytestmark = pytest.mark.usefixtures("road")
 

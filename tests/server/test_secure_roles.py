@@ -9,9 +9,9 @@ from tls_peers import READ, VERSIONS, ask, foreign_client, foreign_context
 
 import busway
 from busway import AuditLog, Policy, Rule
+from busway.options.tls import TlsVersion
 from busway.server.serving import ServerThread
 from busway.testing.certificates import CertificateStore
-from busway.transport.tls.parameters import TlsVersion
 
 WRITE = bytes.fromhex("0002 0000 0006 01 06 0000 0007")
 READ_REPLY = bytes.fromhex("0001 0000 0005 01 03 02 04D2")

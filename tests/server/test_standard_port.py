@@ -7,9 +7,9 @@ from urllib.parse import urlsplit
 import pytest
 
 import busway
+from busway.options.server import ListenerParameters
 from busway.server.listener import as_listeners
 from busway.server.listener_settings import listener_settings
-from busway.server.parameters import ListenerParameters
 from busway.server.standard_port import with_standard_port
 
 LIMITS = ListenerParameters()

@@ -10,11 +10,11 @@ from waiting import until
 
 import busway
 from busway.access.addresses import AddressList
-from busway.access.networks import Networks
 from busway.access.rules import Policy
 from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
+from busway.options.networks import Networks
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.listener import Listener
 

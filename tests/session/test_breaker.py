@@ -5,10 +5,11 @@ from bus import Bus, MasterEnd
 
 from busway.errors import ConfigError, ModbusError, NoReply, UnitSuspended
 from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
+from busway.options.lines import BreakerParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
-from busway.session.breaker import BreakerParameters, Breakers, BreakerState
-from busway.session.parameters import ClientParameters
+from busway.session.breaker import Breakers, BreakerState
 
 READ = ReadHoldingRegisters(0, 10)
 

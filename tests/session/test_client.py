@@ -15,12 +15,12 @@ from busway.errors import (
     WriteOutcomeUnknown,
 )
 from busway.framing.mbap import encode_mbap
+from busway.options.client import MismatchPolicy
 from busway.pdu.encapsulated import ReadDeviceIdentification
 from busway.pdu.general import OpaqueRequest
 from busway.pdu.read_items import ReadFifoQueue, ReadHoldingRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.session.call import Call
-from busway.session.parameters import MismatchPolicy
 
 WRITE = WriteSingleRegister(7, 0x1234)
 

@@ -11,11 +11,11 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from busway.errors import LinkDown, ModbusError, Overloaded
 from busway.framing.mbap import MbapFrame, encode_mbap
+from busway.options.client import MismatchPolicy
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.parameters import MismatchPolicy
 
 READS = st.builds(read, st.integers(0, 500), st.integers(1, 2))
 WRITES = st.builds(WriteSingleRegister, st.integers(0, 500), st.integers(0, 0xFFFF))

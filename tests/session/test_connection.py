@@ -5,12 +5,12 @@ import math
 import pytest
 
 from busway.errors import LinkDown, ModbusError, WriteOutcomeUnknown
+from busway.options.client import ClientParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.connection import ConnectionLife
-from busway.session.parameters import ClientParameters
 from busway.session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 
 PAUSE = 8.0

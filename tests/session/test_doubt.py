@@ -5,15 +5,14 @@ from bus import Bus, MasterEnd, honest
 
 from busway.errors import BadReply, ExceptionReply, NoReply, UnitSuspended, WriteOutcomeUnknown
 from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
+from busway.options.lines import BreakerParameters, SerialClientParameters
 from busway.pdu.diagnostics import ReturnQueryData
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.session.breaker import BreakerParameters
 from busway.session.doubt import CHECK_EVERY, OWED_LIMIT, Doubts, MarkerKind, OwedReply, UnitDoubt
-from busway.session.parameters import ClientParameters
-from busway.session.serial_client import SerialClientParameters
 
 READ = ReadHoldingRegisters(0, 2)
 REPLY = bytes.fromhex("03 04 00 01 00 02")

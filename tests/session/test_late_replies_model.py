@@ -13,6 +13,8 @@ import pytest
 from late_reply_world import BASIC, PROMPT, Breach, Question, UnitModel, World
 
 from busway.errors import ModbusError, NoReply
+from busway.options.client import ClientParameters
+from busway.options.lines import BreakerParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (
@@ -23,10 +25,7 @@ from busway.pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from busway.session.breaker import BreakerParameters
 from busway.session.doubt import OWED_LIMIT
-from busway.session.parameters import ClientParameters
-from busway.session.serial_client import SerialClientParameters
 
 STEPS = 2000
 SEEDS = range(50)

@@ -8,7 +8,8 @@ from busway.framing.conversation import Role
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.rtu_strict import StrictRtuReceiver
 from busway.framing.timing import SerialTiming
-from busway.session.line_framing import FramingParameters, line_framing
+from busway.options.lines import FramingParameters
+from busway.session.line_framing import line_framing
 
 LINE = SerialTiming.of_line(9600)
 NETWORK = SerialTiming.of_network()

@@ -9,6 +9,7 @@ from bus import Bus, MasterEnd, Question
 from busway.errors import ExceptionReply, ModbusError, NoReply, UnitSuspended
 from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
 from busway.pdu.diagnostics import ReturnQueryData
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
@@ -20,7 +21,6 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.session.parameters import ClientParameters
 
 OWN = {1: (1, 2, 3), 2: (10, 11), 3: (20, 21, 22, 23)}
 """Units by port."""

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from busway.errors import ConfigError
-from busway.session.parameters import ClientParameters, MismatchPolicy, Scope, ServerParameters, TransactionScope
+from busway.options.client import ClientParameters, MismatchPolicy, TransactionScope
+from busway.options.server import Scope, ServerParameters
 
 
 @pytest.mark.clause("T23")

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 
 from busway.errors import LinkDown, ModbusError, NoReply, Overloaded, WriteOutcomeUnknown
+from busway.options.client import ClientParameters
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.parameters import ClientParameters
 from busway.session.retries import CallTracker
 
 READ, WRITE = ReadHoldingRegisters(5, 1), WriteSingleRegister(6, 1)

@@ -16,14 +16,14 @@ from busway.errors import (
 )
 from busway.framing.echo import Echo
 from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
+from busway.options.lines import FramingParameters, SerialClientParameters
 from busway.pdu.diagnostics import ReturnQueryData
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.session.line_framing import FramingParameters
-from busway.session.parameters import ClientParameters
-from busway.session.serial_client import MasterState, SerialClientParameters
+from busway.session.serial_client import MasterState
 
 CHARACTER = 11 / 9600
 T3_5 = 3.5 * CHARACTER

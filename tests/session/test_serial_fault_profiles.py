@@ -9,12 +9,12 @@ from bus import Bus, MasterEnd, honest
 from busway.errors import BadReply, ExceptionReply, ModbusError, NoReply, WriteOutcomeUnknown
 from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
+from busway.options.lines import SerialClientParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.session.parameters import ClientParameters
-from busway.session.serial_client import SerialClientParameters
 
 CHARACTER = 11 / 9600
 T3_5 = 3.5 * CHARACTER

@@ -9,6 +9,8 @@ from busway.errors import NoReply
 from busway.framing.ascii import encode_ascii
 from busway.framing.echo import Echo
 from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
+from busway.options.lines import FramingParameters
 from busway.pdu.diagnostics import (
     ChangeAsciiDelimiter,
     ClearCounters,
@@ -33,8 +35,6 @@ from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.session.diagnostics import Counters
 from busway.session.handler import LATER, SILENCE, Outcome, Refusal, RequestContext
-from busway.session.line_framing import FramingParameters
-from busway.session.parameters import ClientParameters
 
 CHARACTER = 11 / 9600
 T3_5 = 3.5 * CHARACTER

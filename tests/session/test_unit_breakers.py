@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import pytest
 
 from busway.errors import NoReply, UnitSuspended
+from busway.options.client import ClientParameters
+from busway.options.lines import BreakerParameters
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.session.breaker import BreakerParameters, Breakers, BreakerState
+from busway.session.breaker import Breakers, BreakerState
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.parameters import ClientParameters
 
 DELAY = 0.0007
 """Seconds that a unit takes to answer."""

@@ -3,9 +3,9 @@
 import pytest
 from bus import Bus
 
+from busway.options.client import ClientParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
-from busway.session.parameters import ClientParameters
 
 CHARACTER = 11 / 9600
 T3_5 = 3.5 * CHARACTER

@@ -16,16 +16,16 @@ from typing import Protocol
 from busway.framing.conversation import Role
 from busway.framing.echo import Echo
 from busway.framing.timing import SerialTiming
+from busway.options.client import ClientParameters
+from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
 from busway.server.device import Device
 from busway.server.local import LocalHandler
-from busway.session.breaker import BreakerParameters
 from busway.session.call import Call
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.handler import Handler, RequestContext
-from busway.session.line_framing import FramingParameters, LineFraming, line_framing
-from busway.session.parameters import ClientParameters
-from busway.session.serial_client import SerialClientParameters, SerialClientSession
+from busway.session.line_framing import LineFraming, line_framing
+from busway.session.serial_client import SerialClientSession
 from busway.session.serial_server import FrameToSend, SerialServerSession
 from busway.testing.virtual_line import VirtualLine, VirtualPort
 

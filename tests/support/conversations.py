@@ -5,11 +5,11 @@ from typing import Any
 
 from busway.errors import ModbusError
 from busway.framing.mbap import FrameKind, MbapFrame, MbapReceiver, encode_mbap
+from busway.options.client import ClientParameters
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.parameters import ClientParameters
 
 
 def read(address: int = 0, count: int = 1) -> ReadHoldingRegisters:

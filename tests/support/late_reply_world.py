@@ -21,12 +21,12 @@ from dataclasses import dataclass, field
 from busway.errors import BadReply, ExceptionReply, ModbusError, NoReply, UnitSuspended, WriteOutcomeUnknown
 from busway.framing.conversation import Role
 from busway.framing.timing import SerialTiming
+from busway.options.client import ClientParameters
+from busway.options.lines import BreakerParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
-from busway.session.breaker import BreakerParameters
 from busway.session.call import Call
 from busway.session.line_framing import line_framing
-from busway.session.parameters import ClientParameters
-from busway.session.serial_client import SerialClientParameters, SerialClientSession
+from busway.session.serial_client import SerialClientSession
 from busway.testing.virtual_line import VirtualLine
 
 PROMPT = 0.03

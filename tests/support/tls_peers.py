@@ -5,8 +5,8 @@ import socket
 import ssl
 from collections.abc import Iterator, Mapping
 
+from busway.options.tls import TlsVersion
 from busway.testing.certificates import CertificateFiles
-from busway.transport.tls.parameters import TlsVersion
 
 VERSIONS = (TlsVersion.TLS_1_2, TlsVersion.TLS_1_3)
 OF_SSL = {TlsVersion.TLS_1_2: ssl.TLSVersion.TLSv1_2, TlsVersion.TLS_1_3: ssl.TLSVersion.TLSv1_3}

@@ -9,7 +9,7 @@ Knows hosts; knows no request. It is asked before a byte of a client is parsed.
 
 from collections.abc import Iterable
 
-from .networks import Networks
+from ..options.networks import Networks
 
 
 class AddressList:

@@ -24,6 +24,7 @@ from functools import partial
 from typing import Final
 
 from ..codes import ExceptionCode
+from ..options.networks import host_of_peer
 from ..pdu.direct import Answer, ReadPlan
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
@@ -47,7 +48,6 @@ from .audit import AuditLog
 from .compiled import noted_writes, permitted_answers
 from .decisions import decision_key
 from .entries import DENIED, NO_ANSWER, Entry, Replaced, WallClock, outcome_of, who_text
-from .networks import host_of_peer
 from .question import Asker, Question
 from .rates import Rates
 from .repeats import Repeats, so_often

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ..codes import FunctionCode, Table
+from ..options.networks import host_of_peer
 from ..pdu.file_records import ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
 from ..pdu.general import MalformedRequest, OpaqueRequest
 from ..pdu.message import Request
 from ..pdu.read_items import unpack_registers
 from ..pdu.write_items import MaskWriteRegister, ReadWriteMultipleRegisters, WriteMultipleRegisters, WriteSingleRegister
-from .networks import host_of_peer
 
 FILES: Final = "files"
 """The space of file numbers, beside the four tables."""

@@ -24,9 +24,9 @@ from typing import Final, TypeVar
 from ..codes import ExceptionCode, Table
 from ..errors import ConfigError
 from ..options.endpoints import SCHEMES, parse_endpoint
+from ..options.networks import NetworkIndex, Networks
 from ..values.refusal import shown
 from .addresses import AddressList
-from .networks import NetworkIndex, Networks
 from .notation import Function, Range, merged, parse_files, parse_functions, parse_items, parse_table, parse_units
 from .question import END, FILES, Asker, Question, Space, TouchedRange
 

@@ -135,7 +135,7 @@ def _is_url(word: str) -> bool:
 def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
     """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
     from ..apps.gateway.configuration import load_gateway, simple_gateway
-    from ..session.parameters import CLIENT_DEADLINE
+    from ..options.client import CLIENT_DEADLINE
 
     files = [word for word in words if not _is_url(word)]
     if not files:

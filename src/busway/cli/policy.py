@@ -109,7 +109,7 @@ def _access_rules(file: str) -> "AccessRules":
 
 def _checked_host(text: str) -> str:
     """A numeric address, as a server sees it."""
-    from ..access.networks import Networks, host_of_peer
+    from ..options.networks import Networks, host_of_peer
 
     host = host_of_peer(text)
     if "/" in host:

@@ -66,7 +66,7 @@ READ_ONLY = "read-only"
 def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
     """Who may connect, by ``--allow`` and ``--deny``; None without them. Raises `ConfigError` that names the option."""
     from ..access.addresses import AddressList
-    from ..access.networks import Networks
+    from ..options.networks import Networks
 
     if not allow and not deny:
         return None
@@ -75,7 +75,7 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
     """Options of listeners that go before those of a file. Raises `ConfigError` that names the option."""
-    from ..access.networks import Networks
+    from ..options.networks import Networks
 
     return {"priority": Networks(priority, key="--priority")} if priority else {}
 

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, SupportsFloat, SupportsIndex, TypeVar, Unpack, overload
 
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded
+from ..options.client import ClientParameters, LinkSelection, selection
 from ..options.endpoints import Endpoint
 from ..pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ..pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
@@ -32,7 +33,6 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.call import CallOptions, call_for
-from ..session.parameters import ClientParameters
 from ..session.reconnect import ConnectionState
 from ..session.retries import ClientCounters
 from ..values import Address, ValueType
@@ -47,7 +47,6 @@ from .checks import (
     with_assumed_unit,
 )
 from .link import AsyncLinkDriver
-from .management import LinkSelection, selection
 from .operations import (
     Operation,
     WriteFunction,

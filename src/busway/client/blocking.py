@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, SupportsFloat, SupportsIndex, TypeVar, Unpack, overload
 
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded
+from ..options.client import LinkSelection, selection
 from ..options.endpoints import Endpoint
 from ..pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ..pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
@@ -46,7 +47,6 @@ from .checks import (
     refused,
     with_assumed_unit,
 )
-from .management import LinkSelection, selection
 from .operations import (
     Operation,
     WriteFunction,

@@ -4,13 +4,12 @@ import threading
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
-from ..session.parameters import TransactionScope
+from ..options.client import LinkSelection, TransactionScope
 from .blocking_link import BlockingLinkDriver
 from .checks import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
-from .management import LinkSelection
 from .scope import ClientScope, same_scope
 from .settings import LinkSettings
 

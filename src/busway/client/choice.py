@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TypeVar
 
 from ..errors import LinkDown, Overloaded
-from .management import LinkSelection
+from ..options.client import LinkSelection
 from .settings import LinkSettings
 
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..errors import ConfigError
 from ..framing.datagram import WHOLE
 from ..options.endpoints import Endpoint
+from ..options.sockets import SocketParameters
 from ..session.client import TcpClientSession
 from ..session.serial_client import SerialClientSession
-from ..transport.tcp import SocketParameters, link_down
+from ..transport.tcp import configure, link_down
 from .channel import Channel, LinkEnd
 from .settings import LinkSettings
 
@@ -59,7 +60,7 @@ class TcpConnector:
                     self._endpoint.port or 0,
                     local_address=self._sockets.local_address,
                     interface=self._interface,
-                    prepare=self._sockets.apply,
+                    prepare=lambda connection: configure(connection, self._sockets),
                 )
         except (OSError, ValueError) as error:
             raise link_down(error, endpoint=self._endpoint.url) from error
@@ -85,7 +86,7 @@ class TcpConnector:
         except (OSError, ValueError) as error:
             raise link_down(error, endpoint=self._endpoint.url) from error
         with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
-            self._sockets.apply(connection)
+            configure(connection, self._sockets)
         connection.setblocking(False)
         return connection
 

@@ -10,13 +10,13 @@ from ..errors import ModbusError
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import Parity, SerialTiming
+from ..options.ports import SerialSettings
 from ..session.breaker import Breakers
 from ..session.call import Call, Places
 from ..session.client import TcpClientSession
 from ..session.line_framing import line_framing
 from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
-from ..transport.serial.settings import SerialSettings
 from .settings import LineSettings, LinkSettings
 
 

@@ -1,17 +1,16 @@
 """The options of `busway.connect` and `busway.open`, for type checkers.
 
-Written by ``scripts/option_types.py`` from the parameter classes, which say what each option means.
+Written by ``scripts/option_types.py`` from `busway.options`, where each option is declared.
 """
 
 from typing import Literal, TypedDict
 
 from ..framing.echo import Echo
 from ..framing.timing import Parity
+from ..options.client import Hold, MismatchPolicy, TransactionScope
+from ..options.ports import Rs485
 from ..options.presets import Preset
-from ..session.parameters import MismatchPolicy, TransactionScope
-from ..transport.serial.settings import Rs485
-from ..transport.tls.parameters import Curve, TlsVersion, Verify
-from .management import Hold
+from ..options.tls import Curve, TlsVersion, Verify
 
 
 class LinkOptions(TypedDict, total=False):
@@ -92,7 +91,7 @@ class LinkOptions(TypedDict, total=False):
     reopen_first: float
     reopen_most: float
     precise_timing: bool
-    preset: Preset | Literal["standard", "strict"]
     baudrate: int
     bytesize: int
     stopbits: int | None
+    preset: Preset | Literal["standard", "strict"]

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from ..errors import ConfigError
-from ..session.parameters import TransactionScope
+from ..options.client import LinkSelection, TransactionScope
 from .checks import check_same
 from .choice import check_room, chosen
 from .connector import connector_for
 from .conversation import conversation_for
 from .link import AsyncLinkDriver
-from .management import LinkSelection
 from .scope import ClientScope, same_scope
 from .settings import LinkSettings
 

@@ -17,10 +17,11 @@ from typing import Any, Final
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ..errors import BadReply, ConfigError, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.offer import MONITORS, Offer, aliases
+from ..options.ports import SerialSettings
 from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters
 from ..session.adaptive_timeout import AdaptiveTimeout, floor_for
-from ..transport.serial.settings import SerialSettings
 from .blocking import BlockingLink, connect
 from .conversation import timing_of
 from .settings import link_settings
@@ -132,14 +133,8 @@ def refuse_busy_line(
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
     """The endpoint without the options that only a conversation has."""
-    from ..options.text import ALIASES, option_names
-    from ..session.line_framing import FramingParameters
-    from ..transport.serial.settings import SerialSettings
-    from ..transport.tcp import SocketParameters
-
-    port = SerialSettings if endpoint.carrier == "serial" else SocketParameters
-    taken = {*option_names(FramingParameters), *option_names(port)}
-    kept = {name: text for name, text in endpoint.options.items() if ALIASES.get(name, name) in taken}
+    taken = Offer.at(endpoint, "monitor", MONITORS).options
+    kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)
 
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import ConfigError, LinkDown
 from ..options.endpoints import Endpoint
+from ..options.ports import OpeningParameters, SerialSettings
 from ..session.serial_client import SerialClientSession
 from ..transport.serial.blocking import BlockingSerialPort
-from ..transport.serial.opening import Claim, OpeningParameters
+from ..transport.serial.opening import Claim, reopen_policy
 from ..transport.serial.overruns import Overruns
-from ..transport.serial.settings import SerialSettings
 from .channel import Channel, LinkEnd
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class _Waited:
     """How long a port was waited for."""
 
     def __init__(self, opening: OpeningParameters) -> None:
-        self._policy = opening.policy()
+        self._policy = reopen_policy(opening)
         self._until = time.monotonic() + opening.port_wait
         self._failures = 0
 

@@ -22,10 +22,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import ConfigError, LinkDown
 from ..options.endpoints import Endpoint
-from ..transport.tcp import SocketParameters, link_down
+from ..options.sockets import SocketParameters
+from ..options.tls import TlsParameters, Verify
+from ..transport.tcp import configure, link_down
 from ..transport.tls.context import WatchedContext, client_context, timeless_context
 from ..transport.tls.failures import FailureKind, TlsFailure, dated
-from ..transport.tls.parameters import TlsParameters, Verify
 
 if TYPE_CHECKING:
     import asyncio
@@ -102,7 +103,7 @@ class TlsConnector:
             below, layer = await loop.create_connection(new_layer, self._host, self._port, local_addr=self._local)
         try:
             with contextlib.suppress(OSError):  # a peer that is gone already says so to the handshake
-                self._sockets.apply(below.get_extra_info("socket"))
+                configure(below.get_extra_info("socket"), self._sockets)
             await agreed
         except BaseException:
             layer.abort()
@@ -136,7 +137,7 @@ class TlsConnector:
 
         connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
         with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
-            self._sockets.apply(connection)
+            configure(connection, self._sockets)
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:

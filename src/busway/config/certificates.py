@@ -1,9 +1,9 @@
 """The certificates of a listener as they hold in the end: its URL goes before its section, that before the rest."""
 
+from ..options.server import ListenerParameters
+from ..options.tls import TlsParameters
 from ..server.listener import Listener
 from ..server.listener_settings import listener_settings
-from ..server.parameters import ListenerParameters
-from ..transport.tls.parameters import TlsParameters
 
 
 def tls_of(listener: Listener) -> TlsParameters | None:

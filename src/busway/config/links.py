@@ -14,7 +14,8 @@ from typing import Any
 
 from ..client.settings import LinkSettings, link_settings, options_of
 from ..options.endpoints import parse_endpoint
-from ..transport.tls.parameters import OF_SERVERS
+from ..options.offer import option_names_for
+from ..options.tls import TlsParameters
 from .files.lines import Path
 from .files.system import LinkSection, SystemFile
 from .report import Judge, nearest
@@ -48,7 +49,8 @@ def named_links(
         judge: collects what is wrong.
         defaults: options of the program that uses the links, where they differ from those of links.
     """
-    security = {name: value for name, value in file.security.options().items() if name not in OF_SERVERS}
+    offered = option_names_for("client", [TlsParameters])
+    security = {name: value for name, value in file.security.options().items() if name in offered}
     general = {**defaults, **file.client.options()}
     links: dict[str, NamedLink] = {}
     for index, section in enumerate(file.link):

@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-TLS_FILES: Final = ("certificate", "key", "password_file", "authority", "revocation_list")
+from ..options.declaration import Mark, declared
+from ..options.tls import TlsParameters
+
+TLS_FILES: Final = tuple(name for name, option in declared(TlsParameters).items() if Mark.FILE in option.marks)
 """Options of `TlsParameters` that are paths."""
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..options.endpoints import parse_endpoint
+from ..options.tls import TlsParameters
 from ..server.listener import Listener
 from .certificates import try_certificates
 from .files.lines import Path as Place
@@ -45,7 +46,7 @@ class _Keys:
     """Where the keys of the certificates of a listener stand: with the listener, or in ``[security]``."""
 
     def __init__(self, file: SystemFile, place: Place) -> None:
-        self._own = file.listener[int(place[1])].options() if place[0] == "listener" else {}
+        self._own = file.listener[int(place[1])].options_of(TlsParameters) if place[0] == "listener" else {}
         self._general = file.security.options()
         self._at = place[:2]
 

@@ -14,20 +14,21 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, Self
+from typing import Final, Protocol, Self
 
 from ..errors import ConfigError, LinkDown
 from ..framing.conversation import Role
 from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.presets import OPTION, STRICT_LINE_LISTENERS, with_preset
-from ..options.text import build_parameters, canonical, option_names, unknown_option
-from ..session.line_framing import FramingParameters, line_framing
+from ..options.lines import FramingParameters
+from ..options.offer import MONITORS, Offer
+from ..options.ports import OpeningParameters, SerialSettings
+from ..options.sockets import SocketParameters
+from ..session.line_framing import line_framing
 from ..transport.serial.blocking import BlockingSerialPort
-from ..transport.serial.opening import Claim, OpeningParameters
-from ..transport.serial.settings import SerialSettings
-from ..transport.tcp import SocketParameters, link_down, network_reason
+from ..transport.serial.opening import Claim, reopen_policy
+from ..transport.tcp import configure, link_down, network_reason, set_buffers
 from ..transport.udp import MAX_DATAGRAM
 from .pairing import Heard, Pairing
 
@@ -37,13 +38,6 @@ _LONGEST_WAIT: Final = 0.2
 
 _LAST_READS: Final = 64
 """Reads at the end, far more than a line needs: a peer that sends without end must not keep us."""
-
-_OF_REOPENING: Final = frozenset({"reopen_first", "reopen_most"})
-"""What of the opening has an effect here."""
-_OF_DATAGRAMS: Final = frozenset({"receive_buffer"})
-"""The same of sockets that nobody is connected to."""
-_ONLY_RTU: Final = frozenset({"strict_timing", "gap_limit"})
-_ONLY_ASCII: Final = frozenset({"character_timeout", "delimiter", "upper_case_only"})
 
 
 class Ear(Protocol):
@@ -65,7 +59,7 @@ class SocketEar:
         address = endpoint.host or "127.0.0.1", endpoint.port or 0
         try:
             self._socket = socket.create_connection(address, parameters.connect_timeout)
-            parameters.apply(self._socket)
+            configure(self._socket, parameters)
         except OSError as error:
             raise link_down(error, endpoint=self._name) from error
 
@@ -102,7 +96,7 @@ class DatagramEar:
         except OSError as error:
             raise self._not_here(error) from error
         try:
-            parameters.apply_buffers(self._socket)
+            set_buffers(self._socket, parameters)
             self._socket.bind(address)
         except OSError as error:
             self._socket.close()
@@ -196,42 +190,17 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
         raise ConfigError(
             f"{endpoint.url}: only a line can be listened to: rtu or ascii, alone or with +tcp or +udp",
         )
-    offered = _offered(endpoint)
-    chosen: dict[type[Any], dict[str, object]] = {kind: {} for kind in offered}
-    takes = {name for names in offered.values() for name in names}
-    for name, value in with_preset(canonical(endpoint.options), STRICT_LINE_LISTENERS, takes=takes).items():
-        owner = next((kind for kind, names in offered.items() if name in names), None)
-        if owner is None:
-            raise unknown_option(name, {*takes, OPTION}, of=endpoint.url)
-        chosen[owner][name] = value
+    chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(endpoint.options, of=endpoint.url)
     port = None
     if endpoint.carrier == "serial":
-        port = SerialSettings.from_options(chosen[SerialSettings], binary=endpoint.framing == "rtu")
+        port = SerialSettings.from_options(chosen.values[SerialSettings], binary=endpoint.framing == "rtu")
     return LineToHear(
         endpoint,
-        build_parameters(FramingParameters, chosen[FramingParameters]),
+        chosen.build(FramingParameters),
         port,
-        build_parameters(SocketParameters, chosen.get(SocketParameters, {})),
-        build_parameters(OpeningParameters, chosen.get(OpeningParameters, {})),
+        chosen.build(SocketParameters),
+        chosen.build(OpeningParameters),
     )
-
-
-def _offered(endpoint: Endpoint) -> dict[type[Any], list[str]]:  # parameter classes share no base
-    """The options of a scheme that have an effect on who only listens, by the class that takes them."""
-    without = _ONLY_ASCII if endpoint.framing == "rtu" else _ONLY_RTU
-    if endpoint.carrier != "serial":
-        without |= {"strict_timing"}
-    offered: dict[type[Any], list[str]] = {
-        FramingParameters: [name for name in option_names(FramingParameters) if name not in without]
-    }
-    if endpoint.carrier == "serial":
-        offered[SerialSettings] = list(option_names(SerialSettings))
-        offered[OpeningParameters] = sorted(_OF_REOPENING)
-    elif endpoint.carrier == "udp":
-        offered[SocketParameters] = sorted(_OF_DATAGRAMS)
-    else:
-        offered[SocketParameters] = list(option_names(SocketParameters))
-    return offered
 
 
 class Listening:
@@ -357,7 +326,7 @@ class Listening:
         except LinkDown as error:
             self.lost = error
             self._failures += 1
-            self._try_at = self._clock() + (self._line.opening.policy().pause(self._failures) or 0.0)
+            self._try_at = self._clock() + (reopen_policy(self._line.opening).pause(self._failures) or 0.0)
             return False
         self.lost = None
         self._returned()

@@ -5,19 +5,14 @@ it from a list of texts.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from enum import Enum
-from types import NoneType, UnionType
-from typing import Any, Final, TypeVar, get_args, get_type_hints
+from typing import Any, Final, TypeVar
 
 from ..errors import ConfigError
+from .declaration import NONE, Option, declared
 
 Parameters = TypeVar("Parameters")
 
-NONE = "none"
-"""The text that means None for an option that may be None: files and URLs have no other word for it."""
-ALIASES: Final = {"baudrate": "baud", "bytesize": "data_bits", "stopbits": "stop_bits"}
-"""Alternative names of options, from pyserial, which most programs use."""
 _OTHER_WORDS: Final = {"retry": "retries", "speed": "baud", "rate": "baud"}
 """Names that users try for an option and that are too different from its name to be recognised as typing errors."""
 _WORDS_FOR_UNIT: Final = frozenset({"unit", "unit_id", "slave", "slave_id", "device_id", "station"})
@@ -29,22 +24,7 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 def option_names(kind: type[Any]) -> tuple[str, ...]:  # any parameter class, which share no base
     """Names of the options that a parameter class takes."""
-    return tuple(field.name for field in fields(kind))
-
-
-def canonical(options: Mapping[str, object]) -> dict[str, object]:
-    """Replace alternative names of options (`ALIASES`) by their own names.
-
-    Raises:
-        ConfigError: an option is given under both names.
-    """
-    found: dict[str, object] = {}
-    for given, value in options.items():
-        name = ALIASES.get(given, given)
-        if name in found:
-            raise ConfigError(f"is another name of {name}, which is given too", key=given if given != name else name)
-        found[name] = value
-    return found
+    return tuple(declared(kind))
 
 
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
@@ -69,33 +49,45 @@ def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigEr
     return ConfigError(f"unknown option{of and f' of {of}'}; {hint}", key=name)
 
 
-def build_parameters(kind: type[Parameters], options: Mapping[str, object]) -> Parameters:
+def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, framing: str = "") -> Parameters:
     """Build the frozen dataclass ``kind`` from values or their texts. Raises `ConfigError` with the key.
 
     An option that ``kind`` does not have is an error that lists the known ones.
+
+    Args:
+        kind: a parameter class.
+        options: the options that are given.
+        framing: that of the endpoint, which some defaults depend on.
     """
-    hints = get_type_hints(kind)
-    known = option_names(kind)
-    values: dict[str, object] = {}
+    known = declared(kind)
+    values = {name: one.by_framing[framing] for name, one in known.items() if framing in one.by_framing}
     for name, value in options.items():
-        if name not in known:
+        option = known.get(name)
+        if option is None:
             raise unknown_option(name, known)
-        values[name] = converted(name, value, hints[name])
+        values[name] = option_value(option, value)
     return kind(**values)
 
 
-def converted(name: str, value: object, wanted: Any) -> object:  # a type, or a union of types
-    """Convert a value, or its text, to the type of an option. Raises `ConfigError` with the option as its key."""
-    kinds = get_args(wanted) if isinstance(wanted, UnionType) else (wanted,)
-    if NoneType in kinds and (value is None or value == NONE):
+def option_value(option: Option, value: object) -> object:
+    """A value of an option, or its text, as its type. Raises `ConfigError` with the option as its key."""
+    if option.is_optional and (value is None or value == NONE):
         return None
+    return _of_kinds(option.name, value, option.kinds)
+
+
+def converted(name: str, value: object, kind: Any) -> object:  # a type
+    """Convert a value, or its text, to a type. Raises `ConfigError` with the option as its key."""
+    return _of_kinds(name, value, (kind,))
+
+
+def _of_kinds(name: str, value: object, kinds: tuple[Any, ...]) -> object:  # types
     problems = []
     for kind in kinds:
-        if kind is not NoneType:
-            try:
-                return _of_kind(name, value, kind)
-            except ConfigError as error:
-                problems.append(error)
+        try:
+            return _of_kind(name, value, kind)
+        except ConfigError as error:
+            problems.append(error)
     if len(problems) == 1:
         raise problems[0]
     raise ConfigError(f"must be {' or '.join(_words(one) for one in kinds)}, not {value!r}", key=name)
@@ -112,6 +104,8 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
             raise ConfigError(f"must be one of {allowed}, not {value!r}", key=name) from None
     if hasattr(kind, "parse"):
         return _parsed(name, value, kind)
+    if kind is str and hasattr(value, "__fspath__"):
+        return str(value.__fspath__())
     if isinstance(value, str) and kind is not str:
         return _from_text(name, value, kind)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):

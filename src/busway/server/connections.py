@@ -17,14 +17,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ..access.rates import Rates
-from ..transport.tcp import SocketParameters, network_reason
+from ..options.server import ListenerParameters
+from ..options.sockets import SocketParameters
+from ..transport.tcp import configure, network_reason
 from .connection import REQUESTS_OF_A_TURN, ServerConnection
 from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue
 from .diagnosis import Diagnosis
 from .framed import Session
 from .listener_context import ListenerContext, add_living
-from .parameters import ListenerParameters
 from .peers import host_of
 from .pools import Pools
 from .status import ConnectionStatus, ListenerStatus
@@ -129,7 +130,7 @@ class ConnectionManagement:
         socket = transport.get_extra_info("socket")
         if socket is not None:
             parameters = self._sockets_of_priority_hosts if self.listener_context.is_priority(host) else self._sockets
-            parameters.apply(socket)
+            configure(socket, parameters)
         return True
 
     def admit(self, connection: ServerConnection) -> Session | None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, Protocol, TypeVar
 
-from .parameters import ListenerParameters
+from ..options.server import ListenerParameters
 
 HEADER_SIZE: Final = 7
 """Bytes of an MBAP header (Messaging on TCP/IP V1.0b §3.1.3)."""

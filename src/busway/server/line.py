@@ -25,7 +25,7 @@ from ..session.handler import Handler
 from ..session.serial_server import FrameToSend, SerialServerSession
 from ..transport.serial.alarm import Alarm
 from ..transport.serial.connection import SerialConnection
-from ..transport.serial.opening import Claim
+from ..transport.serial.opening import Claim, reopen_policy
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.reopen import open_when_there
 from .connection_tap import ConnectionTap, TappedConnection, stay
@@ -193,7 +193,7 @@ class SerialListener:
 
     async def _open_when_there(self) -> None:
         try:
-            await open_when_there(self._open_once, self._settings.opening.policy(), waiting=self._still_waiting)
+            await open_when_there(self._open_once, reopen_policy(self._settings.opening), waiting=self._still_waiting)
         except Exception as error:
             # A setting that the new port does not take: nothing to wait for, but the other listeners go on.
             _log.error("%s: given up: %s", self.name, error)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint
+from ..options.server import ListenerParameters
 from .authorisation import Authorise
-from .parameters import ListenerParameters
 
 if TYPE_CHECKING:
-    from ..transport.tls.parameters import TlsParameters
+    from ..options.tls import TlsParameters
 
 
 @dataclass(frozen=True, slots=True)

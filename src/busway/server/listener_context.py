@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Protocol
 
 from ..access.rates import Rates
 from ..access.repeats import Repeats, so_often
+from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostics import LineDiagnostics
 from ..session.handler import Handler, ListedUnits
-from ..session.parameters import Scope, ServerParameters
 from ..session.server import HandlerFailure, TcpServerSession
 from ..session.slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
@@ -27,7 +27,6 @@ from .diagnosis import Diagnosis
 from .failures import report_failures
 from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
-from .parameters import ListenerParameters
 from .peers import peer_name
 from .pools import Pool
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState

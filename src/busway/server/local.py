@@ -12,10 +12,10 @@ Knows devices and the rules of units on TCP; knows no connection.
 """
 
 from collections.abc import Callable, Mapping
-from enum import Enum
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
+from ..options.server import UnitPolicy, UnlistedUnit
 from ..pdu.direct import Answer, DeviceAnswers, ReadPlan
 from ..pdu.file_records import WriteFileRecord
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
@@ -23,20 +23,6 @@ from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
 from ..pdu.message import Message, Request
 from ..session.handler import SILENCE, Deferral, Outcome, RequestContext
 from .device import Device
-
-
-class UnitPolicy(Enum):
-    """Which units a server on TCP answers."""
-
-    LISTED = "listed"
-    ANY = "any"
-
-
-class UnlistedUnit(Enum):
-    """What a unit that is not listed gets."""
-
-    EXCEPTION = "exception"
-    SILENCE = "silence"
 
 
 class LocalHandler:

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from ..codes import LAST_SERIAL_UNIT
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint
+from ..options.server import ListenerParameters, ServerParameters
+from ..options.sockets import SocketParameters
 from ..session.handler import Handler, UnitHolder
-from ..session.parameters import ServerParameters
 from ..session.slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
-from ..transport.tcp import SocketParameters, network_reason
+from ..transport.tcp import network_reason
 from .authorisation import Authorise, both
 from .connection import ServerConnection
 from .connection_tap import ConnectionTap
@@ -24,8 +25,7 @@ from .counters import ServerCounters
 from .line import SerialListener
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
-from .parameters import ListenerParameters
-from .pools import Pools
+from .pools import PoolLimits, Pools
 from .tcp import TcpListener
 from .turns import Turns
 from .udp import UdpListener
@@ -67,7 +67,7 @@ class Opening:
 
     def __post_init__(self) -> None:
         self.slots = TransactionSlots(self.parameters.max_transactions)
-        self.shared_pools = Pools(self.limits.pools)
+        self.shared_pools = Pools(PoolLimits.of(self.limits))
         self.epoll_set = epoll_set_for(self.loop)
         self.turns = Turns(self.loop)
 
@@ -77,7 +77,7 @@ class Opening:
         shares = limits.shared_slots and limits is self.limits
         management = ConnectionManagement(
             self._listener_context(settings),
-            self.shared_pools if shares else Pools(limits.pools),
+            self.shared_pools if shares else Pools(PoolLimits.of(limits)),
             self.sockets,
             self.turns,
         )

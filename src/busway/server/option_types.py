@@ -1,18 +1,21 @@
 """The options of `busway.serve`, for type checkers.
 
-Written by ``scripts/option_types.py`` from the parameter classes, which say what each option means.
+Written by ``scripts/option_types.py`` from `busway.options`, where each option is declared.
 """
 
 from typing import Literal, TypedDict
 
-from ..access.networks import Networks
+from ..options.networks import Networks
 from ..options.presets import Preset
-from ..session.parameters import Scope
+from ..options.server import Scope, UnitPolicy, UnlistedUnit
 
 
 class ServerOptions(TypedDict, total=False):
     """What `busway.serve` takes by name beside its own arguments."""
 
+    standard_port: bool | None
+    unit_policy: UnitPolicy | Literal["listed", "any"]
+    unlisted: UnlistedUnit | Literal["exception", "silence"]
     max_transactions: int
     scope: Scope | Literal["connection", "server"]
     diagnostics_changes: bool | None
@@ -43,4 +46,3 @@ class ServerOptions(TypedDict, total=False):
     send_buffer: int | None
     local_address: str | None
     preset: Preset | Literal["standard", "strict"]
-    standard_port: bool

@@ -22,6 +22,8 @@ from enum import Enum
 from itertools import islice
 from typing import Final, Generic, Protocol, TypeVar
 
+from ..options.server import ListenerParameters
+
 SECONDS_TO_SPEAK: Final = 1.0
 """So long a connection may stand and say nothing until it makes room before all that have said something."""
 _LOOKS: Final = 64
@@ -79,6 +81,16 @@ class PoolLimits:
     other: int
     priority_per_device: int
     per_device: int | None = None
+
+    @classmethod
+    def of(cls, parameters: ListenerParameters) -> "PoolLimits":
+        """The limits that the options of a listener set."""
+        return cls(
+            priority=parameters.max_priority_connections,
+            other=parameters.max_connections,
+            priority_per_device=parameters.max_priority_per_remote or max(parameters.max_priority_connections // 2, 1),
+            per_device=parameters.max_per_remote,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,11 @@ from collections import Counter
 from time import time as now  # by a name that tests can move
 from typing import TYPE_CHECKING, Final, cast
 
+from ..options.tls import TlsParameters
 from ..transport.tls.certificates.facts import DAY, CertificateFacts, facts_of_der, facts_of_file
 from ..transport.tls.context import WatchedContext, server_context
 from ..transport.tls.failures import FailureKind, TlsFailure
 from ..transport.tls.layer import TlsLayer, TlsState
-from ..transport.tls.parameters import TlsParameters
 from ..transport.tls.roles import require_cryptography, role_of_certificate
 from .connection import ServerConnection
 from .peers import host_of, peer_name

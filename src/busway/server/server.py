@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Final, Self
 
 from ..errors import ConfigError, LinkDown, ModbusError
 from ..options.endpoints import Endpoint
+from ..options.server import ListenerParameters, ServerParameters
+from ..options.sockets import SocketParameters
 from ..session.handler import Handler
-from ..session.parameters import ServerParameters
 from ..transport.dialled import dialled_connections
-from ..transport.tcp import SocketParameters, network_reason
+from ..transport.tcp import network_reason
 from .authorisation import Authorise, allow_all
 from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement
@@ -29,7 +30,6 @@ from .line import SerialListener
 from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
 from .opening import Opening, serial_units
-from .parameters import ListenerParameters
 from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
@@ -38,7 +38,7 @@ from .udp import UdpListener
 if TYPE_CHECKING:
     from ..access.audit import AuditLog
     from ..access.rules import Policy
-    from ..transport.tls.parameters import TlsParameters
+    from ..options.tls import TlsParameters
 
 _STOP_SECONDS: Final = 0.5
 

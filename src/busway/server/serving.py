@@ -4,30 +4,26 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from enum import Enum
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint
-from ..options.presets import OPTION
-from ..options.text import build_parameters, converted, option_names, unknown_option
+from ..options.server import ListenerParameters, ServerParameters, UnitParameters, UnitPolicy
+from ..options.sockets import SocketParameters
 from ..pdu.functions import STANDARD, FunctionTable
 from ..session.handler import Handler
-from ..session.parameters import ServerParameters
-from ..transport.tcp import SocketParameters
 from .authorisation import Authorise, allow_all
 from .device import Device
 from .listener import Listener
-from .local import LocalHandler, UnitPolicy, UnlistedUnit
+from .local import LocalHandler
 from .loops import run as run_on_new_loop
-from .parameters import ListenerParameters
 from .server import Server, ServerStatus
-from .strict import STANDARD_PORT, with_server_preset
+from .strict import with_server_preset
 
 if TYPE_CHECKING:
     from ..access.audit import AuditLog
     from ..access.rules import Policy
-    from ..transport.tls.parameters import TlsParameters
+    from ..options.tls import TlsParameters
     from .option_types import ServerOptions
 
     class ServeArguments(ServerOptions, total=False):
@@ -35,8 +31,6 @@ if TYPE_CHECKING:
 
         units: Mapping[int, Device] | Device | None
         handler: Handler | None
-        unit_policy: UnitPolicy | Literal["listed", "any"]
-        unlisted: UnlistedUnit | Literal["exception", "silence"] | None
         functions: FunctionTable
         authorise: Authorise
         tls: "TlsParameters | None"
@@ -47,15 +41,11 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
 
-Choice = TypeVar("Choice", bound=Enum)
-
 
 def serve(
     *endpoints: str | Endpoint | Listener,
     units: Mapping[int, Device] | Device | None = None,
     handler: Handler | None = None,
-    unit_policy: UnitPolicy | Literal["listed", "any"] = UnitPolicy.LISTED,
-    unlisted: UnlistedUnit | Literal["exception", "silence"] | None = None,
     functions: FunctionTable = STANDARD,
     authorise: Authorise = allow_all,
     tls: "TlsParameters | None" = None,
@@ -73,8 +63,6 @@ def serve(
         units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with. On a serial
             line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
         handler: instead of ``units``, anything that answers requests (`busway.session.handler.Handler`).
-        unit_policy: ``listed`` (others get exception 0B) or ``any`` (the sole device answers every unit).
-        unlisted: what a unit that is not listed gets: ``exception`` (0B, the default) or ``silence``.
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
         authorise: asked with the host of each new connection (``"10.0.0.7"``), before a byte of it is parsed; where it
             gives False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
@@ -84,64 +72,35 @@ def serve(
         audit: where denied requests and writes are recorded.
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.
-        options: fields of `ServerParameters`, `ListenerParameters` and `SocketParameters`, by name;
-            ``preset="strict"`` sets what `busway.options.presets` lists; ``standard_port`` says whether 502 is
-            listened on beside other TCP ports (§4.2.1), and without it that is `Server`'s rule.
+        options: fields of `UnitParameters`, `ServerParameters`, `ListenerParameters` and `SocketParameters`
+            (`busway.options`), by name; ``preset="strict"`` sets those that a document requires.
 
     Raises:
         ConfigError: an endpoint, unit or option that cannot be, or that contradicts the preset.
     """
-    kinds = (ServerParameters, ListenerParameters, SocketParameters)
-    beside = options.get(STANDARD_PORT)
-    given: dict[str, Any] = {**options} if unlisted is None else {**options, "unlisted": unlisted}
-    places, given = with_server_preset(
-        endpoints or (DEFAULT_ENDPOINT,),
-        given,
-        takes=["unlisted", *(name for kind in kinds for name in option_names(kind))],
-    )
-    of_unlisted = given.pop("unlisted", UnlistedUnit.EXCEPTION)
+    places, chosen = with_server_preset(endpoints or (DEFAULT_ENDPOINT,), options)
+    parameters = chosen.build(UnitParameters)
     if (units is None) == (handler is None):
         raise ConfigError("either units or a handler is needed", key="units")
     if handler is None:
+        unit_policy = parameters.unit_policy
         if isinstance(units, Device):
             units, unit_policy = {1: units}, UnitPolicy.ANY
         assert units is not None
-        handler = LocalHandler(
-            units,
-            unit_policy=_chosen(UnitPolicy, "unit_policy", unit_policy),
-            unlisted=_chosen(UnlistedUnit, "unlisted", of_unlisted),
-            functions=functions,
-        )
-    chosen: list[dict[str, object]] = [{}, {}, {}]
-    for name, value in given.items():
-        for kind, values in zip(kinds, chosen, strict=True):
-            if name in option_names(kind):
-                values[name] = value
-                break
-        else:
-            known = [OPTION, STANDARD_PORT, *(name for kind in kinds for name in option_names(kind))]
-            raise unknown_option(name, known)
+        handler = LocalHandler(units, unit_policy=unit_policy, unlisted=parameters.unlisted, functions=functions)
     return Server(
         places,
         handler,
-        parameters=build_parameters(ServerParameters, chosen[0]),
-        listener=build_parameters(ListenerParameters, chosen[1]),
-        sockets=build_parameters(SocketParameters, chosen[2]),
+        parameters=chosen.build(ServerParameters),
+        listener=chosen.build(ListenerParameters),
+        sockets=chosen.build(SocketParameters),
         authorise=authorise,
         tls=tls,
         policy=policy,
         audit=audit,
-        standard_port=None if beside is None else bool(converted(STANDARD_PORT, beside, bool)),
+        standard_port=parameters.standard_port,
         local_connections=local_connections,
     )
-
-
-def _chosen(kind: type[Choice], key: str, value: Choice | str) -> Choice:
-    try:
-        return kind(value)
-    except ValueError:
-        allowed = ", ".join(str(one.value) for one in kind)
-        raise ConfigError(f"must be one of {allowed}, not {value!r}", key=key) from None
 
 
 def serve_forever(

@@ -10,9 +10,10 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from ..options.sockets import SocketParameters
 from ..transport.accepting import Acceptor, accept_from
 from ..transport.epoll.watcher import EpollSet
-from ..transport.tcp import SocketParameters, network_reason
+from ..transport.tcp import network_reason, set_buffers
 from .connection import ServerConnection
 from .connections import ConnectionManagement
 from .listener_settings import ListenerSettings
@@ -59,7 +60,7 @@ class TcpListener:
                 undo.callback(one.close)
             protocols = self._protocols()
             for one in bound:
-                self._sockets.apply_buffers(one)
+                set_buffers(one, self._sockets)
                 made = await accept_from(
                     one,
                     protocols,

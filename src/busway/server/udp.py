@@ -22,14 +22,15 @@ from ..framing.datagram import WHOLE
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.socket_addresses import SocketAddresses
 from ..observe.trace import TRACE
-from ..transport.tcp import SocketParameters
+from ..options.sockets import SocketParameters
+from ..transport.tcp import set_buffers
 from .counters import ServerCounters
 from .failures import answer_later
 from .framed import Session
 from .listener_context import ListenerContext, add_living
 from .naming import bound_name, listening_sockets
 from .peers import host_of, peer_name
-from .pools import Pool, Pools
+from .pools import Pool, PoolLimits, Pools
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 
@@ -47,7 +48,7 @@ class UdpListener:
         self._parameters = sockets
         self._is_whole = WHOLE[listener_context.framing]
         self._sockets: list[_Socket] = []
-        self._pools: Pools[_Peer] = Pools(listener_context.parameters.pools)
+        self._pools: Pools[_Peer] = Pools(PoolLimits.of(listener_context.parameters))
         self._peers: dict[Any, _Peer] = {}  # by socket and address
         self._takes_more = True
 
@@ -60,7 +61,7 @@ class UdpListener:
                 undo.callback(one.close)
             undo.callback(self.close)
             for one in bound:
-                self._parameters.apply_buffers(one)
+                set_buffers(one, self._parameters)
                 made = _Socket(self)
                 await listener_context.loop.create_datagram_endpoint(lambda made=made: made, sock=one)  # type: ignore[misc]
                 self._sockets.append(made)

@@ -14,43 +14,8 @@ Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from types import MappingProxyType
 
-from ..errors import ConfigError
-
-OPEN_AFTER_BY_FRAMING: Mapping[str, int] = MappingProxyType({"mbap": 0, "rtu": 3, "ascii": 3})
-"""The default of ``open_after``, by the framing of an endpoint: a device on TCP delays no other. In a gateway the
-units of an upstream server share its connection, so the default is that of a serial line."""
-
-
-@dataclass(frozen=True, slots=True)
-class BreakerParameters:
-    """Options of the circuit breakers: when a unit is suspended, and when it is probed.
-
-    Attributes:
-        open_after: timeouts in a row that open the breaker; 0 switches it off. The default depends on the framing of
-            the endpoint; it is 3 for the upstream links of a gateway.
-        first_pause, longest_pause: seconds until the first probe, and at most between probes.
-        probe_timeout: minimum seconds that a probe waits for its reply, unless the request's own timeout is
-            shorter; a unit that never answered and is slower than all others needs a longer one.
-    """
-
-    open_after: int = OPEN_AFTER_BY_FRAMING["rtu"]
-    first_pause: float = 3.0
-    longest_pause: float = 8.5
-    probe_timeout: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("open_after", 0, 1000),
-            ("first_pause", 0.01, 3600),
-            ("longest_pause", 0.01, 3600),
-            ("probe_timeout", 0.001, 3600),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"must be {low:g}…{high:g}, not {getattr(self, name):g}", key=name)
-        if self.longest_pause < self.first_pause:
-            raise ConfigError(f"must be at least first_pause, {self.first_pause:g}", key="longest_pause")
+from ..options.lines import BreakerParameters
 
 
 class BreakerState(Enum):

@@ -20,8 +20,8 @@ from types import MappingProxyType
 from typing import Any, TypedDict
 
 from ..errors import InvalidRequest, ModbusError
+from ..options.client import ClientParameters
 from ..pdu.message import Message, Request
-from .parameters import ClientParameters
 
 Outcome = Message | ModbusError
 

@@ -28,12 +28,12 @@ from types import MappingProxyType
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..framing.mbap import HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
+from ..options.client import ClientParameters, MismatchPolicy
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from .breaker import Breakers, BreakerState
 from .call import HEAD_SIZE, Call, PipelinedBatch, Places, RequestInFlight, places, plan_of, route_of
-from .parameters import ClientParameters, MismatchPolicy
 from .queue import BURST
 from .retries import CallTracker, ClientCounters
 

@@ -8,7 +8,6 @@ Knows which receiver goes with which framing and its options; knows no port and 
 """
 
 from collections.abc import Container
-from dataclasses import dataclass
 
 from ..errors import ConfigError
 from ..framing.ascii import AsciiReceiver, encode_ascii
@@ -18,43 +17,8 @@ from ..framing.received import SerialReceiver
 from ..framing.rtu import RtuReceiver, encode_rtu
 from ..framing.rtu_strict import StrictRtuReceiver
 from ..framing.timing import SerialTiming
+from ..options.lines import FramingParameters
 from ..pdu.functions import STANDARD, FunctionTable
-
-LONGEST_GAP = 10.0
-LONGEST_CHARACTER_TIMEOUT = 60.0
-
-
-@dataclass(frozen=True, slots=True)
-class FramingParameters:
-    """Options of the framing of a serial line.
-
-    Attributes:
-        strict_timing: RTU to the letter (Serial Line V1.02 §2.5.1.1): a gap above t1.5 spoils a frame, silence ends
-            it. Only for ports that deliver each character at once.
-        gap_limit: RTU: seconds that an unfinished frame waits for its rest, t3.5…10; None for 50 ms or t3.5,
-            whichever is longer, except that an expected reply that has begun may take until its timeout.
-        character_timeout: ASCII: seconds that may pass between two characters, above 0…60.
-        delimiter: ASCII: the character that ends a frame behind CR, 0…127 (function 08/03); 10 is LF.
-        upper_case_only: ASCII: whether frames with hexadecimal digits in lower case are refused.
-    """
-
-    strict_timing: bool = False
-    gap_limit: float | None = None
-    character_timeout: float = 1.0
-    delimiter: int = 0x0A
-    upper_case_only: bool = False
-
-    def __post_init__(self) -> None:
-        if self.gap_limit is not None and not 0 < self.gap_limit <= LONGEST_GAP:
-            raise ConfigError(f"must be above 0 and at most {LONGEST_GAP:g} seconds", key="gap_limit")
-        if self.gap_limit is not None and self.strict_timing:
-            raise ConfigError("does not go with strict_timing, which allows t1.5", key="gap_limit")
-        if not 0 < self.character_timeout <= LONGEST_CHARACTER_TIMEOUT:
-            raise ConfigError(
-                f"must be above 0 and at most {LONGEST_CHARACTER_TIMEOUT:g} seconds", key="character_timeout"
-            )
-        if not 0 <= self.delimiter <= 0x7F:
-            raise ConfigError(f"must be an ASCII character, 0…127, not {self.delimiter}", key="delimiter")
 
 
 class LineFraming:

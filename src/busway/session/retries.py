@@ -12,9 +12,9 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded, UnitSuspended, WriteOutcomeUnknown
+from ..options.client import ClientParameters
 from ..pdu.message import Message, Request
 from .call import Call
-from .parameters import ClientParameters
 from .queue import RequestQueue
 
 

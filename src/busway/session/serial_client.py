@@ -26,7 +26,6 @@ from typing import Final
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode
 from ..errors import (
     BadReply,
-    ConfigError,
     ExceptionReply,
     InvalidRequest,
     LinkDown,
@@ -35,15 +34,16 @@ from ..errors import (
     UnitSuspended,
 )
 from ..framing.received import Damaged, Direction, Received, SerialFrame
+from ..options.client import ClientParameters
+from ..options.lines import BreakerParameters, SerialClientParameters
 from ..pdu.diagnostics import RestartCommunications
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
-from .breaker import BreakerParameters, Breakers
+from .breaker import Breakers
 from .call import Call
 from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
 from .line_framing import LineFraming
-from .parameters import ClientParameters
 from .retries import CallTracker, ClientCounters, function_of
 
 OWED_FOR: Final = 2.0
@@ -51,39 +51,6 @@ OWED_FOR: Final = 2.0
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
 """Decay of a unit's usual delay, which is its slowest lately: each faster reply takes a tenth off."""
-
-
-@dataclass(frozen=True, slots=True)
-class SerialClientParameters:
-    """Options of a serial line's master in addition to `ClientParameters`.
-
-    Attributes:
-        turnaround_delay: seconds after a broadcast before the next request (§2.4.1: 100…200 ms typical), 0…10.
-        unit_switch_gap: seconds of silence before a request to another unit than the last, at least t3.5; 0…10.
-        quiet_window: seconds of silence that end a drain after a timeout, 0…10.
-        drain_limit: seconds after which a drain ends although the line never fell silent, 0…60.
-        trust_reply_order: whether units are known to answer requests in their order. Then a unit that did not answer
-            gets the next request as soon as it has answered a marker; otherwise not before twice the timeout has
-            passed since the request that it did not answer.
-        early_replies: whether to accept replies that begin before t3.5 has passed since the request (§2.5.1.1).
-    """
-
-    turnaround_delay: float = 0.1
-    unit_switch_gap: float = 0.0
-    quiet_window: float = 0.05
-    drain_limit: float = 1.0
-    trust_reply_order: bool = False
-    early_replies: bool = False
-
-    def __post_init__(self) -> None:
-        for name, high in (
-            ("turnaround_delay", 10.0),
-            ("unit_switch_gap", 10.0),
-            ("quiet_window", 10.0),
-            ("drain_limit", 60.0),
-        ):
-            if not 0 <= getattr(self, name) <= high:
-                raise ConfigError(f"must be 0…{high:g} seconds, not {getattr(self, name):g}", key=name)
 
 
 class MasterState(Enum):

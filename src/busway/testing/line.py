@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from queue import SimpleQueue
 from typing import Self
 
-from ..transport.serial.settings import Parity, SerialSettings
+from ..options.ports import Parity, SerialSettings
 from ..transport.serial.waiting import wait_ready
 from .virtual_line import NOISE, LineByte, Transmission, VirtualLine, VirtualPort, gathered
 

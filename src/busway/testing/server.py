@@ -27,9 +27,10 @@ from ..faults.connections import FaultyTap
 from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
 from ..faults.profiles import FAULT_PROFILES
 from ..faults.responder import FaultyHandler
+from ..options.server import UnitPolicy
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
-from ..server.local import LocalHandler, UnitPolicy
+from ..server.local import LocalHandler
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000

@@ -14,8 +14,8 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
+from ..options.ports import Parity, SerialSettings
 from ..transport.serial.marks import Received
-from ..transport.serial.settings import Parity, SerialSettings
 
 NOISE = -1
 """The number under which the tap lists characters that no port has sent."""

@@ -8,100 +8,37 @@ import errno
 import socket
 import struct
 import sys
-from dataclasses import dataclass
 from typing import Any
 
-from ..errors import ConfigError, LinkDown
+from ..errors import LinkDown
+from ..options.sockets import SocketParameters
 from .serial.waiting import wait_ready
 
-MIN_SOCKET_BUFFER = 900
-"""Below this a request and its reply may not fit (Messaging on TCP/IP V1.0b §4.3.2)."""
 
-
-@dataclass(frozen=True, slots=True)
-class SocketParameters:
-    """Parameters of a connection (Messaging on TCP/IP V1.0b §4.3.2).
-
-    The guide names 2 hours, 75 seconds and 8 probes for keepalive, the defaults of many systems; they would keep a
-    half-open connection for more than two hours, so ours are shorter.
-
-    Attributes:
-        connect_timeout: seconds until a connection that does not come about fails.
-        keepalive: whether the system probes an idle peer.
-        keepalive_idle, keepalive_interval, keepalive_count: seconds of idleness before the first probe, seconds
-            between probes, and lost probes that end the connection.
-        user_timeout: seconds that sent data may stay unacknowledged before the connection ends, where the system has
-            it (Linux); None leaves it to the system. Linux ends a peer that lives and takes nothing for so long, too.
-            With keepalive it is never longer than the probes take: see ``effective_user_timeout``.
-        no_delay: whether small segments leave at once (TCP_NODELAY).
-        receive_buffer, send_buffer: bytes, at least 900; None leaves them to the system.
-        local_address: address to connect from; None lets the system choose. The port is always the system's choice,
-            above 1024.
-    """
-
-    connect_timeout: float = 3.0
-    keepalive: bool = True
-    keepalive_idle: int = 60
-    keepalive_interval: int = 10
-    keepalive_count: int = 3
-    user_timeout: float | None = 30.0
-    no_delay: bool = True
-    receive_buffer: int | None = None
-    send_buffer: int | None = None
-    local_address: str | None = None
-
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("connect_timeout", 0.01, 600),
-            ("keepalive_idle", 1, 32_767),
-            ("keepalive_interval", 1, 32_767),
-            ("keepalive_count", 1, 127),
+def configure(connection: socket.socket, parameters: SocketParameters) -> None:
+    """Set the parameters on a connected socket; what the system does not have is left out."""
+    if connection.family not in (socket.AF_INET, socket.AF_INET6):
+        return
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, parameters.no_delay)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, parameters.keepalive)
+    if parameters.keepalive:
+        for name, value in (
+            ("TCP_KEEPIDLE", parameters.keepalive_idle),
+            ("TCP_KEEPINTVL", parameters.keepalive_interval),
+            ("TCP_KEEPCNT", parameters.keepalive_count),
         ):
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"must be {low:g}…{high:g}, not {getattr(self, name):g}", key=name)
-        if self.user_timeout is not None and not 0.1 <= self.user_timeout <= 3600:
-            raise ConfigError(f"must be 0.1…3600, not {self.user_timeout:g}", key="user_timeout")
-        for name in ("receive_buffer", "send_buffer"):
-            size = getattr(self, name)
-            if size is not None and not MIN_SOCKET_BUFFER <= size <= 1 << 30:
-                raise ConfigError(f"must be at least {MIN_SOCKET_BUFFER} bytes, not {size}", key=name)
+            _set_if_known(connection, name, value)
+    if parameters.effective_user_timeout is not None:
+        _set_if_known(connection, "TCP_USER_TIMEOUT", int(parameters.effective_user_timeout * 1000))
+    set_buffers(connection, parameters)
 
-    def apply(self, connection: socket.socket) -> None:
-        """Set the parameters on a connected socket; what the system does not have is left out."""
-        if connection.family not in (socket.AF_INET, socket.AF_INET6):
-            return
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, self.no_delay)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, self.keepalive)
-        if self.keepalive:
-            for name, value in (
-                ("TCP_KEEPIDLE", self.keepalive_idle),
-                ("TCP_KEEPINTVL", self.keepalive_interval),
-                ("TCP_KEEPCNT", self.keepalive_count),
-            ):
-                _set_if_known(connection, name, value)
-        if self.effective_user_timeout is not None:
-            _set_if_known(connection, "TCP_USER_TIMEOUT", int(self.effective_user_timeout * 1000))
-        self.apply_buffers(connection)
 
-    @property
-    def effective_user_timeout(self) -> float | None:
-        """The user timeout as it is set, in seconds; None leaves it to the system.
-
-        Linux asks it, and not the number of lost probes, when a probe is due on an idle connection: with 30 s, two
-        probes of one second would end a half-open connection after 30 s. So it is over before the last probe's time is,
-        and an idle half-open connection ends within idle + interval × count whatever the user timeout.
-        """
-        if self.user_timeout is None or not self.keepalive:
-            return self.user_timeout
-        probes = self.keepalive_idle + self.keepalive_interval * (self.keepalive_count - 0.5)
-        return min(self.user_timeout, probes)
-
-    def apply_buffers(self, connection: socket.socket) -> None:
-        """Set the buffer sizes; on a listening socket its connections inherit them."""
-        if self.receive_buffer is not None:
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self.receive_buffer)
-        if self.send_buffer is not None:
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self.send_buffer)
+def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None:
+    """Set the buffer sizes; on a listening socket its connections inherit them."""
+    if parameters.receive_buffer is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, parameters.receive_buffer)
+    if parameters.send_buffer is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, parameters.send_buffer)
 
 
 def discard_on_close(connection: Any) -> None:

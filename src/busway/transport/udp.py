@@ -14,7 +14,8 @@ import socket
 from collections.abc import Callable
 from typing import Any, cast
 
-from .tcp import SocketParameters, link_down
+from ..options.sockets import SocketParameters
+from .tcp import link_down, set_buffers
 
 MAX_DATAGRAM = 2048
 """More than any frame: what is longer is cut by the system, and is then no whole frame."""
@@ -104,7 +105,7 @@ async def open_datagram(
             )
     except (OSError, ValueError) as error:
         raise link_down(error, endpoint=endpoint) from error
-    parameters.apply_buffers(transport.get_extra_info("socket"))
+    set_buffers(transport.get_extra_info("socket"), parameters)
     return connection
 
 
@@ -128,7 +129,7 @@ class BlockingDatagramSocket:
             raise link_down(error, endpoint=endpoint) from error
         try:
             self._socket.setblocking(False)
-            parameters.apply_buffers(self._socket)
+            set_buffers(self._socket, parameters)
             if parameters.local_address:
                 self._socket.bind((parameters.local_address, 0))
             self._socket.connect(address)

@@ -11,8 +11,7 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction
 from busway.apps.server.service import Service, Wishes
-from busway.server.parameters import ListenerParameters
-from busway.session.parameters import Scope
+from busway.options.server import ListenerParameters, Scope
 from busway.testing.line import PacedLine
 
 GOOD = Path(__file__).parents[2] / "config" / "files" / "gateway.toml"

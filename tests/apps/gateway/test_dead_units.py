@@ -14,12 +14,12 @@ from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import ListenerRoutes, Route
 from busway.apps.gateway.upstream import Upstream
+from busway.options.client import ClientParameters
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import LATER, Deferral, RequestContext
-from busway.session.parameters import ClientParameters
 
 UNITS = range(1, 11)
 CLIENTS = 4

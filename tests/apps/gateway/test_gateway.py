@@ -16,10 +16,10 @@ from busway.apps.gateway.routes import ALL_UNITS, AddressRange, Route, RouteActi
 from busway.codes import Table
 from busway.framing.mbap import MbapFrame
 from busway.framing.rtu import encode_rtu
+from busway.options.server import ServerParameters
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
 from busway.server.tcp import settle
-from busway.session.parameters import ServerParameters
 from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"

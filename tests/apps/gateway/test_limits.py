@@ -19,8 +19,8 @@ from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, Routing
 from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
 from busway.framing.mbap import MbapFrame
+from busway.options.server import ListenerParameters
 from busway.server.listener import Listener
-from busway.server.parameters import ListenerParameters
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
 from busway.session.handler import RequestContext

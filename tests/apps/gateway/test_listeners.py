@@ -17,9 +17,8 @@ from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, U
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.clients import SLOW_LORIS
 from busway.framing.rtu import encode_rtu
+from busway.options.server import ListenerParameters, ServerParameters
 from busway.server.listener import Listener
-from busway.server.parameters import ListenerParameters
-from busway.session.parameters import ServerParameters
 
 ANY_PORT = "tcp://127.0.0.1:0"
 NETWORK_LISTENERS = ("tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp")

@@ -10,9 +10,9 @@ from waiting import until
 import busway
 from busway.apps.gateway.gateway import Gateway, simple_plan
 from busway.apps.gateway.upstream_log import UpstreamLog
+from busway.options.ports import SerialSettings
 from busway.testing.line import PacedLine
 from busway.transport.serial.blocking import BlockingSerialPort
-from busway.transport.serial.settings import SerialSettings
 
 ANY_PORT = "tcp://127.0.0.1:0"
 LOG = "busway.apps.gateway"

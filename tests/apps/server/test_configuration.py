@@ -9,11 +9,11 @@ from busway.access.addresses import AddressList
 from busway.apps.server.configuration import load_configuration, parse_configuration
 from busway.apps.server.effective import effective
 from busway.apps.server.overview import overview
-from busway.client.management import Hold
 from busway.config.files.problems import FileError
+from busway.options.client import Hold
+from busway.options.server import Scope
+from busway.options.tls import TlsVersion
 from busway.server.device import Device
-from busway.session.parameters import Scope
-from busway.transport.tls.parameters import TlsVersion
 
 SYSTEM = (Path(__file__).parents[2] / "config" / "files" / "system.toml").read_text(encoding="utf-8")
 UNIT = "[[unit]]\nunit = 1\nholding_registers = [7, 8, 9]\n"

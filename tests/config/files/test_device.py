@@ -25,8 +25,7 @@ from busway.config.files.device import (
 from busway.config.files.points import AlarmSection, LinearSection, ReportSection, WriteSection
 from busway.config.files.problems import FileError
 from busway.errors import ConfigError
-from busway.server.parameters import ListenerParameters
-from busway.session.parameters import ServerParameters
+from busway.options.server import ListenerParameters, ServerParameters
 
 GOOD = (Path(__file__).parent / "good.toml").read_text(encoding="utf-8")
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "device-file.md"
@@ -77,7 +76,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
         ('listen = ["nowhere"]\n' + UNIT, "x.toml:1: listen[0]: 'nowhere' is no endpoint"),
         ("listen = []\n" + UNIT, "x.toml:1: listen: "),
         (UNIT + "[server]\nmax_transactions = 17\n", "x.toml:4: server.max_transactions: must be 1…16, not 17"),
-        (UNIT + "[server]\nbacklog = 0\n", "x.toml:4: server.backlog: must be at least 1, not 0"),
+        (UNIT + "[server]\nbacklog = 0\n", "x.toml:4: server.backlog: must be 1…65535, not 0"),
         (UNIT + '[server]\nscope = "all"\n', "x.toml:4: server.scope: must be 'connection' or 'server', not 'all'"),
         (UNIT + "[server]\nkeepalive = 1\n", "x.toml:4: server.keepalive: must be true or false, not 1"),
         (UNIT + "[sever]\n", "x.toml:3: sever: unknown key; is it server?"),

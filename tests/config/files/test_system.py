@@ -14,7 +14,7 @@ from json_schema import faults
 from busway.apps.server.configuration import Configuration, parse_configuration
 from busway.client.settings import options_of
 from busway.config.files.device import DeviceFile, ServerSection
-from busway.config.files.listeners import OF_CLIENTS, ListenerSection
+from busway.config.files.listeners import ListenerSection
 from busway.config.files.problems import FileError
 from busway.config.files.schema import Section, json_schema
 from busway.config.files.system import (
@@ -29,11 +29,10 @@ from busway.config.files.system import (
 )
 from busway.errors import ConfigError
 from busway.options.endpoints import SCHEMES, parse_endpoint
-from busway.server.parameters import ListenerParameters
-from busway.session.parameters import ServerParameters
-from busway.transport.tcp import SocketParameters
-from busway.transport.tls.parameters import OF_CLIENTS as ONLY_LINKS
-from busway.transport.tls.parameters import TlsParameters
+from busway.options.offer import option_names_for
+from busway.options.server import ListenerParameters, ServerParameters
+from busway.options.sockets import SocketParameters
+from busway.options.tls import TlsParameters
 
 FOLDER = Path(__file__).parent
 SYSTEM = (FOLDER / "system.toml").read_text(encoding="utf-8")
@@ -121,7 +120,10 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         ('listen = ["tcp://h:1",\n"tcp://h:1"]\n' + UNIT, "x.toml:2: listen[1]: tcp://h:1 is taken by tcp://h:1"),
         (UNIT + UNIT, "x.toml:4: unit[1].unit: unit 1 is there already: unit[0]"),
         ("[client]\ntimeout = 0\n" + UNIT, "x.toml:2: client.timeout: must be 0.001…3600, not 0"),
-        ('[client]\nhold = "long"\n' + UNIT, "x.toml:2: client.hold: must be seconds, forever or request, not 'long'"),
+        (
+            '[client]\nhold = "long"\n' + UNIT,
+            "x.toml:2: client.hold: must be 0.01…86400, forever or request, not 'long'",
+        ),
         (
             '[[link]]\nname = "a"\nurl = "tcp://h"\nbaud = 1\n',
             "x.toml:4: link[0].baud: unknown option of",
@@ -223,9 +225,9 @@ def test_no_option_of_a_component_has_been_forgotten() -> None:
     # Whether places are shared is said once, for all listeners.
     assert listener - {"shared_slots"} <= set(ListenerSection.model_fields)
     assert {field.name for field in fields(ServerParameters)} <= set(ServerSection.model_fields)
-    assert {field.name for field in fields(SocketParameters)} - OF_CLIENTS <= set(ServerSection.model_fields)
+    assert set(option_names_for("server", [SocketParameters])) <= set(ServerSection.model_fields)
     tls = {field.name for field in fields(TlsParameters)}
-    assert tls - ONLY_LINKS <= set(ListenerSection.model_fields)
+    assert set(option_names_for("server", [TlsParameters])) <= set(ListenerSection.model_fields)
     assert tls - {"server_name"} <= set(SecuritySection.model_fields)
     for name, scheme in SCHEMES.items():
         endpoint = parse_endpoint(f"{name}:///dev/x" if scheme.carrier == "serial" else f"{name}://h:1")

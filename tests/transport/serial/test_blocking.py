@@ -11,12 +11,12 @@ from fake_port import FakeDriver, Pty, taken
 from handles import settled_handles
 
 from busway.errors import ConfigError, LinkDown
+from busway.options.ports import Parity, Rs485, SerialSettings
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
 from busway.transport.serial.emission import TIOCOUTQ
 from busway.transport.serial.lock import TIOCEXCL, TIOCNXCL
 from busway.transport.serial.rs485 import TIOCMBIC, TIOCMBIS
-from busway.transport.serial.settings import Parity, Rs485, SerialSettings
 
 FAST = SerialSettings(baud=1_000_000)
 

@@ -14,12 +14,12 @@ from fake_port import FakeDriver, Pty
 from handles import settled_handles
 
 from busway.errors import ConfigError, LinkDown
+from busway.options.ports import Rs485, SerialSettings
 from busway.transport.serial.connection import SerialConnection
 from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
 from busway.transport.serial.emission import TIOCOUTQ
 from busway.transport.serial.ioctl import Ioctl, system_ioctl
 from busway.transport.serial.rs485 import TIOCMBIC, TIOCMBIS
-from busway.transport.serial.settings import Rs485, SerialSettings
 
 FAST = SerialSettings(baud=1_000_000)
 

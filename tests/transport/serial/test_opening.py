@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from busway.errors import ConfigError
-from busway.transport.serial.opening import Claim, OpeningParameters
+from busway.options.ports import OpeningParameters
+from busway.transport.serial.opening import Claim, reopen_policy
 
 
 @pytest.mark.clause("S15")
@@ -51,5 +52,5 @@ def test_impossible_settings_are_refused_under_their_own_names(options: dict[str
 
 
 def test_pauses_double_up_to_the_longest() -> None:
-    policy = OpeningParameters(reopen_first=0.1, reopen_most=0.3).policy()
+    policy = reopen_policy(OpeningParameters(reopen_first=0.1, reopen_most=0.3))
     assert [policy.pause(failures) for failures in (1, 2, 3, 50)] == pytest.approx([0.1, 0.2, 0.3, 0.3])

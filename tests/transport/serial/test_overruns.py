@@ -6,10 +6,10 @@ import pytest
 from fake_port import FakeDriver, Pty
 
 from busway.errors import LinkDown
+from busway.options.ports import SerialSettings
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
 from busway.transport.serial.overruns import Overruns
-from busway.transport.serial.settings import SerialSettings
 
 
 def counting(counters: list[LineCounters | LinkDown | None]) -> Overruns:

@@ -7,6 +7,7 @@ import pytest
 from fake_port import FakeDriver, taken
 
 from busway.errors import ConfigError
+from busway.options.ports import Echo, Rs485, SerialSettings
 from busway.transport.serial.rs485 import (
     TIOCGRS485,
     TIOCMBIC,
@@ -16,7 +17,6 @@ from busway.transport.serial.rs485 import (
     set_rts,
     settle_direction,
 )
-from busway.transport.serial.settings import Echo, Rs485, SerialSettings
 
 
 def kernel_driver(*, longest_delay_ms: int = 100, flags_kept: int = 0xFFFF) -> FakeDriver:

@@ -3,7 +3,7 @@
 import pytest
 
 from busway.errors import ConfigError
-from busway.transport.serial.settings import Echo, Parity, Rs485, SerialSettings
+from busway.options.ports import Echo, Parity, Rs485, SerialSettings
 
 
 def test_the_defaults_are_those_of_the_specification() -> None:

@@ -12,10 +12,11 @@ from tls_peers import OF_SSL
 
 from busway.errors import ConfigError
 from busway.faults.clock import FakeClock
+from busway.options.text import build_parameters
+from busway.options.tls import SUITES, Curve, TlsParameters, TlsVersion, Verify
 from busway.testing.certificates import CertificateFiles, CertificateStore
 from busway.transport.tls.context import WatchedContext, client_context, server_context
 from busway.transport.tls.failures import FailureKind, failure_of
-from busway.transport.tls.parameters import SUITES, Curve, TlsParameters, TlsVersion, Verify, tls_parameters
 
 
 @pytest.fixture
@@ -81,7 +82,9 @@ def test_a_client_verifies_unless_it_is_told_not_to(files: CertificateFiles) -> 
 
 
 def test_paths_may_be_path_objects(files: CertificateFiles) -> None:
-    chosen = tls_parameters({"certificate": files.certificate, "key": files.key, "minimum_version": "1.3"})
+    chosen = build_parameters(
+        TlsParameters, {"certificate": files.certificate, "key": files.key, "minimum_version": "1.3"}
+    )
     assert chosen.certificate == str(files.certificate)
     assert chosen.minimum_version is TlsVersion.TLS_1_3
 
@@ -90,7 +93,7 @@ Damage = Callable[[CertificateFiles, CertificateStore], TlsParameters]
 
 
 def _with(files: CertificateFiles, **changed: str) -> TlsParameters:
-    return tls_parameters({**files.options(), **changed})
+    return build_parameters(TlsParameters, {**files.options(), **changed})
 
 
 def _written(files: CertificateFiles, name: str, data: bytes) -> str:

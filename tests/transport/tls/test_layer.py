@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from busway.options.tls import TlsParameters
 from busway.testing.certificates import CertificateStore
 from busway.transport.tls.context import client_context, server_context
 from busway.transport.tls.failures import FailureKind, TlsFailure
 from busway.transport.tls.layer import TlsLayer, TlsState
-from busway.transport.tls.parameters import TlsParameters
 from busway.transport.tls.stream import TlsStream
 
 

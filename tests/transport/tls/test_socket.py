@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from busway.options.tls import TlsParameters
 from busway.testing.certificates import CertificateStore
 from busway.transport.buffers import RECEIVE_SIZE
 from busway.transport.tls.context import client_context, server_context
 from busway.transport.tls.failures import TlsFailure
-from busway.transport.tls.parameters import TlsParameters
 from busway.transport.tls.socket import TlsSocket
 from busway.transport.tls.stream import TlsStream
 

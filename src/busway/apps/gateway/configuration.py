@@ -22,16 +22,14 @@ from ...config.links import NamedLink
 from ...config.reading import read_text
 from ...config.report import Judge
 from ...errors import ConfigError
+from ...options.client import CLIENT_DEADLINE
 from ...options.endpoints import Endpoint, parse_endpoint
-from ...options.presets import OPTION, Preset, preset_of
-from ...options.text import build_parameters, option_names
+from ...options.server import ListenerParameters, ServerParameters, UnitParameters
+from ...options.sockets import SocketParameters
+from ...options.tls import TlsParameters
 from ...server.listener import Listener
 from ...server.listener_settings import listener_settings
-from ...server.parameters import ListenerParameters
-from ...server.strict import STANDARD_PORT, with_server_preset
-from ...session.parameters import CLIENT_DEADLINE, ServerParameters
-from ...transport.tcp import SocketParameters
-from ...transport.tls.parameters import TlsParameters
+from ...server.strict import with_server_preset
 from ..server.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import UPSTREAM_DEFAULTS, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
@@ -106,9 +104,9 @@ class GatewayConfiguration:
             ConfigError: an option that cannot be.
         """
         plan = self._plan(listen)
-        beside = options.pop(STANDARD_PORT, None)
+        beside = options.pop("standard_port", None)
         if beside is not None:
-            plan = replace(plan, server={**plan.server, STANDARD_PORT: beside})
+            plan = replace(plan, server={**plan.server, "standard_port": beside})
         return Gateway(plan, **options)
 
     async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
@@ -293,24 +291,10 @@ def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]: 
     """The listeners, and the options that hold for the servers of all of them, as the preset makes them."""
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
-    takes = [name for kind in _SERVER_KINDS.values() for name in option_names(kind)]
-    beside = options.get(STANDARD_PORT)
-    if preset_of(options.get(OPTION)) is Preset.STRICT:
-        beside = True
-    else:
-        options.pop(STANDARD_PORT, None)
-    listeners = []
-    completed = options
-    for listener in common.listeners:
-        places, completed = with_server_preset([listener], options, takes=takes)
-        first = places[0]
-        assert isinstance(first, Listener)
-        listeners.append(first)
-    server: dict[str, Any] = {
-        name: build_parameters(kind, {key: value for key, value in completed.items() if key in option_names(kind)})
-        for name, kind in _SERVER_KINDS.items()
-    }
-    return listeners, {**server, "tls": tls, STANDARD_PORT: beside}
+    places, chosen = with_server_preset(common.listeners, options)
+    server: dict[str, Any] = {name: chosen.build(kind) for name, kind in _SERVER_KINDS.items()}
+    listeners = [one if isinstance(one, Listener) else Listener(one) for one in places]
+    return listeners, {**server, "tls": tls, "standard_port": chosen.build(UnitParameters).standard_port}
 
 
 __all__ = [

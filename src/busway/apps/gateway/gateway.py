@@ -25,19 +25,19 @@ from ...access.rules import Policy
 from ...client.settings import LinkSettings, link_settings, options_of
 from ...codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ...errors import ConfigError
+from ...options.client import CLIENT_DEADLINE, ClientParameters
 from ...options.endpoints import Endpoint, parse_endpoint
+from ...options.lines import BreakerParameters
+from ...options.server import ListenerParameters
 from ...pdu.functions import STANDARD, FunctionTable
 from ...server.authorisation import Authorise, allow_all
 from ...server.counters import ServerCounters
 from ...server.listener import Listener
 from ...server.local import LocalHandler
 from ...server.naming import is_loopback
-from ...server.parameters import ListenerParameters
 from ...server.server import Server, ServerStatus
 from ...server.status import ConnectionStatus, ListenerStatus
-from ...session.breaker import OPEN_AFTER_BY_FRAMING
 from ...session.handler import Handler
-from ...session.parameters import CLIENT_DEADLINE, TIMEOUT_BY_FRAMING
 from ...session.reconnect import ConnectionState
 from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 DRAIN_SECONDS = 5.0
 UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
     "port_wait": 0.0,
-    "timeout": TIMEOUT_BY_FRAMING["rtu"],
-    "open_after": OPEN_AFTER_BY_FRAMING["rtu"],
+    "timeout": ClientParameters().timeout,
+    "open_after": BreakerParameters().open_after,
 }
 """Options of links that have another default behind a gateway: nobody waits for a port that is not there, a server on a
 network is given up, after its repetition, before the gateway's clients give up, and a unit there that does not answer

@@ -27,10 +27,11 @@ from ...config.reading import read_text
 from ...config.report import Judge, nearest
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint, parse_endpoint
+from ...options.offer import option_names_for
+from ...options.server import ListenerParameters
 from ...options.text import build_parameters, option_names
+from ...options.tls import TlsParameters
 from ...server.listener import Listener
-from ...server.parameters import ListenerParameters
-from ...transport.tls.parameters import OF_CLIENTS, TlsParameters
 
 if TYPE_CHECKING:
     from ...client.aio import AsyncLink
@@ -242,7 +243,8 @@ class _Makers:
         self._judge = judge
         self._changes = changes
         self._general = file.server.options()
-        self._security = {key: value for key, value in file.security.options().items() if key not in OF_CLIENTS}
+        offered = option_names_for("server", [TlsParameters])
+        self._security = {key: value for key, value in file.security.options().items() if key in offered}
 
     def limits(self) -> ListenerParameters | None:
         """The limits of the listeners that have none of their own."""
@@ -270,7 +272,7 @@ class _Makers:
         if endpoint.carrier == "serial":
             return self._checked(Listener(endpoint), place)
         section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
-        own = {} if section is None else section.options()
+        own = {} if section is None else section.options_of(TlsParameters)
         tls = self._tls(own, at) if endpoint.carrier == "tls" else None
         if section is None:
             return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
@@ -278,7 +280,8 @@ class _Makers:
             lambda: AddressList(section.allow, section.deny, section.secure),
             lambda key: nearest(key, ("allow", "deny"), at, (), at),
         )
-        limits = self._limits(section.limits(), at) if section.limits() else None
+        own_limits = section.options_of(ListenerParameters)
+        limits = self._limits(own_limits, at) if own_limits else None
         return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
     def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:

@@ -9,25 +9,22 @@ from enum import Enum
 from typing import Any
 
 from ...client.settings import options_of
-from ...config.files.listeners import OF_CLIENTS
 from ...config.links import NamedLink
-from ...options.text import NONE, build_parameters, option_names
+from ...options.declaration import NONE
+from ...options.offer import SERVERS, Offer, option_names_for
+from ...options.text import option_names
 from ...server.listener import Listener
-from ...server.parameters import ListenerParameters
-from ...session.parameters import ServerParameters
-from ...transport.tcp import SocketParameters
 from .configuration import Configuration
 
 
 def effective(configuration: Configuration) -> Iterator[str]:
     """Lines of TOML: each section that a component takes, with every value."""
     yield "[server]"
-    options = configuration.served()
-    for name in ("unit_policy", "unlisted"):
-        yield line(name, getattr(configuration.file.server, name))
-    for kind in (ServerParameters, ListenerParameters, SocketParameters):
-        chosen = {name: value for name, value in options.items() if name in option_names(kind)}
-        yield from values(build_parameters(kind, chosen), without=OF_CLIENTS)
+    given = {name: value for name, value in configuration.served().items() if name != "tls"}
+    chosen = Offer.of(SERVERS).chosen(given)
+    for kind in SERVERS:
+        without = frozenset(option_names(kind)) - frozenset(option_names_for("server", [kind]))
+        yield from values(chosen.build(kind), without=without)
     for listener in configuration.listeners:
         yield from ["", "[[listener]]", *_listener(listener)]
     for link in configuration.links.values():

@@ -10,10 +10,10 @@ from ...codes import Table
 from ...config.certificates import tls_of
 from ...config.files.device import UnitSection
 from ...config.live_access import reaches_network
+from ...options.declaration import NONE
 from ...options.endpoints import parse_endpoint
-from ...options.text import NONE
+from ...options.server import ListenerParameters
 from ...server.listener import Listener
-from ...server.parameters import ListenerParameters
 from .configuration import Configuration
 
 Row = tuple[str, str, str]

@@ -262,7 +262,7 @@ def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source
                 other = owners[number].problem((), "")
                 problems.append(each.problem((), f"unit {number} is there already: {other.file}:{other.line}"))
             owners.setdefault(number, each)
-    if file.server.unit_policy == "any" and len(owners) > 1:
+    if file.server.options().get("unit_policy") == "any" and len(owners) > 1:
         problems.append(
             source.problem(("server", "unit_policy"), f"any needs exactly one device, but there are {len(owners)}")
         )

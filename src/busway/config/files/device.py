@@ -35,17 +35,19 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from ...codes import MAX_FILE_RECORD_NUMBER, MAX_READ_BITS, MAX_READ_REGISTERS, TABLE_SIZE, Table
-from ...errors import InvalidRequest
+from ...errors import ConfigError, InvalidRequest
+from ...options.offer import SERVERS
+from ...options.server import ListenerParameters
+from ...options.text import build_parameters
 from ...points import ItemRange, Point, ReadRules
-from ...session.parameters import ServerParameters
-from ...transport.tcp import SocketParameters
 from ...values import Address, parse_address
 from ...values.refusal import shown
 from .lines import Path
-from .listeners import OF_CLIENTS, ListenerKeys, Url
+from .listeners import Url
 from .options import OptionSection, with_options_of
 from .points import MOST_REPEATED, STAND_IN, PointSection, WholeSection, checked, resolved
-from .schema import FileProblems, Section, parse_file
+from .problems import FileError
+from .schema import FileProblems, Section, read_source
 
 OBJECT_NUMBERS: Final = {
     "vendor_name": 0,
@@ -70,7 +72,13 @@ def parse_device_file(text: str, name: str) -> "DeviceFile":
     Raises:
         FileError: all that is wrong with it, each with file, line and key.
     """
-    return parse_file(text, DeviceFile, name)
+    source = read_source(text, name)
+    file = source.checked(DeviceFile)
+    try:
+        build_parameters(ListenerParameters, file.server.options_of(ListenerParameters))
+    except ConfigError as error:
+        raise FileError([source.problem(("server", *([error.key] if error.key else [])), error.message)]) from None
+    return file
 
 
 def _as_table(value: object) -> object:
@@ -117,17 +125,14 @@ TableSize = Annotated[int, Field(ge=0, le=TABLE_SIZE)]
 UnitNumber = Annotated[int, Field(ge=0, le=255)]
 
 
-@with_options_of(ServerParameters, SocketParameters, without=OF_CLIENTS)
-class ServerSection(ListenerKeys, OptionSection):
+@with_options_of(*SERVERS, role="server")
+class ServerSection(OptionSection):
     """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
 
     retired: ClassVar[dict[str, str]] = {"shared_places": "shared_slots"}
+    judged_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
 
     preset: Literal["standard", "strict"] = "standard"
-    standard_port: bool | None = None
-    unit_policy: Literal["listed", "any"] = "listed"
-    unlisted: Literal["exception", "silence"] = "exception"
-    shared_slots: bool | None = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of `busway.serve` that are set here."""
@@ -490,7 +495,7 @@ class DeviceFile(Section):
                 if number in owners:
                     yield ("unit", index, "unit"), f"unit {number} is there already: unit[{owners[number]}]"
                 owners[number] = index
-        if self.server.unit_policy == "any" and len(owners) > 1:
+        if self.server.options().get("unit_policy") == "any" and len(owners) > 1:
             yield ("server", "unit_policy"), f"any needs exactly one device, but there are {len(owners)}"
 
 

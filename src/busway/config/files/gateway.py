@@ -35,7 +35,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from ...access.notation import parse_functions, parse_items, parse_table, parse_units
 from ...codes import Table
 from ...errors import ConfigError
-from ...session.parameters import CLIENT_DEADLINE
+from ...options.client import CLIENT_DEADLINE
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, clashes

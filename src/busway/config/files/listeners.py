@@ -5,20 +5,17 @@ server's own class when the configuration is put together (`busway.config`).
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 from pydantic import AfterValidator, Field, model_validator
 
 from ...options.endpoints import parse_endpoint
+from ...options.server import ListenerParameters
 from ...options.text import option_names
-from ...transport.tls.parameters import OF_CLIENTS as ONLY_LINKS
-from ...transport.tls.parameters import TlsParameters
+from ...options.tls import TlsParameters
 from .lines import Path
-from .options import CountOrNone, OptionSection, SecondsOrNone, TextOrNone, with_options_of
-from .schema import FileProblems, Section
-
-OF_CLIENTS: Final = frozenset({"connect_timeout", "local_address"})
-"""Options of sockets that only one who connects needs."""
+from .options import OptionSection, with_options_of
+from .schema import FileProblems
 
 
 def _checked_url(url: str) -> str:
@@ -29,32 +26,9 @@ def _checked_url(url: str) -> str:
 Url = Annotated[str, AfterValidator(_checked_url)]
 
 
-class ListenerKeys(Section):
-    """The options of `ListenerParameters`, of a server or of one listener. None of them is set by being left out."""
-
-    backlog: int | None = Field(default=None, ge=1, le=65_535)
-    priority: list[str] | None = None
-    max_priority_connections: int | None = Field(default=None, ge=0, le=1_000_000)
-    max_priority_per_remote: CountOrNone = None
-    max_connections: int | None = Field(default=None, ge=1, le=1_000_000)
-    max_per_remote: CountOrNone = None
-    write_buffer: int | None = Field(default=None, ge=1024, le=1 << 30)
-    write_timeout: SecondsOrNone = None
-    single_adu_segments: bool | None = None
-    header_timeout: SecondsOrNone = None
-    frame_timeout: SecondsOrNone = None
-    idle_timeout: SecondsOrNone = None
-    answer_half_closed: bool | None = None
-    request_rate: SecondsOrNone = None
-    interface: TextOrNone = None
-
-    def limits(self) -> dict[str, Any]:  # of several types
-        """The options of `ListenerParameters` that are set here."""
-        return {name: getattr(self, name) for name in ListenerKeys.model_fields if name in self.model_fields_set}
-
-
-@with_options_of(TlsParameters, without=ONLY_LINKS)
-class ListenerSection(ListenerKeys, OptionSection):
+@with_options_of(ListenerParameters, without={"shared_slots"})
+@with_options_of(TlsParameters, role="server")
+class ListenerSection(OptionSection):
     """``[[listener]]``: one place to listen, with what holds there and not for the others.
 
     Its limits go before those of ``[server]``, its certificates before those of ``[security]``.

@@ -1,21 +1,21 @@
-"""Keys of a file that are options of a component: made from its parameter class, so that none can be forgotten.
+"""Keys of a file that are options of a component: made from their declarations, so that none can be forgotten.
 
-Knows parameter classes (frozen dataclasses) and pydantic; knows no particular class.
+Knows declared options (`busway.options.declaration`) and pydantic; knows no particular option.
 
-1. A key has the name and the type of the option; where the option may have no value, the text ``none`` says so.
-2. What a value must be is judged by the class itself, when all of its keys are there.
+1. A key has the name and the type of the option; the text ``none`` is the value of an option that has none.
+2. What a value must be is judged by the parameter class, when all of its keys are there; a JSON Schema has its range.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
-from types import NoneType
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from ...errors import ConfigError
-from ...options.text import NONE, build_parameters, option_names
+from ...options.declaration import NONE, Option, Range, declared
+from ...options.text import build_parameters, option_names
+from ...values.refusal import shown
 from .schema import FileProblems, Section
 
 Kind = TypeVar("Kind", bound="OptionSection")
@@ -31,7 +31,6 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 SecondsOrNone = Annotated[float | None, BeforeValidator(_none, json_schema_input_type=float | Literal["none"])]
 CountOrNone = Annotated[int | None, BeforeValidator(_none, json_schema_input_type=int | Literal["none"])]
-TextOrNone = Annotated[str | None, BeforeValidator(_none, json_schema_input_type=str)]
 """Types of keys that may also be ``none``."""
 
 
@@ -42,17 +41,23 @@ class OptionSection(Section):
     """The classes that judge the values."""
     judged: ClassVar[bool] = True
     """Whether they judge what this section says by itself."""
+    judged_later: ClassVar[tuple[type[Any], ...]] = ()
+    """Those that judge when the section is put together with others."""
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options that are set here, by name."""
-        known = {name for kind in self.kinds for name in option_names(kind)}
+        return self.options_of(*self.kinds)
+
+    def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
+        """Those of some parameter classes."""
+        known = {name for kind in kinds for name in option_names(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     @model_validator(mode="after")
     def _judge(self) -> "OptionSection":
-        options = self.options()
         for kind in self.kinds if self.judged else ():
-            build(kind, {name: value for name, value in options.items() if name in option_names(kind)})
+            if kind not in self.judged_later:
+                build(kind, self.options_of(kind))
         return self
 
 
@@ -64,21 +69,23 @@ def build(kind: type[Any], options: Mapping[str, Any]) -> None:
         raise FileProblems([((error.key,) if error.key else (), error.message)]) from None
 
 
-def with_options_of(*kinds: type[Any], without: frozenset[str] = frozenset()) -> Callable[[type[Kind]], type[Kind]]:
+def with_options_of(
+    *kinds: type[Any], role: str = "", without: Iterable[str] = ()
+) -> Callable[[type[Kind]], type[Kind]]:
     """A decorator: the section gets a key for each option of the parameter classes.
 
     Args:
         kinds: the classes.
+        role: ``client`` or ``server``: only options that have an effect for it are keys.
         without: options that have no effect here, and so are no keys.
     """
 
     def extended(section: type[Kind]) -> type[Kind]:
         keys: dict[str, Any] = {}  # pairs of type and default, as pydantic takes them
-        for kind in kinds:
-            hints = get_type_hints(kind)
-            for option in fields(kind):
-                if option.name not in without and option.name not in section.model_fields:
-                    keys[option.name] = (_annotation(hints[option.name]), Field(default=None))
+        for option in (one for kind in kinds for one in declared(kind).values()):
+            has_effect = not role or all(on.fits_role(role) for on in option.on)
+            if has_effect and option.name not in without and option.name not in section.model_fields:
+                keys[option.name] = (_annotation(option), _field(option))
         made = create_model(
             section.__name__, __base__=section, __module__=section.__module__, __doc__=section.__doc__, **keys
         )
@@ -88,12 +95,37 @@ def with_options_of(*kinds: type[Any], without: frozenset[str] = frozenset()) ->
     return extended
 
 
-def _annotation(hint: Any) -> Any:  # both are types as annotations have them
-    """The type of a key for the type of an option."""
-    kinds = get_args(hint) if NoneType in get_args(hint) else (hint,)
-    kind = next(one for one in kinds if one is not NoneType)
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        kind = Literal[tuple(one.value for one in kind)]
-    elif hasattr(kind, "parse"):
-        kind = list[str]
-    return _or_none(kind) if NoneType in kinds else kind
+def _annotation(option: Option) -> Any:  # a type as annotations have it
+    """The type of the key of an option."""
+    kinds = [_plain(kind) for kind in option.kinds]
+    if len(kinds) > 1:
+        return Annotated[
+            Union[tuple(kinds)],  # noqa: UP007  # as many as there are
+            BeforeValidator(_one_of(option), json_schema_input_type=Union[tuple(kinds)]),  # noqa: UP007
+        ]
+    return _or_none(kinds[0]) if option.is_optional else kinds[0]
+
+
+def _plain(kind: Any) -> Any:  # both are types as annotations have them
+    if issubclass(kind, Enum):
+        return Literal[tuple(one.value for one in kind)]
+    return list[str] if hasattr(kind, "parse") else kind
+
+
+def _one_of(option: Option) -> Callable[[object], object]:
+    """A validator of an option that takes numbers and words, so that one sentence says all that there is."""
+
+    def judge(value: object) -> object:
+        if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):
+            return value
+        raise ValueError(f"must be {option.expected}, not {shown(value)}")
+
+    return judge
+
+
+def _field(option: Option) -> Any:  # what pydantic makes of it
+    extra: dict[str, Any] = {}  # Any: what JSON has
+    if isinstance(option.limits, Range):
+        extra["exclusiveMinimum" if option.limits.above else "minimum"] = option.limits.low
+        extra["maximum"] = option.limits.high
+    return Field(default=None, description=option.help, json_schema_extra=extra)

@@ -41,37 +41,17 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from ...errors import ConfigError
-from ...session.breaker import BreakerParameters
-from ...session.line_framing import FramingParameters
-from ...session.parameters import ClientParameters
-from ...session.serial_client import SerialClientParameters
-from ...transport.serial.opening import OpeningParameters
-from ...transport.serial.settings import SerialSettings
-from ...transport.tcp import SocketParameters
-from ...transport.tls.parameters import OF_SERVERS as ONLY_LISTENERS
-from ...transport.tls.parameters import TlsParameters
-from ...values.refusal import shown
+from ...options.offer import LINKS
+from ...options.tls import TlsParameters
 from .device import DeviceFile, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
-from .options import OptionSection, TextOrNone, with_options_of
+from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
 from .schema import FileProblems, Section, Source, read_source
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file does not say."""
-
-LINK_KINDS: Final = (
-    ClientParameters,
-    SocketParameters,
-    SerialClientParameters,
-    BreakerParameters,
-    FramingParameters,
-    SerialSettings,
-    OpeningParameters,
-    TlsParameters,
-)
-"""The classes whose options a link may have; which of them, its scheme says."""
 
 
 def read_system_file(text: str, name: str) -> "tuple[SystemFile, Source]":
@@ -108,46 +88,29 @@ def _checked_place(text: str) -> str:
     return text
 
 
-def _number_or_hold(value: object) -> object:
-    if value in HOLD_WORDS or (isinstance(value, int | float) and not isinstance(value, bool)):
-        return value
-    raise ValueError(f"must be seconds, {' or '.join(HOLD_WORDS)}, not {shown(value)}")
-
-
-HOLD_WORDS: Final = ("forever", "request")
-HoldTime = Annotated[
-    float | str, BeforeValidator(_number_or_hold, json_schema_input_type=float | Literal["forever", "request"])
-]
 FilePath = Annotated[str, Field(min_length=1)]
 
 
+@with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """The options of a link that are the client's own. None of them is set by being left out."""
+    """The options of a link. None of them is set by being left out."""
 
     preset: Literal["standard", "strict"] | None = None
-    hold: HoldTime | None = None
-    reconnect_first: float | None = None
-    reconnect_most: float | None = None
-    max_connections: int | None = None
-    interface: TextOrNone = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of a link that are set here, by name."""
-        own = {name: getattr(self, name) for name in LinkKeys.model_fields if name in self.model_fields_set}
-        return super().options() | own
+        return super().options() | ({"preset": self.preset} if "preset" in self.model_fields_set else {})
 
 
-@with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
 class LinkSection(LinkKeys):
     """``[[link]]``: one endpoint that requests go to, under a name, with options of its own."""
 
-    judged: ClassVar[bool] = False  # together with those of [client], where the link is put together
+    judged: ClassVar[bool] = False  # together with its scheme, where the link is put together
 
     name: str = Field(min_length=1)
     url: Url
 
 
-@with_options_of(*LINK_KINDS, without=ONLY_LISTENERS)
 class ClientSection(LinkKeys):
     """``[client]``: options for all links whose scheme has the option."""
 

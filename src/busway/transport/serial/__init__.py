@@ -1,6 +1,6 @@
 """Serial ports: bytes in, bytes out, over a UART, a USB adapter or a pseudo-terminal. Knows no Modbus.
 
-Each file has one subject: what a line is set to (`settings`), which port is meant (`ports`), who holds it (`lock`),
+Each file has one subject: which port is meant (`ports`), who holds it (`lock`),
 what the driver is asked beside that (`rs485`, `marks`, `counters`, `overruns`, through `ioctl`), when the last
 character has left (`emission`), how descriptors are waited for (`waiting`), what foreign errors mean (`errors`), when a
 lost port is tried again (`reopen`), and the two ways to use one (`device`): `connection` under asyncio, `blocking`
@@ -18,31 +18,22 @@ if TYPE_CHECKING:
     from .counters import LineCounters
     from .ports import FoundPort, list_ports
     from .reopen import ReopenPolicy
-    from .settings import Echo, Parity, Rs485, SerialSettings
 
 __all__ = [
     "BlockingSerialPort",
-    "Echo",
     "FoundPort",
     "LineCounters",
-    "Parity",
     "ReopenPolicy",
-    "Rs485",
     "SerialConnection",
-    "SerialSettings",
     "list_ports",
 ]
 
 _HOME = {
     "BlockingSerialPort": "blocking",
-    "Echo": "settings",
     "FoundPort": "ports",
     "LineCounters": "counters",
-    "Parity": "settings",
     "ReopenPolicy": "reopen",
-    "Rs485": "settings",
     "SerialConnection": "connection",
-    "SerialSettings": "settings",
     "list_ports": "ports",
 }
 

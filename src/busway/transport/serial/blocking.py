@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Self
 
 from ...errors import LinkDown
 from ...extras import require
+from ...options.ports import SerialSettings
 from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
 from .errors import opening_failed, port_lost
 from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
 from .rs485 import DriverDirection
-from .settings import SerialSettings
 from .waiting import wait_ready
 
 if TYPE_CHECKING:

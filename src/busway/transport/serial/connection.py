@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Self, cast
 
 from ...errors import LinkDown
 from ...extras import require
+from ...options.ports import SerialSettings
 from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
 from .errors import opening_failed, port_lost
 from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
 from .rs485 import DriverDirection
-from .settings import SerialSettings
 
 if TYPE_CHECKING:
     from serialx import BaseSerialTransport

@@ -7,13 +7,13 @@ ports have no descriptors (Windows) `serialx` does all there is, and the rest re
 import os
 from typing import TYPE_CHECKING, Any
 
+from ...options.ports import Parity, Rs485, SerialSettings
 from .counters import LineCounters, read_counters
 from .emission import CharacterClock, characters_held
 from .ioctl import Ioctl, system_ioctl
 from .lock import admit_others, refuse_others
 from .marks import MarkDecoder, Received, switch_marks_on
 from .rs485 import DriverDirection, set_rts, settle_direction
-from .settings import Parity, Rs485, SerialSettings
 
 if TYPE_CHECKING:
     from serialx import BaseSerial

@@ -10,42 +10,16 @@ Knows names of ports; opens none and knows no Modbus.
 import os
 import threading
 import weakref
-from dataclasses import dataclass
 
 from ...errors import ConfigError
 from ...extras import require
+from ...options.ports import OpeningParameters
 from .reopen import ReopenPolicy
 
 
-@dataclass(frozen=True, slots=True)
-class OpeningParameters:
-    """How a port is opened and waited at.
-
-    Attributes:
-        port_wait: seconds that a request waits for a port that is not there, 0…3600; then it fails, and requests fail
-            at once until the port has come.
-        reopen_first, reopen_most: seconds between the attempts to open a port that is not there: the first pause, which
-            doubles, and the longest.
-        precise_timing: whether the last moments before a frame are waited for in a loop, which keeps a processor busy:
-            0.3 ms, or 1.5 ms where the system has no timers that are exact to microseconds.
-    """
-
-    port_wait: float = 1.0
-    reopen_first: float = 0.1
-    reopen_most: float = 2.0
-    precise_timing: bool = False
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.port_wait <= 3600:
-            raise ConfigError(f"must be 0…3600 seconds, not {self.port_wait:g}", key="port_wait")
-        try:
-            self.policy()
-        except ConfigError as error:
-            raise ConfigError(error.message, key=f"reopen_{error.key}") from None
-
-    def policy(self) -> ReopenPolicy:
-        """The pauses, without an end."""
-        return ReopenPolicy(first=self.reopen_first, most=self.reopen_most)
+def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
+    """The pauses between attempts to open a port, without an end."""
+    return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
 
 
 class Claim:

@@ -9,8 +9,8 @@ import struct
 from enum import Enum
 
 from ...errors import ConfigError
+from ...options.ports import Echo, Rs485, SerialSettings
 from .ioctl import Ioctl, asked, asked_integer, system_ioctl
-from .settings import Echo, Rs485, SerialSettings
 
 TIOCGRS485 = 0x542E
 TIOCSRS485 = 0x542F

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from ...errors import ConfigError
-from .parameters import NULL_SUITES, Curve, TlsParameters, TlsVersion, Verify
+from ...options.tls import NULL_SUITES, Curve, TlsParameters, TlsVersion, Verify
 
 _log = logging.getLogger("busway.tls")
 

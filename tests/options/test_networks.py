@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.access.networks import NetworkIndex, Networks, host_of_peer
 from busway.errors import ConfigError
+from busway.options.networks import NetworkIndex, Networks, host_of_peer
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,282 @@
+"""How an option is declared: one annotated field of a parameter class. Everything else is derived from it.
+
+Knows types, ranges and texts; knows no particular option. ::
+
+    @dataclass(frozen=True, slots=True)
+    class ClientParameters:
+        timeout: Annotated[float, Range(0.001, 3600), "seconds from the last byte of a request …"] = 1.0
+
+        def __post_init__(self) -> None:
+            check(self)
+
+1. The text is the option's help. The other marks are those of this file; all of them may be left out.
+2. What an option may be is checked when its parameter class is built, so an invalid value never exists.
+3. URLs, keywords, keys of files, JSON Schema, help and the tables of the documentation ask `declared`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from enum import Enum
+from types import MappingProxyType, NoneType, UnionType
+from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+
+from ..errors import ConfigError
+
+NONE: Final = "none"
+"""The text that means None for an option that may be None: files and URLs have no other word for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The least and the greatest number; ``words`` replace them in sentences, ``unit`` follows them."""
+
+    low: float
+    high: float
+    unit: str = ""
+    words: str = ""
+    above: bool = False
+    """Whether ``low`` itself is out of range."""
+
+    def has(self, value: float) -> bool:
+        """Whether a number is in the range."""
+        return (self.low < value if self.above else self.low <= value) and value <= self.high
+
+    def __str__(self) -> str:
+        return self.words or f"{_number(self.low)}…{_number(self.high)}{self.unit and f' {self.unit}'}"
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """The only numbers that there are."""
+
+    values: tuple[int, ...]
+
+    def has(self, value: float) -> bool:
+        """Whether a number is one of them."""
+        return value in self.values
+
+    def __str__(self) -> str:
+        return " or ".join(map(str, self.values))
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """A text that must not be empty: the name of something."""
+
+    words: str
+
+    def has(self, value: str) -> bool:
+        """Whether it is a name."""
+        return bool(value)
+
+    def __str__(self) -> str:
+        return self.words
+
+
+@dataclass(frozen=True, slots=True)
+class Strict:
+    """What the preset ``strict`` sets the option to, and the clause of the specification that requires it.
+
+    Attributes:
+        clause: the clause.
+        value: of an enum, the member's value.
+        adaptable: whether another value may be given beside the preset.
+    """
+
+    clause: str
+    value: Any  # the type depends on the option
+    adaptable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ByFraming:
+    """Other defaults by the framing of an endpoint."""
+
+    defaults: Mapping[str, Any]  # the type depends on the option
+
+
+class On:
+    """Where the option has an effect: each place is words of a role, a framing and a carrier, all of which must fit.
+
+    ``On("client", "server rtu")``: for every client, and for servers with RTU. Roles are ``client``, ``server`` and
+    ``monitor``, which only listens to a line.
+    """
+
+    __slots__ = ("_places",)
+
+    def __init__(self, *places: str) -> None:
+        self._places = tuple(frozenset(place.split()) for place in places)
+
+    def fits(self, role: str, framing: str, carrier: str) -> bool:
+        """Whether a place is there for a role and an endpoint."""
+        return any(place <= {role, framing, carrier} for place in self._places)
+
+    def fits_role(self, role: str) -> bool:
+        """Whether there is an endpoint for which a place is there for a role."""
+        return any(not place & (ROLES - {role}) for place in self._places)
+
+
+ROLES: Final = frozenset({"client", "server", "monitor"})
+
+
+@dataclass(frozen=True, slots=True)
+class Alias:
+    """Another name of the option."""
+
+    name: str
+
+
+class Mark(Enum):
+    """Marks without a value.
+
+    Attributes:
+        PER_CALL: each user of a shared link may choose another value; the rest belongs to the connection.
+        FILE: the text is the path of a file.
+    """
+
+    PER_CALL = "per call"
+    FILE = "file"
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One declared option.
+
+    Attributes:
+        name: its name, in URLs, keywords and files.
+        kinds: the types of its values; `NoneType` is not among them.
+        is_optional: whether it may be None.
+        default: its default, where the framing does not say another.
+        help: what it means, in a sentence.
+        limits: what a value must be, beside its type.
+        strict: what the preset ``strict`` says about it.
+        by_framing: its defaults by framing.
+        on: where it has an effect; all of them must fit.
+        aliases: its other names.
+        marks: what else is known about it.
+    """
+
+    name: str
+    kinds: tuple[Any, ...]  # types
+    is_optional: bool
+    default: Any  # of one of its types
+    help: str
+    limits: Range | OneOf | Name | None
+    strict: Strict | None
+    by_framing: Mapping[str, Any]
+    on: tuple[On, ...]
+    aliases: tuple[str, ...]
+    marks: frozenset[Mark]
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The words that it may be: the values of its enums."""
+        return tuple(one.value for kind in self.kinds if issubclass(kind, Enum) for one in kind)
+
+    @property
+    def expected(self) -> str:
+        """What a value must be, in words."""
+        numbers = str(self.limits) if self.limits is not None else ""
+        words = list(map(str, self.choices))
+        if numbers:
+            return f"{numbers}, {' or '.join(words)}" if words else numbers
+        return " or ".join(words) if len(words) == 2 else f"one of {', '.join(words)}"
+
+    @property
+    def values(self) -> str:
+        """What it can be, for tables and help."""
+        if self.kinds == (bool,):
+            text = "on, off"
+        elif self.choices:
+            text = ", ".join([str(self.limits)] * (self.limits is not None) + [f"`{one}`" for one in self.choices])
+        elif hasattr(self.kinds[0], "parse"):
+            text = "a list"
+        else:
+            text = "a text" if self.limits is None or isinstance(self.limits, Name) else str(self.limits)
+        return f"{text}, or none" if self.is_optional else text
+
+    @property
+    def default_text(self) -> str:
+        """Its default as a person writes it, with the framings that have another."""
+        if not self.by_framing:
+            return _shown(self.default)
+        names: dict[str, list[str]] = {}
+        for framing, default in self.by_framing.items():
+            names.setdefault(_shown(default), []).append({"mbap": "TCP, TLS, UDP"}.get(framing, framing.upper()))
+        return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
+
+    def check(self, value: object) -> None:
+        """Raises `ConfigError` where a value of the right type is out of range, or an enum is not one."""
+        if value is None and self.is_optional:
+            return
+        if self.choices and isinstance(value, Enum):
+            return
+        if isinstance(value, int | float | str) and (self.limits is not None or self.choices):
+            if self.limits is not None and self.limits.has(value):  # type: ignore[arg-type]
+                return
+            said = _number(value) if isinstance(value, int | float) else repr(value)
+            raise ConfigError(f"must be {self.expected}, not {said}", key=self.name)
+        if self.choices:
+            raise ConfigError(f"must be {self.expected}, not {value!r}", key=self.name)
+
+
+def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base
+    """The options that a parameter class declares, by name, in their order."""
+    found = _DECLARED.get(kind)
+    if found is None:
+        found = _DECLARED[kind] = _declared(kind)
+    return found
+
+
+_DECLARED: Final[dict[type[Any], Mapping[str, Option]]] = {}
+
+
+def _declared(kind: type[Any]) -> Mapping[str, Option]:
+    hints = get_type_hints(kind, include_extras=True)
+    on = getattr(kind, "on", None)
+    found = {}
+    for field in fields(kind):
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        found[field.name] = _option(field.name, hints[field.name], default, () if on is None else (on,))
+    return MappingProxyType(found)
+
+
+def check(parameters: Any) -> None:
+    """Check every option of a parameter object. Raises `ConfigError` with the option as its key."""
+    for name, option in declared(type(parameters)).items():
+        option.check(getattr(parameters, name))
+
+
+def _option(name: str, hint: Any, default: object, on: tuple[On, ...]) -> Option:  # hint: a type as annotated
+    marks: tuple[Any, ...] = ()
+    if get_origin(hint) is Annotated:
+        hint, *rest = get_args(hint)
+        marks = tuple(rest)
+    kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    return Option(
+        name,
+        tuple(kind for kind in kinds if kind is not NoneType),
+        NoneType in kinds,
+        default,
+        help=" ".join(mark for mark in marks if isinstance(mark, str)),
+        limits=next((mark for mark in marks if isinstance(mark, Range | OneOf | Name)), None),
+        strict=next((mark for mark in marks if isinstance(mark, Strict)), None),
+        by_framing=next((mark.defaults for mark in marks if isinstance(mark, ByFraming)), MappingProxyType({})),
+        on=(*on, *(mark for mark in marks if isinstance(mark, On))),
+        aliases=tuple(mark.name for mark in marks if isinstance(mark, Alias)),
+        marks=frozenset(mark for mark in marks if isinstance(mark, Mark)),
+    )
+
+
+def _shown(default: object) -> str:
+    if default is None or (hasattr(default, "parse") and not default):
+        return "none"
+    if isinstance(default, bool):
+        return "on" if default else "off"
+    if isinstance(default, Enum):
+        return f"`{default.value}`"
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:g}"

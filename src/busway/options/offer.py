@@ -1,0 +1,147 @@
+"""Which options a component takes, and parameter objects made of those that are given.
+
+Knows the parameter classes; knows no component. An option that has no effect with a scheme is refused there, because it
+would be believed to work.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final, TypeVar
+
+from ..errors import ConfigError
+from .client import ClientParameters, ManagementParameters
+from .declaration import Option, declared
+from .endpoints import Endpoint
+from .lines import BreakerParameters, FramingParameters, SerialClientParameters
+from .ports import OpeningParameters, SerialSettings
+from .presets import OPTION, with_preset
+from .server import ListenerParameters, ServerParameters, UnitParameters
+from .sockets import SocketParameters
+from .text import build_parameters, unknown_option
+from .tls import TlsParameters
+
+Parameters = TypeVar("Parameters")
+Kinds = tuple[type[Any], ...]  # parameter classes, which share no base
+
+LINKS: Final[Kinds] = (
+    ClientParameters,
+    SocketParameters,
+    ManagementParameters,
+    TlsParameters,
+    SerialClientParameters,
+    BreakerParameters,
+    FramingParameters,
+    SerialSettings,
+    OpeningParameters,
+)
+"""The classes whose options a link may have; which of them, its scheme says."""
+LISTENERS: Final[Kinds] = (FramingParameters, SerialSettings, OpeningParameters, TlsParameters)
+"""The same of a URL to listen on."""
+MONITORS: Final[Kinds] = (FramingParameters, SerialSettings, OpeningParameters, SocketParameters)
+"""The same of a line that is only listened to."""
+SERVERS: Final[Kinds] = (UnitParameters, ServerParameters, ListenerParameters, SocketParameters)
+"""The classes whose options hold for a whole server."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """The options that a component takes, by the class that holds them.
+
+    Attributes:
+        kinds: the options of each class, by name.
+        framing: of the endpoint; empty without one.
+    """
+
+    kinds: Mapping[type[Any], Mapping[str, Option]]
+    framing: str = ""
+
+    @classmethod
+    def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "Offer":
+        """The options that have an effect at an endpoint, for a ``client``, a ``server`` or a ``monitor``."""
+        words = (role, endpoint.framing, endpoint.carrier)
+        found = {}
+        for kind in kinds:
+            options = {name: one for name, one in declared(kind).items() if all(on.fits(*words) for on in one.on)}
+            if options:
+                found[kind] = options
+        return cls(found, endpoint.framing)
+
+    @classmethod
+    def of(cls, kinds: Kinds) -> "Offer":
+        """All options of some classes."""
+        return cls({kind: declared(kind) for kind in kinds})
+
+    @property
+    def options(self) -> dict[str, Option]:
+        """The options by name."""
+        return {name: option for options in self.kinds.values() for name, option in options.items()}
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The names of the options, and ``preset`` where there are any."""
+        names = frozenset(self.options)
+        return names | {OPTION} if names else names
+
+    def chosen(self, given: Mapping[str, object], *, of: str = "") -> "ChosenOptions":
+        """The parameter objects that given options make.
+
+        Args:
+            given: values or their texts by name, ``preset`` among them or not.
+            of: what has the options, for the message about an unknown one.
+
+        Raises:
+            ConfigError: there is no such option, or it cannot have this value.
+        """
+        values: dict[type[Any], dict[str, object]] = {kind: {} for kind in self.kinds}
+        own_names = canonical(given)
+        for name, value in (with_preset(own_names, self.options) if self.options else own_names).items():
+            kind = next((kind for kind, options in self.kinds.items() if name in options), None)
+            if kind is None:
+                raise unknown_option(name, self.names, of=of)
+            values[kind][name] = value
+        return ChosenOptions(self, values)
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenOptions:
+    """Options that were given, sorted by the class that takes them.
+
+    Attributes:
+        offer: what could be given.
+        values: values or their texts by name, by class.
+    """
+
+    offer: Offer
+    values: Mapping[type[Any], dict[str, object]]
+
+    def build(self, kind: type[Parameters]) -> Parameters:
+        """The parameter object of a class; with the defaults where it is not on offer. Raises `ConfigError`."""
+        return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
+
+
+def canonical(options: Mapping[str, object]) -> dict[str, object]:
+    """Replace alternative names of options by their own names.
+
+    Raises:
+        ConfigError: an option is given under both names.
+    """
+    found: dict[str, object] = {}
+    for given, value in options.items():
+        name = aliases().get(given, given)
+        if name in found:
+            raise ConfigError(f"is another name of {name}, which is given too", key=given if given != name else name)
+        found[name] = value
+    return found
+
+
+@cache
+def aliases() -> Mapping[str, str]:
+    """Alternative names of options of links, each with the option's own name."""
+    options = (option for kind in LINKS for option in declared(kind).values())
+    return {alias: option.name for option in options for alias in option.aliases}
+
+
+def option_names_for(role: str, kinds: Iterable[type[Any]]) -> list[str]:
+    """The options of some classes that have an effect for a role at one endpoint or another."""
+    return [name for kind in kinds for name, one in declared(kind).items() if all(on.fits_role(role) for on in one.on)]

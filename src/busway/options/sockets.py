@@ -1,0 +1,87 @@
+"""Options of network connections, of clients and servers (Messaging on TCP/IP V1.0b §4.3.2)."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from .declaration import On, Range, Strict, check
+
+MIN_SOCKET_BUFFER = 900
+"""Below this a request and its reply may not fit (Messaging on TCP/IP V1.0b §4.3.2)."""
+_BUFFER = Range(MIN_SOCKET_BUFFER, 1 << 30, words=f"at least {MIN_SOCKET_BUFFER} bytes")
+_STREAMS = On("tcp", "tls")
+_DIALLED = On("client", "monitor tcp")
+"""Where a connection is opened, and not accepted."""
+
+
+@dataclass(frozen=True, slots=True)
+class SocketParameters:
+    """Parameters of a connection (Messaging on TCP/IP V1.0b §4.3.2).
+
+    The guide names 2 hours, 75 seconds and 8 probes for keepalive, the defaults of many systems; they would keep a
+    half-open connection for more than two hours, so ours are shorter.
+    """
+
+    on: ClassVar = On("tcp", "tls", "udp")
+
+    connect_timeout: Annotated[
+        float,
+        Range(0.01, 600),
+        _DIALLED,
+        Strict("T19", 75.0, adaptable=True),
+        "seconds until a connection that does not come about fails.",
+    ] = 3.0
+    keepalive: Annotated[bool, _STREAMS, Strict("T19", True), "whether the system probes an idle peer."] = True
+    keepalive_idle: Annotated[
+        int,
+        Range(1, 32_767),
+        _STREAMS,
+        Strict("T19", 7200, adaptable=True),
+        "seconds of idleness before the first probe.",
+    ] = 60
+    keepalive_interval: Annotated[
+        int, Range(1, 32_767), _STREAMS, Strict("T19", 75, adaptable=True), "seconds between probes."
+    ] = 10
+    keepalive_count: Annotated[
+        int, Range(1, 127), _STREAMS, Strict("T19", 8, adaptable=True), "lost probes that end the connection."
+    ] = 3
+    user_timeout: Annotated[
+        float | None,
+        Range(0.1, 3600),
+        _STREAMS,
+        "seconds that sent data may stay unacknowledged before the connection ends, where the system has it (Linux);",
+        "None leaves it to the system. Linux ends a peer that lives and takes nothing for so long, too. With keepalive",
+        "it is never longer than the probes take: see `effective_user_timeout`.",
+    ] = 30.0
+    no_delay: Annotated[bool, _STREAMS, Strict("T19", True), "whether small segments leave at once (TCP_NODELAY)."] = (
+        True
+    )
+    receive_buffer: Annotated[int | None, _BUFFER, "bytes of the receive buffer; None leaves them to the system."] = (
+        None
+    )
+    send_buffer: Annotated[
+        int | None,
+        _BUFFER,
+        On("client", "server", "monitor tcp"),
+        "bytes of the send buffer; None leaves them to the system.",
+    ] = None
+    local_address: Annotated[
+        str | None,
+        _DIALLED,
+        "address to connect from; None lets the system choose. The port is always the system's choice, above 1024.",
+    ] = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def effective_user_timeout(self) -> float | None:
+        """The user timeout as it is set, in seconds; None leaves it to the system.
+
+        Linux asks it, and not the number of lost probes, when a probe is due on an idle connection: with 30 s, two
+        probes of one second would end a half-open connection after 30 s. So it is over before the last probe's time is,
+        and an idle half-open connection ends within idle + interval × count whatever the user timeout.
+        """
+        if self.user_timeout is None or not self.keepalive:
+            return self.user_timeout
+        probes = self.keepalive_idle + self.keepalive_interval * (self.keepalive_count - 0.5)
+        return min(self.user_timeout, probes)
