@@ -19,7 +19,7 @@ from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
 from busway.server.authorisation import Authorise
 from busway.server.listener import Listener
-from busway.server.pools import Pool
+from busway.server.pools import Pool, PoolLimits
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
 
@@ -213,7 +213,8 @@ def test_limits_that_do_not_fit_are_refused_and_named(options: dict[str, Any], k
 
 def test_without_a_limit_of_its_own_a_device_may_have_half_of_the_priority_places() -> None:
     assert [
-        ListenerParameters(max_priority_connections=places).pools.priority_per_device for places in (0, 1, 2, 8)
+        PoolLimits.of(ListenerParameters(max_priority_connections=places)).priority_per_device
+        for places in (0, 1, 2, 8)
     ] == [
         1,
         1,
