@@ -15,6 +15,7 @@ EXTRA_OF: Final = {
     "pydantic": "files",
     "cryptography": "tls",
     "prometheus_client": "metrics",
+    "fastapi": "web",
     "starlette": "web",
     "uvicorn": "web",
     "websockets": "web",

@@ -4,12 +4,10 @@ import re
 from pathlib import Path
 
 import pytest
-from watched import PLANT
+from watched import watched
 
-from busway.apps.simulator.includes import parse_declaration
-from busway.apps.simulator.simulation import Simulation
 from busway.apps.web.access import BODY_LIMIT
-from busway.apps.web.hosting import SHORTEST_TOKEN, ControlPage
+from busway.apps.web.hosting import SHORTEST_TOKEN
 from busway.apps.web.stream import FRAMES_AT_ONCE, MOST_POINTS, SEND_SECONDS
 
 GUIDE = Path(__file__).parents[3] / "docs" / "simulator.md"
@@ -23,8 +21,13 @@ def section():
 
 def test_the_table_has_every_resource_and_no_other(section):
     rows = re.findall(r"^\| `([A-Z]+ /api\S*)` \| (.+) \|$", section, re.MULTILINE)
-    page = ControlPage(Simulation(parse_declaration(PLANT, "plant.toml")))
-    declared = [(f"{one.method} {one.path}", one.summary[0].lower() + one.summary[1:]) for one in page.api.operations()]
+    with watched() as plant:
+        paths = plant.ask("GET", "/openapi.json")[1]["paths"]
+    declared = [
+        (f"{method.upper()} {path}", one["summary"][0].lower() + one["summary"][1:])
+        for path, methods in paths.items()
+        for method, one in methods.items()
+    ]
     assert rows == declared
 
 

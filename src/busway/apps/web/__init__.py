@@ -3,7 +3,7 @@
 ===============  =======================================================================
 `hosting`        starts and stops it all: `ControlPage`
 `access`         who may ask: Host, Origin, token, sizes
-`operations`     how a resource is declared; the OpenAPI document is made of that
+`operations`     the application, how errors are answered, and the OpenAPI document
 `messages`       what is asked and answered, as JSON
 `api`            the resources themselves
 `stream`         the WebSocket: a snapshot, then what changes

@@ -17,6 +17,7 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 
 from ..control.addresses import is_loopback
@@ -48,12 +49,8 @@ class PageAccessRules:
     is_loopback: bool = True
 
 
-class Refused(Exception):
+class Refused(HTTPException):
     """A request that goes no further: a status and a sentence."""
-
-    def __init__(self, status: int, sentence: str) -> None:
-        super().__init__(sentence)
-        self.status = status
 
 
 class PageAccess:
@@ -156,7 +153,7 @@ def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
 
 async def _refuse(error: Refused, scope: Scope, receive: Receive, send: Send) -> None:
     if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)})
+        await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": error.detail})
         return
-    headers = {"WWW-Authenticate": "Bearer"} if error.status == 401 else None
-    await JSONResponse({"error": str(error)}, error.status, headers)(scope, receive, send)
+    headers = {"WWW-Authenticate": "Bearer"} if error.status_code == 401 else None
+    await JSONResponse({"error": error.detail}, error.status_code, headers)(scope, receive, send)

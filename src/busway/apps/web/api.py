@@ -10,7 +10,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Any, Final, cast
+from typing import Annotated, Any, Final, cast
+
+from fastapi import FastAPI, Query
+from starlette.exceptions import HTTPException
 
 from ...errors import ModbusError
 from ...values.refusal import shown
@@ -18,9 +21,9 @@ from ...version import __version__
 from ..control.plain import plain
 from .faults import all_fault_profiles, all_faults, fault_named, put_on
 from .messages import (
-    Answer,
     Connections,
     CountersMessage,
+    Failure,
     FaultAnswer,
     FaultsMessage,
     LinesMessage,
@@ -43,16 +46,15 @@ from .messages import (
     given_value,
     plain_value,
 )
-from .operations import Operation, OperationCall, Problem
 from .subject import Board, PageSubject, ServedUnits, ShownPoint
 from .traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
-_NO_POINT: Final = {HTTPStatus.NOT_FOUND: "There is no such unit or point."}
-_NO_FAULT: Final = {HTTPStatus.NOT_FOUND: "There is no such fault."}
-_POINT: Final = "/api/units/{unit}/points/{name}"
-_RELEASE: Final = "/api/units/{unit}/release/{name}"
-_FAULT: Final = "/api/faults/{name}"
+_POINT: Final = "/api/units/{unit}/points/{name:path}"  # a name may hold slashes
+_FAULT: Final = "/api/faults/{name:path}"
+_Responses = dict[int | str, dict[str, Any]]  # Any: as FastAPI has them
+_NO_POINT: Final[_Responses] = {404: {"model": Failure, "description": "There is no such unit or point."}}
+_NO_FAULT: Final[_Responses] = {404: {"model": Failure, "description": "There is no such fault."}}
 
 
 @dataclass(slots=True)
@@ -84,124 +86,48 @@ class Api:
         inner = getattr(served, "server", served)  # a service has its server as a part
         return cast("ServedUnits", inner)
 
-    # What can be asked.
-
-    def operations(self) -> list[Operation]:
-        """All resources."""
-        return [
-            Operation(
-                "GET", "/api/simulation", "get_simulation", "The simulation", SimulationAnswer, self.get_simulation
-            ),
-            Operation(
-                "PATCH",
-                "/api/simulation",
-                "change_simulation",
-                "Change the speed, pause it, let it go on",
-                SimulationAnswer,
-                self.change_simulation,
-                body=SimulationChange,
-            ),
-            Operation("GET", "/api/units", "list_units", "The units", Units, self.list_units),
-            Operation(
-                "GET", "/api/points", "list_points", "Points", PointsMessage, self.list_points, query=PointsQuery
-            ),
-            Operation("GET", "/api/values", "get_values", "All values by key", Values, self.get_values),
-            Operation("POST", "/api/values", "set_values", "Set many values", Written, self.set_values, body=NewValues),
-            Operation(
-                "GET", _POINT, "get_point", "A point", PointAnswer, self.get_point, rest="name", failures=_NO_POINT
-            ),
-            Operation(
-                "PUT",
-                _POINT,
-                "set_point",
-                "Set a value, against its behaviour",
-                PointAnswer,
-                self.set_point,
-                body=NewValue,
-                rest="name",
-                failures=_NO_POINT,
-            ),
-            Operation(
-                "POST",
-                _RELEASE,
-                "release_point",
-                "Let a point follow its behaviour again",
-                PointAnswer,
-                self.release_point,
-                rest="name",
-                failures=_NO_POINT,
-            ),
-            Operation(
-                "GET",
-                "/api/faults",
-                "list_faults",
-                "Faults, and what can be put on",
-                FaultsMessage,
-                self.list_faults,
-            ),
-            Operation(
-                "POST",
-                "/api/faults",
-                "add_fault",
-                "Put a fault on",
-                FaultAnswer,
-                self.add_fault,
-                body=NewFault,
-                status=HTTPStatus.CREATED,
-            ),
-            Operation(
-                "PATCH",
-                _FAULT,
-                "switch_fault",
-                "Switch a fault on or off",
-                FaultAnswer,
-                self.switch_fault,
-                body=Switch,
-                rest="name",
-                failures=_NO_FAULT,
-            ),
-            Operation(
-                "DELETE",
-                _FAULT,
-                "remove_fault",
-                "Take a fault off",
-                Nothing,
-                self.remove_fault,
-                rest="name",
-                failures=_NO_FAULT,
-            ),
-            Operation("GET", "/api/connections", "list_connections", "Connections", Connections, self.list_connections),
-            Operation(
-                "GET",
-                "/api/lines",
-                "list_lines",
-                "Listeners and their status indicators",
-                LinesMessage,
-                self.list_lines,
-            ),
-            Operation("GET", "/api/counters", "get_counters", "Counters", CountersMessage, self.get_counters),
-            Operation(
-                "POST", "/api/counters/reset", "reset_counters", "Set them to zero", Nothing, self.reset_counters
-            ),
-            Operation(
-                "GET",
-                "/api/traffic",
-                "list_traffic",
-                "The last frames",
-                TrafficMessage,
-                self.list_traffic,
-                query=TrafficQuery,
-            ),
-        ]
+    def add_to(self, application: FastAPI) -> None:
+        """Add the resources to an application, which takes what they need and return from their signatures."""
+        get, put, post, patch, delete = ([name] for name in ("GET", "PUT", "POST", "PATCH", "DELETE"))
+        add = application.add_api_route
+        add("/api/simulation", self.get_simulation, methods=get, summary="The simulation")
+        add(
+            "/api/simulation",
+            self.change_simulation,
+            methods=patch,
+            summary="Change the speed, pause it, let it go on",
+        )
+        add("/api/units", self.list_units, methods=get, summary="The units")
+        add("/api/points", self.list_points, methods=get, summary="Points")
+        add("/api/values", self.get_values, methods=get, summary="All values by key")
+        add("/api/values", self.set_values, methods=post, summary="Set many values")
+        add(_POINT, self.get_point, methods=get, responses=_NO_POINT, summary="A point")
+        add(_POINT, self.set_point, methods=put, responses=_NO_POINT, summary="Set a value, against its behaviour")
+        add(
+            "/api/units/{unit}/release/{name:path}",
+            self.release_point,
+            methods=post,
+            responses=_NO_POINT,
+            summary="Let a point follow its behaviour again",
+        )
+        add("/api/faults", self.list_faults, methods=get, summary="Faults, and what can be put on")
+        add("/api/faults", self.add_fault, methods=post, status_code=201, summary="Put a fault on")
+        add(_FAULT, self.switch_fault, methods=patch, responses=_NO_FAULT, summary="Switch a fault on or off")
+        add(_FAULT, self.remove_fault, methods=delete, responses=_NO_FAULT, summary="Take a fault off")
+        add("/api/connections", self.list_connections, methods=get, summary="Connections")
+        add("/api/lines", self.list_lines, methods=get, summary="Listeners and their status indicators")
+        add("/api/counters", self.get_counters, methods=get, summary="Counters")
+        add("/api/counters/reset", self.reset_counters, methods=post, summary="Set them to zero")
+        add("/api/traffic", self.list_traffic, methods=get, summary="The last frames")
 
     # The simulation.
 
-    async def get_simulation(self, call: OperationCall) -> Answer:
-        """How it is."""
+    async def get_simulation(self) -> SimulationAnswer:
+        """Name, size, time and speed of the simulation."""
         return self.simulation()
 
     def simulation(self) -> SimulationAnswer:
-        """How it is."""
+        """Name, size, time and speed of the simulation."""
         subject = self.subject
         status = self.server.status()
         return SimulationAnswer(
@@ -217,9 +143,8 @@ class Api:
             paused=subject.is_paused,
         )
 
-    async def change_simulation(self, call: OperationCall) -> Answer:
-        """Change speed and pause."""
-        wanted: SimulationChange = call.body
+    async def change_simulation(self, wanted: SimulationChange) -> SimulationAnswer:
+        """Change the speed; pause or resume."""
         subject = self.subject
         if wanted.speed is not None:
             subject.change_speed(wanted.speed)
@@ -232,8 +157,8 @@ class Api:
 
     # Units and points.
 
-    async def list_units(self, call: OperationCall) -> Answer:
-        """The units."""
+    async def list_units(self) -> Units:
+        """All units, with the number of their points."""
         return Units(
             units=[
                 UnitAnswer(unit=number, name=unit.name, points=len(unit.points))
@@ -241,9 +166,8 @@ class Api:
             ]
         )
 
-    async def list_points(self, call: OperationCall) -> Answer:
-        """Points that fit the filters."""
-        query: PointsQuery = call.query
+    async def list_points(self, query: Annotated[PointsQuery, Query()]) -> PointsMessage:
+        """The points that pass the filters."""
         found = list(self._chosen(query))
         return PointsMessage(
             points=[self.shown(index) for index in found[query.skip : query.skip + query.limit]], total=len(found)
@@ -285,37 +209,37 @@ class Api:
             last_writer=point.last_writer,
         )
 
-    def _place(self, call: OperationCall) -> int:
-        key = f"{call.path['unit']}/{call.path['name']}"
+    def _place(self, unit: str, name: str) -> int:
+        key = f"{unit}/{name}"
         place = self.places.get(key)
         if place is None:
-            raise Problem(HTTPStatus.NOT_FOUND, f"there is no point {shown(key)}")
+            raise HTTPException(HTTPStatus.NOT_FOUND, f"there is no point {shown(key)}")
         return place
 
-    async def get_point(self, call: OperationCall) -> Answer:
-        """A point."""
-        return self.shown(self._place(call))
+    async def get_point(self, unit: str, name: str) -> PointAnswer:
+        """A point and its value."""
+        return self.shown(self._place(unit, name))
 
-    async def set_point(self, call: OperationCall) -> Answer:
-        """Set it."""
-        place = self._place(call)
-        self.subject.set(self.order[place].key, given_value(call.body.value), WHO)
+    async def set_point(self, unit: str, name: str, new: NewValue) -> PointAnswer:
+        """Set the value of a point; its behaviour waits until the point is released."""
+        place = self._place(unit, name)
+        self.subject.set(self.order[place].key, given_value(new.value), WHO)
         return self.shown(place)
 
-    async def release_point(self, call: OperationCall) -> Answer:
-        """Let it go on."""
-        place = self._place(call)
+    async def release_point(self, unit: str, name: str) -> PointAnswer:
+        """Let the behaviour of a point continue."""
+        place = self._place(unit, name)
         self.subject.release(self.order[place].key)
         return self.shown(place)
 
-    async def get_values(self, call: OperationCall) -> Answer:
-        """All values."""
+    async def get_values(self) -> Values:
+        """The values of all points by key."""
         return Values(values={point.key: plain_value(point.value) for point in self.order})
 
-    async def set_values(self, call: OperationCall) -> Answer:
-        """Set many."""
+    async def set_values(self, new: NewValues) -> Written:
+        """Set many values; a refused one does not prevent the others."""
         refused: dict[str, str] = {}
-        for key, value in call.body.values.items():
+        for key, value in new.values.items():
             if key not in self.places:
                 refused[key] = f"there is no point {shown(key)}"
                 continue
@@ -323,7 +247,7 @@ class Api:
                 self.subject.set(key, given_value(value), WHO)
             except ModbusError as error:
                 refused[key] = error.message
-        return Written(written=len(call.body.values) - len(refused), refused=refused)
+        return Written(written=len(new.values) - len(refused), refused=refused)
 
     # Faults.
 
@@ -336,47 +260,45 @@ class Api:
         """All that were put on."""
         return all_faults(self.board)
 
-    async def list_faults(self, call: OperationCall) -> Answer:
-        """Faults and fault profiles."""
+    async def list_faults(self) -> FaultsMessage:
+        """The faults that were added, and the fault profiles that can be."""
         return FaultsMessage(faults=self.faults(), fault_profiles=all_fault_profiles(self.board))
 
-    async def add_fault(self, call: OperationCall) -> Answer:
-        """Put one on."""
-        return put_on(self.board, call.body)
+    async def add_fault(self, new: NewFault) -> FaultAnswer:
+        """Add a fault."""
+        return put_on(self.board, new)
 
-    async def switch_fault(self, call: OperationCall) -> Answer:
-        """Switch one."""
-        name = self._fault(call)
-        self.board.switch(name, on=call.body.on)
+    async def switch_fault(self, name: str, switch: Switch) -> FaultAnswer:
+        """Switch a fault on or off."""
+        self.board.switch(self._fault(name), on=switch.on)
         return fault_named(self.board, name)
 
-    async def remove_fault(self, call: OperationCall) -> Answer:
-        """Take one off."""
-        self.board.remove(self._fault(call))
+    async def remove_fault(self, name: str) -> Nothing:
+        """Remove a fault."""
+        self.board.remove(self._fault(name))
         return Nothing()
 
-    def _fault(self, call: OperationCall) -> str:
-        name = call.path["name"]
+    def _fault(self, name: str) -> str:
         if not any(one.name == name for one in self.board.list()):
-            raise Problem(HTTPStatus.NOT_FOUND, f"there is no fault {shown(name)}")
+            raise HTTPException(HTTPStatus.NOT_FOUND, f"there is no fault {shown(name)}")
         return name
 
     # The server.
 
-    async def list_connections(self, call: OperationCall) -> Answer:
-        """Connections."""
+    async def list_connections(self) -> Connections:
+        """The open Modbus connections."""
         return Connections(connections=plain(self.server.status().connections))
 
-    async def list_lines(self, call: OperationCall) -> Answer:
-        """Listeners."""
+    async def list_lines(self) -> LinesMessage:
+        """The listeners with their status indicators."""
         return LinesMessage(lines=plain(self.server.status().listeners))
 
-    async def get_counters(self, call: OperationCall) -> Answer:
-        """The counters."""
+    async def get_counters(self) -> CountersMessage:
+        """The counters of the server."""
         return CountersMessage(counters=plain(self.server.status().counters))
 
-    async def reset_counters(self, call: OperationCall) -> Answer:
-        """Set them to zero."""
+    async def reset_counters(self) -> Nothing:
+        """Set the counters to zero."""
         self.server.reset_counters()
         return Nothing()
 
@@ -393,9 +315,8 @@ class Api:
 
     # Traffic.
 
-    async def list_traffic(self, call: OperationCall) -> Answer:
-        """Frames."""
-        query: TrafficQuery = call.query
+    async def list_traffic(self, query: Annotated[TrafficQuery, Query()]) -> TrafficMessage:
+        """The last frames, or those after a number."""
         tail = self.traffic
         after = 0 if query.after is None else query.after
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]

@@ -11,7 +11,6 @@ Knows sockets, the files of the page and the HTTP server; knows nothing of what 
 import asyncio
 import contextlib
 import hashlib
-import json
 import logging
 import secrets
 import socket
@@ -23,8 +22,6 @@ from types import TracebackType
 from typing import Any, Final, Self, cast
 
 import uvicorn
-from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
@@ -32,12 +29,11 @@ from starlette.routing import Route, WebSocketRoute
 from ...errors import ConfigError
 from ...observe.http import bind_tcp, bound_name, parse_host_port
 from ...options.endpoints import parse_endpoint
-from ...version import __version__
 from ..control.addresses import is_loopback
-from .access import Application, Message, PageAccess, PageAccessRules, Receive, Refused, Scope, Send
+from .access import Application, Message, PageAccess, PageAccessRules, Receive, Scope, Send
 from .api import Api
 from .connections import Doors, Throttle
-from .operations import failed, openapi
+from .operations import failed, new_application, secure_document
 from .stream import Streams
 from .subject import PageSubject
 from .traffic import Traffic
@@ -66,7 +62,6 @@ _FILES: Final = {
     f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
     for name in ("app", "link", "points", "trends", "traffic", "faults", "status", "dom")
 }
-_OPENAPI: Final = "/openapi.json"
 _HEADERS: Final = (
     (
         b"content-security-policy",
@@ -176,20 +171,6 @@ class ControlPage:
     def application(self, rules: PageAccessRules) -> Application:
         """The whole as an ASGI application, with these rules of access."""
         page = _page()
-        operations = self.api.operations()
-        document = json.dumps(
-            openapi(
-                operations,
-                title="busway simulator",
-                version=__version__,
-                description="What a simulated plant holds, what goes wrong in it, and what passes. The WebSocket"
-                " /stream tells of it as it happens.",
-            ),
-            ensure_ascii=False,
-        ).encode()
-
-        async def show_document(request: Request) -> Response:
-            return Response(document, media_type="application/json")
 
         async def show_file(request: Request) -> Response:
             found = page[request.url.path]
@@ -198,15 +179,15 @@ class ControlPage:
                 return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
             return Response(found.content, media_type=found.kind, headers=headers)
 
-        inner = Starlette(
-            routes=[
-                *(one.route() for one in operations),
-                Route(_OPENAPI, show_document),
-                *(Route(path, show_file) for path in page),
-                WebSocketRoute("/stream", self.streams.serve),
-            ],
-            exception_handlers={HTTPException: _not_here, Refused: _refused, Exception: _failed},
+        inner = new_application(
+            "busway simulator",
+            "Values, faults and traffic of a simulated plant. The WebSocket /stream reports events as they happen.",
+            {Exception: _failed},
         )
+        self.api.add_to(inner)
+        inner.routes.extend(Route(path, show_file) for path in page)
+        inner.routes.append(WebSocketRoute("/stream", self.streams.serve))
+        secure_document(inner)
         return _with_headers(PageAccess(inner, rules, lambda path: path in page))
 
     def _ports(self) -> set[int]:
@@ -283,18 +264,6 @@ def _with_headers(inner: Application) -> Application:
         await inner(scope, receive, send_more)
 
     return application
-
-
-async def _not_here(request: Request, error: Exception) -> Response:
-    status = error.status_code if isinstance(error, HTTPException) else HTTPStatus.NOT_FOUND
-    if status == HTTPStatus.NOT_FOUND:
-        return failed(status, "there is nothing of this name here; /openapi.json says what there is")
-    return failed(status, f"{request.method} is not what this takes" if status == 405 else HTTPStatus(status).phrase)
-
-
-async def _refused(request: Request, error: Exception) -> Response:
-    assert isinstance(error, Refused)
-    return failed(error.status, str(error))
 
 
 async def _failed(request: Request, error: Exception) -> Response:
