@@ -414,13 +414,14 @@ class TcpClientSession:
             self._answered(good, now)
             if self.breakers is not None:
                 self._learn_pace(last.route.unit, now - last.sent)
+        if at == size:
+            return
         if size - at >= 6:
             length = data[at + 4] << 8 | data[at + 5]
             if not MIN_LENGTH <= length <= MAX_LENGTH:
                 self._broken_stream(impossible_length(length), data[at:size], now)
                 return
-        if at < size:
-            self._buffer.keep(data, at, size)
+        self._buffer.keep(data, at, size)
 
     def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
         """Match replies to the batches in flight while they come in order. Returns the offset after the last match.

@@ -217,7 +217,16 @@ class RequestQueue:
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
         """The call whose next request is to be sent, or None. Its caller goes to the end of the round."""
-        call = self.peek(eligible)
+        others = self._others
+        if len(self._callers) == 1 and others.callers:  # the usual case
+            caller = others.callers[0]
+            call = caller.pick(eligible)
+            if call is not None and caller.served is None:
+                self._last = others.last = caller
+                self._passed = self._allowed = 0
+                return call
+        else:
+            call = self.peek(eligible)
         if call is not None:
             self.take_turn(call)
         return call
