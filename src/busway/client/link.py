@@ -455,7 +455,7 @@ class AsyncLinkDriver:
                 transport.write(chunk)
             if TRACE.level:
                 self._traced().sent(b"".join(out))
-            if session.breakers is not None and self._line is None:
+            if session.breakers is not None and session.breakers.doubtful and self._line is None:
                 self._rearm()  # a probe waits for less than its call
         else:
             if session.finished:  # a breaker has opened, and calls to its unit have failed

@@ -13,7 +13,6 @@ Knows the layout of a read and its answer on TCP, and the slots of a connection;
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
-from operator import attrgetter, itemgetter
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -31,9 +30,6 @@ _READ_LENGTH = b"\0\0\0\6"
 """Protocol and length of such a read."""
 _UNIT_ASKED = 4
 """Offset of the unit in the key of a read, and in the head of its answer."""
-_UNIT = 6
-"""Offset of the unit in an ADU."""
-_head_of, _unit_of = attrgetter("head"), itemgetter(_UNIT_ASKED)
 _LAST_READ = 4
 """The largest function code of these reads."""
 _PLAN_LIMIT = 4096
@@ -42,7 +38,7 @@ DeliverTogether = Callable[[list[bytes]], None]
 
 
 class ReadTarget(Protocol):
-    """A unit upstream that reads are forwarded to."""
+    """A unit upstream that reads are forwarded to which clients ask of one unit: it never stands for two of theirs."""
 
     def ask(self, asker: "ForwardedReads", transactions: Sequence[bytes], plans: "Sequence[ForwardPlan]") -> None:
         """Forward reads. ``asker`` gets the answer of each, perhaps before this returns."""
@@ -195,16 +191,14 @@ class ForwardedReads:
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
             return at
-        known, arrived = self.plans.known, self._diagnostics.arrived
+        known = self.plans.known
         end = at + READ_SIZE * count
         if count == 1:  # quicker than the steps for several: 0.4 µs
-            key = bytes(buffer[at + 2 : end])
-            plan = known.get(key)
+            plan = known.get(bytes(buffer[at + 2 : end]))
             if plan is None:
                 return at
             transactions: Sequence[bytes] = (bytes(buffer[at : at + 2]),)
             plans: Sequence[ForwardPlan] = (plan,)
-            arrived[key[_UNIT_ASKED]] += 1
         else:
             fields = _shape(count).unpack_from(buffer, at)
             transactions = fields[0::2]
@@ -217,15 +211,11 @@ class ForwardedReads:
                     return at
                 transactions = transactions[:count]
                 end = at + READ_SIZE * count
-            units = buffer[at + _UNIT : end : READ_SIZE]
-            if units.count(units[0]) == count:
-                arrived[units[0]] += count
-            else:
-                arrived.update(units)
         slots.used += count
         self.waiting += count
         target = self.plans.sole_target
         if target is not None:
+            self._diagnostics.arrived[plans[0].head[_UNIT_ASKED]] += count
             target.ask(self, transactions, plans)
         else:
             self._ask_each(transactions, plans)
@@ -247,22 +237,21 @@ class ForwardedReads:
             those[0].append(transaction)
             those[1].append(plan)
         for target, (some, their_plans) in by_target.items():
+            self._diagnostics.arrived[their_plans[0].head[_UNIT_ASKED]] += len(some)
             target.ask(self, some, their_plans)
 
     def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
-        """Answer reads with their data; the answers leave with `send`."""
+        """Answer reads of one target with their data; the answers leave with `send`."""
         if self._is_open:
             count = len(plans)
             self.waiting -= count
             self._slots.used -= count
-            if count == 1:
-                head = plans[0].head
-                self._diagnostics.departed[head[_UNIT_ASKED]] += 1
-                self._ready.append(transactions[0] + head + data[0])
+            self._diagnostics.departed[plans[0].head[_UNIT_ASKED]] += count
+            if count == 1:  # 0.4 µs less than the loop
+                self._ready.append(transactions[0] + plans[0].head + data[0])
             else:
-                heads = list(map(_head_of, plans))
-                self._diagnostics.departed.update(map(_unit_of, heads))
-                self._ready += map(b"".join, zip(transactions, heads, data, strict=True))
+                reads = zip(transactions, plans, data, strict=True)
+                self._ready += [transaction + plan.head + one for transaction, plan, one in reads]
 
     def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
         """Answer a read with a reply that was decoded; the answer leaves with `send`."""

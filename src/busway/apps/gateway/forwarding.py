@@ -16,7 +16,6 @@ import asyncio
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence, Set
 from functools import partial
 from itertools import chain
-from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
@@ -92,7 +91,6 @@ class ForwardingClient(Protocol):
 
 Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
 """An asker, and which of its requests waits."""
-_requests_of, _key_of = attrgetter("requests"), attrgetter("key")
 _NO_POSITIONS: frozenset[int] = frozenset()
 _NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
 
@@ -128,7 +126,7 @@ class Batch(Call):
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        requests = asked[0].requests if len(asked) == 1 else list(chain.from_iterable(map(_requests_of, asked)))
+        requests = asked[0].requests if len(asked) == 1 else [one.requests[0] for one in asked]
         deadline = None if target.deadline is None else link.now() + target.deadline
         super().__init__(
             target.unit, requests, requests[0].is_write, target.timeout, target.retries, False, asker.peer, deadline
@@ -212,7 +210,7 @@ class ForwardTarget:
         elif shared is None:
             self._send(link, asker, tags, asked, None)
         else:
-            keys = list(map(_key_of, asked))
+            keys = [one.key for one in asked]
             if shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys):
                 self._send(link, asker, tags, asked, shared)
             else:
@@ -265,7 +263,7 @@ class ForwardTarget:
             forwarder.cache.write_begins(self.unit)
         elif shared is not None:
             batch.shared = shared
-            batch.keys = list(map(_key_of, asked))
+            batch.keys = [one.key for one in asked]
             shared.update(dict.fromkeys(batch.keys, batch))
         if asked[0].place is not None:
             batch.place = asked[0].place

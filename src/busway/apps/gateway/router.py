@@ -101,7 +101,7 @@ class ListenerRouter:
         self._forwarders: Mapping[str, Forwarder] = {}
         self._serial_units: set[int] = set()
         self._plans = ForwardPlans()
-        self._targets: dict[tuple[str, int, float | None], ForwardTarget] = {}
+        self._targets: dict[tuple[int, str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
         """Route by these from now on; what was forwarded is answered. ``forwarders``: by the name of the upstream."""
@@ -177,10 +177,10 @@ class ListenerRouter:
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
 
     def _target(self, forwarder: Forwarder, unit: int, route: Route) -> ForwardTarget:
-        key = route.upstream, route.upstream_unit(unit), route.timeout
+        key = unit, route.upstream, route.upstream_unit(unit), route.timeout
         target = self._targets.get(key)
         if target is None:
-            target = self._targets[key] = ForwardTarget(forwarder, key[1], route.timeout, self.deadline)
+            target = self._targets[key] = ForwardTarget(forwarder, key[2], route.timeout, self.deadline)
         return target
 
     def _forward(
