@@ -20,6 +20,19 @@ DEVICES: Final = {
     "drive": "A variable-speed drive: control and status word, speed set point with lag, faults.",
     "io": "An IO block of a PLC: coils, inputs, counters, a watchdog.",
     "thermostat": "A temperature controller on a serial line: set point, process value, alarms.",
+    "sdm630": "Eastron SDM630, an energy meter for three phases: float32.",
+    "sdm120": "Eastron SDM120, an energy meter for one phase: float32.",
+    "iem3155": "Schneider Electric iEM3000 series, energy meters for three phases: float32, int64.",
+    "abb_b23": "ABB B23 and A43, energy meters for three phases: whole numbers with patterns for no value.",
+    "umg96rm": "Janitza UMG 96RM, a power analyser: float32.",
+    "em24": "Carlo Gavazzi EM24, an energy meter for three phases: whole numbers, low word first.",
+    "em340": "Carlo Gavazzi EM330, EM340, ET330, ET340, energy meters: whole numbers, low word first.",
+    "pac2200": "Siemens SENTRON PAC2200, a power monitoring device: float32, float64.",
+    "dtsu666": "Chint DTSU666, an energy meter for three phases: float32 with scales.",
+    "wago879": "WAGO 879-3000, an energy meter for three phases: float32.",
+    "sma": "SMA Sunny Boy and Sunny Tripower, photovoltaic inverters with SMA Modbus.",
+    "sun2000": "Huawei SUN2000, a photovoltaic inverter: whole numbers with gains, texts.",
+    "vlt_fc": "Danfoss VLT FC series, variable-speed drives: control and status word in coils, parameters.",
 }
 """The devices by name, each in a sentence, in the order of the documentation."""
 
