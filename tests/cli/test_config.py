@@ -95,7 +95,7 @@ def test_the_schema_is_json_and_judges_files(
         (["show"], "show needs a file"),
         (["schema", "x.toml"], "schema takes no file"),
         (["check", "x.toml", "--device"], "--device: is for schema"),
-        (["explain"], "must be check, show or schema, not 'explain'"),
+        (["explain"], "must be check, show, schema or options, not 'explain'"),
         (["check", "nothing.toml"], "nothing.toml: can not be read: no such file"),
     ],
 )

@@ -23,9 +23,9 @@ from busway.server.local import LocalHandler
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))
-STRICT_LINKS = strict_settings(Offer.of(LINKS).options)
-STRICT_SERVERS = strict_settings(Offer.of(SERVERS).options)
-STRICT_LISTENERS = strict_settings(Offer.of(LISTENERS).options)
+STRICT_LINKS = strict_settings(Offer.of(*LINKS).options)
+STRICT_SERVERS = strict_settings(Offer.of(*SERVERS).options)
+STRICT_LISTENERS = strict_settings(Offer.of(*LISTENERS).options)
 EVERYWHERE = STRICT_LINKS | STRICT_LISTENERS | STRICT_SERVERS
 TLS = TlsParameters(certificate="server.pem", authority="ca.pem")
 URLS = ("tcp://h", "udp://h", "rtu:///dev/x", "ascii:///dev/x", "rtu+tcp://h:1", "ascii+udp://h:1")

@@ -1,4 +1,4 @@
-"""``busway config``: say what a configuration file means, or what is wrong with it, without serving anything.
+"""``busway config``: say what a configuration file means, or what is wrong with it, and which options there are.
 
 1. ``check`` opens what the file names (certificates, the audit log's folder), and no connection.
 2. What was understood goes to stdout; what is odd, or wrong, to stderr, each with file, line and key.
@@ -19,32 +19,39 @@ Examples:
   busway config show plant.toml
   busway config schema > busway.schema.json
   busway config schema --simulation
+  busway config options
+  busway config options rtu:///dev/ttyUSB0
 """
 
 
 def config(
-    action: str = typer.Argument(..., metavar="ACTION", help="check, show or schema."),
-    file: str | None = typer.Argument(None, metavar="[FILE]", help="The configuration file, for check and show."),
+    action: str = typer.Argument(..., metavar="ACTION", help="check, show, schema or options."),
+    file: str | None = typer.Argument(
+        None, metavar="[FILE]", help="The configuration file, for check and show; for options, the URL of a link."
+    ),
     device: bool = typer.Option(False, "--device", help="schema: of device files alone."),
     simulation: bool = typer.Option(False, "--simulation", help="schema: of simulation files."),
     gateway: bool = typer.Option(False, "--gateway", help="schema: of gateway files."),
 ) -> int:
-    """Check and explain configuration files."""
+    """Check and explain configuration files; list the options of links and servers."""
     actions: dict[str, Callable[[str], None]] = {"check": _check, "show": _show}
     kinds = {"--device": device, "--simulation": simulation, "--gateway": gateway}
     if action == "schema":
         if file is not None:
             raise ConfigError("schema takes no file", key=file)
         _print_schema([name for name, is_given in kinds.items() if is_given])
-    elif action in actions:
+    elif action in actions or action == "options":
         for name, is_given in kinds.items():
             if is_given:
                 raise ConfigError("is for schema", key=name)
+        if action == "options":
+            _print_options(file)
+            return ExitCode.DONE
         if file is None:
             raise ConfigError(f"{action} needs a file", key="FILE")
         actions[action](file)
     else:
-        raise ConfigError(f"must be check, show or schema, not {action!r}", key="ACTION")
+        raise ConfigError(f"must be check, show, schema or options, not {action!r}", key="ACTION")
     return ExitCode.DONE
 
 
@@ -64,6 +71,22 @@ def _show(file: str) -> None:
 
     for line in effective(load_configuration(file)):
         print(line)
+
+
+def _print_options(url: str | None) -> None:
+    """Name, default, values and meaning of each option: of a link to a URL, or of all links and servers."""
+    from ..options.endpoints import parse_endpoint
+    from ..options.offer import LINKS, SERVERS, Offer
+
+    if url is None:
+        offers = {"of links:": Offer.of(*LINKS, role="client"), "of servers:": Offer.of(*SERVERS, role="server")}
+    else:
+        endpoint = parse_endpoint(url)
+        offers = {f"of a link to {endpoint.url}:": Offer.at(endpoint, "client", LINKS)}
+    for title, offer in offers.items():
+        print(title)
+        rows = [[one.name, one.default_text, one.values, one.help] for one in offer.options.values()]
+        print_aligned([["  " + name, *(cell.replace("`", "") for cell in cells)] for name, *cells in rows])
 
 
 def _print_schema(kinds: list[str]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..client.settings import LinkSettings, link_settings, options_of
 from ..options.endpoints import parse_endpoint
-from ..options.offer import option_names_for
+from ..options.offer import options_for
 from ..options.tls import TlsParameters
 from .files.lines import Path
 from .files.system import LinkSection, SystemFile
@@ -49,7 +49,7 @@ def named_links(
         judge: collects what is wrong.
         defaults: options of the program that uses the links, where they differ from those of links.
     """
-    offered = option_names_for("client", [TlsParameters])
+    offered = options_for("client", TlsParameters)
     security = {name: value for name, value in file.security.options().items() if name in offered}
     general = {**defaults, **file.client.options()}
     links: dict[str, NamedLink] = {}

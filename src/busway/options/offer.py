@@ -4,7 +4,7 @@ Knows the parameter classes; knows no component. An option that has no effect wi
 would be believed to work.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final, TypeVar
@@ -68,9 +68,9 @@ class Offer:
         return cls(found, endpoint.framing)
 
     @classmethod
-    def of(cls, kinds: Kinds) -> "Offer":
-        """All options of some classes."""
-        return cls({kind: declared(kind) for kind in kinds})
+    def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
+        """The options of some classes; with a role only those that have an effect for it at one endpoint or another."""
+        return cls({kind: options_for(role, kind) for kind in kinds})
 
     @property
     def options(self) -> dict[str, Option]:
@@ -135,13 +135,14 @@ def canonical(options: Mapping[str, object]) -> dict[str, object]:
     return found
 
 
+def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
+    """The options of a class by name; with a role only those that have an effect for it at one endpoint or another."""
+    options = declared(kind).items()
+    return {name: one for name, one in options if not role or all(on.fits_role(role) for on in one.on)}
+
+
 @cache
 def aliases() -> Mapping[str, str]:
     """Alternative names of options of links, each with the option's own name."""
     options = (option for kind in LINKS for option in declared(kind).values())
     return {alias: option.name for option in options for alias in option.aliases}
-
-
-def option_names_for(role: str, kinds: Iterable[type[Any]]) -> list[str]:
-    """The options of some classes that have an effect for a role at one endpoint or another."""
-    return [name for kind in kinds for name, one in declared(kind).items() if all(on.fits_role(role) for on in one.on)]

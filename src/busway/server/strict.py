@@ -24,7 +24,7 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
     Raises:
         ConfigError: there is no such preset or option, or an option contradicts the preset.
     """
-    chosen = Offer.of(SERVERS).chosen(options)
+    chosen = Offer.of(*SERVERS).chosen(options)
     if preset_of(options.get(OPTION)) is Preset.STRICT:
         return [_strict(one) for one in places], chosen
     return list(places), chosen

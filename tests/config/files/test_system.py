@@ -29,7 +29,7 @@ from busway.config.files.system import (
 )
 from busway.errors import ConfigError
 from busway.options.endpoints import SCHEMES, parse_endpoint
-from busway.options.offer import option_names_for
+from busway.options.offer import options_for
 from busway.options.server import ListenerParameters, ServerParameters
 from busway.options.sockets import SocketParameters
 from busway.options.tls import TlsParameters
@@ -225,9 +225,9 @@ def test_no_option_of_a_component_has_been_forgotten() -> None:
     # Whether places are shared is said once, for all listeners.
     assert listener - {"shared_slots"} <= set(ListenerSection.model_fields)
     assert {field.name for field in fields(ServerParameters)} <= set(ServerSection.model_fields)
-    assert set(option_names_for("server", [SocketParameters])) <= set(ServerSection.model_fields)
+    assert set(options_for("server", SocketParameters)) <= set(ServerSection.model_fields)
     tls = {field.name for field in fields(TlsParameters)}
-    assert set(option_names_for("server", [TlsParameters])) <= set(ListenerSection.model_fields)
+    assert set(options_for("server", TlsParameters)) <= set(ListenerSection.model_fields)
     assert tls - {"server_name"} <= set(SecuritySection.model_fields)
     for name, scheme in SCHEMES.items():
         endpoint = parse_endpoint(f"{name}:///dev/x" if scheme.carrier == "serial" else f"{name}://h:1")

@@ -27,7 +27,7 @@ from ...config.reading import read_text
 from ...config.report import Judge, nearest
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint, parse_endpoint
-from ...options.offer import option_names_for
+from ...options.offer import options_for
 from ...options.server import ListenerParameters
 from ...options.text import build_parameters, option_names
 from ...options.tls import TlsParameters
@@ -243,7 +243,7 @@ class _Makers:
         self._judge = judge
         self._changes = changes
         self._general = file.server.options()
-        offered = option_names_for("server", [TlsParameters])
+        offered = options_for("server", TlsParameters)
         self._security = {key: value for key, value in file.security.options().items() if key in offered}
 
     def limits(self) -> ListenerParameters | None:

@@ -11,7 +11,7 @@ from typing import Any
 from ...client.settings import options_of
 from ...config.links import NamedLink
 from ...options.declaration import NONE
-from ...options.offer import SERVERS, Offer, option_names_for
+from ...options.offer import SERVERS, Offer, options_for
 from ...options.text import option_names
 from ...server.listener import Listener
 from .configuration import Configuration
@@ -21,9 +21,9 @@ def effective(configuration: Configuration) -> Iterator[str]:
     """Lines of TOML: each section that a component takes, with every value."""
     yield "[server]"
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
-    chosen = Offer.of(SERVERS).chosen(given)
+    chosen = Offer.of(*SERVERS).chosen(given)
     for kind in SERVERS:
-        without = frozenset(option_names(kind)) - frozenset(option_names_for("server", [kind]))
+        without = frozenset(option_names(kind)) - frozenset(options_for("server", kind))
         yield from values(chosen.build(kind), without=without)
     for listener in configuration.listeners:
         yield from ["", "[[listener]]", *_listener(listener)]

@@ -13,7 +13,8 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from ...errors import ConfigError
-from ...options.declaration import NONE, Option, Range, declared
+from ...options.declaration import NONE, Option, Range
+from ...options.offer import Offer
 from ...options.text import build_parameters, option_names
 from ...values.refusal import shown
 from .schema import FileProblems, Section
@@ -82,9 +83,8 @@ def with_options_of(
 
     def extended(section: type[Kind]) -> type[Kind]:
         keys: dict[str, Any] = {}  # pairs of type and default, as pydantic takes them
-        for option in (one for kind in kinds for one in declared(kind).values()):
-            has_effect = not role or all(on.fits_role(role) for on in option.on)
-            if has_effect and option.name not in without and option.name not in section.model_fields:
+        for option in Offer.of(*kinds, role=role).options.values():
+            if option.name not in without and option.name not in section.model_fields:
                 keys[option.name] = (_annotation(option), _field(option))
         made = create_model(
             section.__name__, __base__=section, __module__=section.__module__, __doc__=section.__doc__, **keys
