@@ -20,6 +20,10 @@ EXTRA_OF: Final = {
     "uvicorn": "web",
     "websockets": "web",
     "pyarrow": "store",
+    "aiomqtt": "mqtt",
+    "asyncpg": "postgresql",
+    "httpx": "influxdb",
+    "nats": "nats",
     "pandas": "frames",
     "polars": "frames",
 }

@@ -13,5 +13,6 @@
 `sample_clock`  the clock of samples, which never runs back
 `samples`       a sample, its quality and reason; the samples of one read; intervals without reads
 `store`         the folder that keeps samples: written, sealed, read
+`sinks`         other systems that get what a store keeps
 ==============  =======================================================================
 """

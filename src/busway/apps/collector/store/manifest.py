@@ -229,11 +229,18 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
     def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
-        """Take parts off the list, and intervals that ended before a time; their files are to be unlinked then."""
+        """Take parts off the list, and intervals that ended before a time; their files are to be unlinked then.
+
+        Samples that a sink does not have are lost for it, and counted: all of a part that it has not finished.
+        """
         with self.transaction() as database:
             for part in parts:
                 database.execute("DELETE FROM parts WHERE id = ?", (part.id,))
                 database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (part.file,))
+                database.execute(
+                    "UPDATE cursors SET lost = lost + ? WHERE commit_number < ?",
+                    (part.rows or 0, part.last_commit or 0),
+                )
             database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
 
     def files_to_unlink(self) -> list[str]:

@@ -1,0 +1,249 @@
+"""The delivery to one sink: reads behind its cursor, sends, moves the cursor; in that order.
+
+Knows when to send, to wait, to drop and to set aside; knows no receiver.
+
+1. At least once: the cursor moves after the receiver has taken a batch, and is in the manifest then.
+2. A sink that is down is tried again after a pause that doubles up to `PAUSE_LIMIT`. Samples wait in the store.
+3. They wait for `keep` seconds at most. Older ones are dropped for this sink, oldest first, and counted. So are those
+   that retention takes from the store before they were sent.
+4. Samples that the receiver refuses are found by halving the batch, and set aside in a file, up to `ASIDE_LIMIT` bytes;
+   then they are only counted. All others are sent.
+"""
+
+import asyncio
+import json
+import logging
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Final
+
+from ....errors import ConfigError
+from ....points.rules import ReportRule
+from ..samples import NANOSECONDS, reason_text
+from ..store.commits import CommitReader, CommittedSample
+from ..store.manifest import Manifest
+from .interface import Sink, SinkDown, SinkRefused
+
+PAUSE: Final = 0.5
+PAUSE_LIMIT: Final = 30.0
+ASIDE: Final = "set-aside"
+ASIDE_LIMIT: Final = 16 * 1024 * 1024
+
+_log = logging.getLogger("busway.sinks")
+
+
+@dataclass(frozen=True, slots=True)
+class DeliveryOptions:
+    """How samples are handed to a sink.
+
+    Attributes:
+        points: patterns ``device/point`` of what it gets.
+        most: samples in one batch, 1…100 000.
+        age: seconds for which samples are collected before they are sent, 0…3600.
+        keep: seconds for which samples wait for a sink that is down; then they are dropped. At least ``age``.
+        report: when a sample is handed on.
+    """
+
+    points: tuple[str, ...] = ("*",)
+    most: int = 5000
+    age: float = 1.0
+    keep: float = 7 * 86_400.0
+    report: ReportRule = field(default_factory=ReportRule)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.most <= 100_000:
+            raise ConfigError(f"a batch has 1…100000 samples, not {self.most}", key="most")
+        if not 0 <= self.age <= 3600:
+            raise ConfigError(f"samples are collected for 0…3600 s, not {self.age:g}", key="age")
+        if self.keep < max(self.age, 1.0):
+            raise ConfigError(f"samples wait for 1 s at least, and longer than age, not {self.keep:g}", key="keep")
+
+
+@dataclass(frozen=True, slots=True)
+class SinkStatus:
+    """How a delivery does.
+
+    Attributes:
+        name: of the sink.
+        cursor: number of the last commit that is delivered.
+        sent: samples that were taken since the start.
+        lost: samples that were dropped for it, ever.
+        set_aside: samples that it refused since the start.
+        error: why it is down or refused last; None where all is well.
+    """
+
+    name: str
+    cursor: int
+    sent: int
+    lost: int
+    set_aside: int
+    error: str | None
+
+
+class Delivery:
+    """Delivers to one sink until it is cancelled."""
+
+    def __init__(
+        self,
+        name: str,
+        sink: Sink,
+        folder: Path,
+        manifest: Manifest,
+        options: DeliveryOptions | None = None,
+        *,
+        now: Callable[[], int] = time.time_ns,
+        pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
+    ) -> None:
+        """A delivery that goes on where the sink's cursor is; a new sink begins with what the store has.
+
+        Args:
+            name: of the sink; its cursor has this name.
+            sink: the receiver.
+            folder: the store.
+            manifest: of the store, opened for writing.
+            options: how samples are handed on.
+            now: nanoseconds since 1970 UTC.
+            pause: waits some seconds.
+        """
+        self.name = name
+        self._sink, self._folder, self._manifest = sink, folder, manifest
+        self.options = options or DeliveryOptions()
+        self._now, self._pause = now, pause
+        self._reader = CommitReader(folder, manifest)
+        self._cursor, self._lost = manifest.cursors().get(name, (0, 0))
+        manifest.set_cursor(name, self._cursor, self._lost)
+        self._named: dict[tuple[str, str], bool] = {}
+        self._reported: dict[tuple[str, str], CommittedSample] = {}
+        self._sent = self._aside = 0
+        self._error: str | None = None
+        self._is_open = False
+
+    def status(self) -> SinkStatus:
+        """How it does. Safe from any thread."""
+        return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, self._error)
+
+    async def run(self) -> None:
+        """Deliver what is there and what comes, until cancelled."""
+        wait = PAUSE
+        try:
+            while True:
+                try:
+                    more = await self.step()
+                except SinkDown as error:
+                    await self._down(error)
+                    await self._pause(wait)
+                    wait = min(2 * wait, PAUSE_LIMIT)
+                    continue
+                wait = PAUSE
+                if not more:
+                    await self._pause(max(self.options.age, 0.05))
+        finally:
+            self._is_open = False
+            await self._sink.close()
+
+    async def step(self) -> bool:
+        """Deliver one batch; whether there may be more already. Raises `SinkDown`."""
+        await asyncio.to_thread(self._drop_old)
+        found = await asyncio.to_thread(self._reader.read, self._cursor, self.options.most)
+        if found is None:
+            return False
+        wanted = self._wanted(found.samples)
+        if wanted:
+            if not self._is_open:
+                await self._sink.open()
+                self._is_open = True
+            await self._send(wanted)
+        self._error = None if self._aside == 0 else self._error
+        await asyncio.to_thread(self._move, found.last)
+        for sample in wanted:
+            self._reported[sample.device, sample.point] = sample
+        return len(found.samples) >= self.options.most or not found.samples
+
+    def _move(self, cursor: int) -> None:
+        # Retention may have counted losses meanwhile.
+        self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
+        self._manifest.set_cursor(self.name, cursor, self._lost)
+        self._cursor = cursor
+
+    def _drop_old(self) -> None:
+        oldest = self._now() - int(self.options.keep * NANOSECONDS)
+        last = self._reader.last_before(oldest, self._cursor)
+        if last > self._cursor:
+            lost = self._reader.count(self._cursor, last)
+            self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1]) + lost
+            self._manifest.set_cursor(self.name, last, self._lost)
+            self._cursor = last
+            if lost:
+                _log.warning(
+                    "sink %s: %d samples waited longer than %g s, and are dropped", self.name, lost, self.options.keep
+                )
+
+    def _wanted(self, samples: Sequence[CommittedSample]) -> list[CommittedSample]:
+        """The samples that this sink gets: of its points, and where its rule says so."""
+        wanted = []
+        before = dict[tuple[str, str], CommittedSample]()
+        for sample in samples:
+            key = (sample.device, sample.point)
+            if not self._is_named(key):
+                continue
+            last = before.get(key) or self._reported.get(key)
+            if last is None or self._is_due(last, sample):
+                wanted.append(sample)
+                before[key] = sample
+        return wanted
+
+    def _is_named(self, key: tuple[str, str]) -> bool:
+        named = self._named.get(key)
+        if named is None:
+            named = any(fnmatchcase("/".join(key), pattern) for pattern in self.options.points)
+            self._named[key] = named
+        return named
+
+    def _is_due(self, last: CommittedSample, sample: CommittedSample) -> bool:
+        if last.reason != sample.reason:
+            return True
+        return self.options.report.is_due(last.value, sample.value, (sample.time - last.time) / NANOSECONDS)
+
+    async def _send(self, samples: Sequence[CommittedSample]) -> None:
+        """Send samples; those that are refused are found and set aside."""
+        try:
+            await self._sink.send(samples)
+            self._sent += len(samples)
+        except SinkRefused as error:
+            if len(samples) > 1:
+                middle = len(samples) // 2
+                await self._send(samples[:middle])
+                await self._send(samples[middle:])
+                return
+            if self._aside == 0:
+                _log.error("sink %s refused a sample, which is set aside: %s", self.name, error)
+            self._error = str(error)
+            self._aside += 1
+            await asyncio.to_thread(self._set_aside, samples[0], str(error))
+
+    def _set_aside(self, sample: CommittedSample, error: str) -> None:
+        folder = self._folder / ASIDE
+        folder.mkdir(mode=0o700, exist_ok=True)
+        path = folder / f"{self.name}.jsonl"
+        if path.exists() and path.stat().st_size > ASIDE_LIMIT:
+            return
+        line = {
+            "device": sample.device,
+            "point": sample.point,
+            "time": sample.time,
+            "value": sample.value,
+            "reason": reason_text(sample.reason),
+            "error": error,
+        }
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    async def _down(self, error: SinkDown) -> None:
+        if self._error is None:
+            _log.warning("sink %s is down: %s; samples wait in the store", self.name, error)
+        self._error = str(error)
+        self._is_open = False
+        await self._sink.close()

@@ -1,0 +1,75 @@
+"""Samples as JSON: one document for each device and commit, or one for each sample.
+
+Pure. A repetition gives the same document with the same key, because a commit does not change.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+from ..samples import Quality, reason_text
+from ..store.commits import CommittedSample
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """What is sent of one device.
+
+    Attributes:
+        device: its name.
+        key: the same at a repetition, and different for every other document of this store.
+        content: what becomes JSON.
+    """
+
+    device: str
+    key: str
+    content: dict[str, Any]
+
+    def encode(self) -> bytes:
+        """The document as JSON."""
+        return json.dumps(self.content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+
+
+def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
+    """A document for each commit and device, in the order of commits.
+
+    ``reads`` has one entry for each time: ``time`` (nanoseconds since 1970 UTC), ``values`` by point, and where there
+    are any, ``uncertain`` and ``bad`` with the reason by point.
+    """
+    for (commit, device), group in groupby(sorted(samples, key=_place), key=lambda each: (each.commit, each.device)):
+        reads = [_read(moment, list(each)) for moment, each in groupby(group, key=lambda each: each.time)]
+        key = f"{commit}-{device}-{reads[0]['time']}-{len(reads)}"
+        yield Document(device, key, {"device": device, "key": key, "reads": reads})
+
+
+def _place(sample: CommittedSample) -> tuple[int, str, int]:
+    return sample.commit, sample.device, sample.time
+
+
+def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
+    read: dict[str, Any] = {"time": moment, "half_width": max(sample.half_width for sample in samples)}
+    read["values"] = {sample.point: json_number(sample.value) for sample in samples if sample.value is not None}
+    for name, quality in (("uncertain", Quality.UNCERTAIN), ("bad", Quality.BAD)):
+        found = {sample.point: reason_text(sample.reason) for sample in samples if sample.quality is quality}
+        if found:
+            read[name] = found
+    return read
+
+
+def sample_document(sample: CommittedSample) -> dict[str, Any]:
+    """One sample for itself."""
+    return {
+        "time": sample.time,
+        "half_width": sample.half_width,
+        "value": json_number(sample.value),
+        "quality": sample.quality.name.lower(),
+        "reason": reason_text(sample.reason),
+    }
+
+
+def json_number(value: Any) -> Any:  # whatever a sample can be
+    """A value as JSON has it; what JSON has no number for is a text."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,36 @@
+"""What a sink is. Knows samples and errors; knows no store and no receiver."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from ....errors import ModbusError
+from ..store.commits import CommittedSample
+
+
+class SinkDown(ModbusError):
+    """The receiver cannot be reached, or cannot take anything now. The same samples are sent again later."""
+
+
+class SinkRefused(ModbusError):
+    """The receiver refuses these samples and would refuse them again. They are set aside; others are sent."""
+
+
+class Sink(Protocol):
+    """Sends samples to one receiver.
+
+    Each call is for one task. Samples may come again after a failure, with the same device, point, time and commit.
+    """
+
+    async def open(self) -> None:
+        """Connect. Raises `SinkDown`."""
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        """Send samples; when it returns, the receiver has taken them.
+
+        Raises:
+            SinkDown: some may have arrived. `close` and `open` follow before it is called again.
+            SinkRefused: the receiver would refuse them again.
+        """
+
+    async def close(self) -> None:
+        """Disconnect; raises nothing."""

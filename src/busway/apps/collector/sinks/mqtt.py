@@ -1,0 +1,188 @@
+"""MQTT 5 as a sink, with discovery by Home Assistant.
+
+Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
+
+1. QoS 1: `send` returns when the broker has acknowledged every message. A message carries the user property ``key``,
+   which is the same at a repetition.
+2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
+3. ``{prefix}/status`` is ``online``, retained, and by the last will ``offline``.
+4. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen.
+"""
+
+import asyncio
+import contextlib
+import json
+import re
+import ssl
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ....extras import require
+from ..store.commits import CommittedSample
+from .documents import documents, sample_document
+from .interface import SinkDown
+
+IN_FLIGHT: Final = 64
+"""Messages that are sent before the first is acknowledged."""
+
+
+class MqttSink:
+    """Publishes samples to a broker."""
+
+    def __init__(
+        self,
+        host: str,
+        port: int = 1883,
+        *,
+        topic: str = "busway/{device}",
+        per_point: bool = False,
+        retain: bool = False,
+        discovery: str | None = None,
+        user: str | None = None,
+        password: str | None = None,
+        tls: ssl.SSLContext | None = None,
+        client_id: str | None = None,
+        timeout: float = 10.0,
+    ) -> None:
+        """Name the broker; nothing is sent yet.
+
+        Args:
+            host, port: the broker.
+            topic: has ``{device}``; with ``per_point``, ``/{point}`` is added where it is missing.
+            per_point: one message for each sample.
+            retain: whether the broker keeps the last message of each topic.
+            discovery: prefix of Home Assistant's discovery, ``homeassistant``; needs ``per_point``.
+            user, password: for the broker.
+            tls: how to encrypt; None for not at all.
+            client_id: names this client to the broker; None for one that the library makes.
+            timeout: seconds for connecting, and for an acknowledgement.
+
+        Raises:
+            ConfigError: the topic lacks ``{device}`` or has wildcards, or discovery without ``per_point``.
+            MissingExtra: aiomqtt is not installed.
+        """
+        require("aiomqtt", "a sink over MQTT")
+        if "{device}" not in topic or "+" in topic or "#" in topic:
+            raise ConfigError(f"a topic has {{device}} and no wildcards, not {topic!r}", key="topic")
+        if discovery is not None and not per_point:
+            raise ConfigError("discovery needs per_point = true: an entity has one topic", key="discovery")
+        self._topic = topic if not per_point or "{point}" in topic else f"{topic}/{{point}}"
+        self._status_topic = topic.partition("{")[0].rstrip("/") + "/status"
+        self._per_point, self._retain, self._discovery = per_point, retain, discovery
+        self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
+        self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
+        self._where = f"{host}:{port}"
+        self._client: Any = None  # aiomqtt is loaded when it is used
+        self._announced: set[tuple[str, str]] = set()
+
+    async def open(self) -> None:
+        """Connect, and say that this collector is online. Raises `SinkDown`."""
+        mqtt = import_module("aiomqtt")
+        will = mqtt.Will(self._status_topic, b"offline", qos=1, retain=True)
+        client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5)
+        client.pending_calls_threshold = 10 * IN_FLIGHT
+        try:
+            await client.__aenter__()
+            self._client = client
+            await client.publish(self._status_topic, b"online", qos=1, retain=True)
+        except (mqtt.MqttError, OSError) as error:
+            raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
+        self._announced.clear()
+
+    async def close(self) -> None:
+        """Disconnect; the broker is told, so the last will does not come: offline is said here."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        with contextlib.suppress(Exception):  # it may be gone already
+            await client.publish(self._status_topic, b"offline", qos=1, retain=True, timeout=1.0)
+        with contextlib.suppress(Exception):
+            await client.__aexit__(None, None, None)
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        """Publish samples, and wait for the acknowledgements. Raises `SinkDown`."""
+        messages = self._messages(samples)
+        if self._discovery is not None:
+            messages = [*self._discoveries(samples), *messages]
+        mqtt = import_module("aiomqtt")
+        try:
+            for begin in range(0, len(messages), IN_FLIGHT):
+                await asyncio.gather(*(self._publish(*each) for each in messages[begin : begin + IN_FLIGHT]))
+        except (mqtt.MqttError, OSError) as error:
+            raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
+
+    async def _publish(self, topic: str, payload: bytes, key: str, retain: bool) -> None:
+        if self._client is None:
+            raise SinkDown(f"the broker {self._where} is not connected")
+        properties = import_module("paho.mqtt.properties").Properties(
+            import_module("paho.mqtt.packettypes").PacketTypes.PUBLISH
+        )
+        properties.UserProperty = ("key", key)
+        await self._client.publish(topic, payload, qos=1, retain=retain, properties=properties)
+
+    def _messages(self, samples: Sequence[CommittedSample]) -> list[tuple[str, bytes, str, bool]]:
+        if not self._per_point:
+            return [(self._name(each.device), each.encode(), each.key, self._retain) for each in documents(samples)]
+        return [
+            (
+                self._name(sample.device, sample.point),
+                json.dumps(sample_document(sample), ensure_ascii=False).encode(),
+                f"{sample.device}/{sample.point}/{sample.time}",
+                self._retain,
+            )
+            for sample in samples
+        ]
+
+    def _name(self, device: str, point: str = "") -> str:
+        return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
+
+    def _discoveries(self, samples: Sequence[CommittedSample]) -> list[tuple[str, bytes, str, bool]]:
+        found = []
+        for sample in samples:
+            key = (sample.device, sample.point)
+            if key in self._announced:
+                continue
+            self._announced.add(key)
+            component, content = self._entity(sample)
+            name = f"{self._discovery}/{component}/{_plain(sample.device)}/{_plain(sample.point)}/config"
+            found.append((name, json.dumps(content, ensure_ascii=False).encode(), name, True))
+        return found
+
+    def _entity(self, sample: CommittedSample) -> tuple[str, dict[str, Any]]:
+        """The kind of entity, and its configuration as Home Assistant wants it."""
+        topic = self._name(sample.device, sample.point)
+        content: dict[str, Any] = {
+            "name": sample.point,
+            "unique_id": f"busway_{_plain(sample.device)}_{_plain(sample.point)}",
+            "state_topic": topic,
+            "value_template": "{{ value_json.value }}",
+            "json_attributes_topic": topic,
+            "availability": [
+                {"topic": self._status_topic},
+                {
+                    "topic": topic,
+                    "value_template": "{{ 'offline' if value_json.quality == 'bad' else 'online' }}",
+                },
+            ],
+            "availability_mode": "all",
+            "device": {"identifiers": [f"busway_{_plain(sample.device)}"], "name": sample.device},
+        }
+        if isinstance(sample.value, bool):
+            content["value_template"] = "{{ 'ON' if value_json.value else 'OFF' }}"
+            return "binary_sensor", content
+        if sample.unit_of_measure:
+            content["unit_of_measurement"] = sample.unit_of_measure
+        if isinstance(sample.value, int | float):
+            content["state_class"] = "measurement"
+        return "sensor", content
+
+
+def topic_level(name: str) -> str:
+    """A name as one level of a topic: what separates levels or is a wildcard becomes ``_``."""
+    return re.sub(r"[/+#\x00]", "_", name)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]", "_", name)

@@ -1,0 +1,128 @@
+"""NATS JetStream as a sink.
+
+Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
+
+1. A message is one device and commit (`documents`). Its ``Nats-Msg-Id`` is the same at a repetition, so the server
+   drops what it has already within its window (two minutes by default).
+2. `send` returns when the stream has acknowledged every message.
+3. With ``stream`` it is made where it is not there; else a stream must have the subjects.
+"""
+
+import asyncio
+import contextlib
+import re
+import ssl
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ....extras import require
+from ..store.commits import CommittedSample
+from .documents import documents
+from .interface import SinkDown
+
+IN_FLIGHT: Final = 64
+"""Messages that are sent before the first is acknowledged."""
+
+
+class NatsSink:
+    """Publishes samples to a stream."""
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        subject: str = "busway.{device}",
+        stream: str | None = None,
+        user: str | None = None,
+        password: str | None = None,
+        token: str | None = None,
+        tls: ssl.SSLContext | None = None,
+        timeout: float = 5.0,
+    ) -> None:
+        """Name the server; nothing is sent yet.
+
+        Args:
+            url: ``nats://host:4222``.
+            subject: has ``{device}``.
+            stream: a stream that is made where it is not there, for the subjects of this sink.
+            user, password, token: for the server.
+            tls: how to encrypt; None for not at all.
+            timeout: seconds for connecting, and for an acknowledgement.
+
+        Raises:
+            ConfigError: the subject lacks ``{device}`` or has wildcards.
+            MissingExtra: nats-py is not installed.
+        """
+        require("nats", "a sink to NATS")
+        if "{device}" not in subject or "*" in subject or ">" in subject:
+            raise ConfigError(f"a subject has {{device}} and no wildcards, not {subject!r}", key="subject")
+        self._url, self._subject, self._stream, self._timeout = url, subject, stream, timeout
+        given = {"user": user, "password": password, "token": token, "tls": tls}
+        self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        self._client: Any = None  # nats-py is loaded when it is used
+        self._jetstream: Any = None
+        self._cause = ""
+
+    async def open(self) -> None:
+        """Connect, and make the stream where that is asked for. Raises `SinkDown`."""
+        nats = import_module("nats")
+        self._cause = ""
+        try:
+            self._client = await nats.connect(
+                self._url,
+                allow_reconnect=False,
+                max_reconnect_attempts=1,  # 0 would try for ever
+                reconnect_time_wait=0.1,
+                connect_timeout=self._timeout,
+                error_cb=self._note,
+                **self._options,
+            )
+            self._jetstream = self._client.jetstream(timeout=self._timeout)
+            if self._stream is not None:
+                await self._make_stream(self._stream)
+        except (nats.errors.Error, OSError, TimeoutError) as error:
+            raise SinkDown(f"the server cannot be used: {self._cause or error or type(error).__name__}") from error
+
+    async def _note(self, error: Exception) -> None:
+        """Keep why a connection failed: what `connect` raises does not say it."""
+        self._cause = str(error) or type(error).__name__
+
+    async def _make_stream(self, stream: str) -> None:
+        missing = import_module("nats.js.errors").NotFoundError
+        try:
+            await self._jetstream.stream_info(stream)
+        except missing:
+            await self._jetstream.add_stream(name=stream, subjects=[self._subject.replace("{device}", "*")])
+
+    async def close(self) -> None:
+        """Disconnect."""
+        client, self._client, self._jetstream = self._client, None, None
+        if client is not None:
+            with contextlib.suppress(Exception):  # it may be gone already
+                await client.close()
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        """Publish samples, and wait for the acknowledgements. Raises `SinkDown`."""
+        nats = import_module("nats")
+        messages = list(documents(samples))
+        try:
+            for begin in range(0, len(messages), IN_FLIGHT):
+                await asyncio.gather(
+                    *(
+                        self._jetstream.publish(
+                            self._subject.replace("{device}", subject_token(each.device)),
+                            each.encode(),
+                            headers={"Nats-Msg-Id": each.key},
+                        )
+                        for each in messages[begin : begin + IN_FLIGHT]
+                    )
+                )
+        except (nats.errors.Error, OSError, TimeoutError) as error:
+            raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+
+
+def subject_token(name: str) -> str:
+    """A name as one token of a subject: what separates tokens or is a wildcard becomes ``_``."""
+    return re.sub(r"[.*>\s]", "_", name)

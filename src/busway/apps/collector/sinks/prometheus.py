@@ -1,0 +1,135 @@
+"""Last values for Prometheus to scrape. A scrape never polls a device.
+
+Knows what was committed last; the format is prometheus-client's (``busway[metrics]``).
+
+1. Only points that the list names are shown: each is a time series that Prometheus keeps.
+2. Bad values, texts and values older than ``stale`` seconds are left out, so that a series ends instead of standing
+   still.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+from ....errors import ConfigError
+from ....extras import require
+from ....observe.http import HttpRequest, HttpResponse, HttpService, bind_tcp, parse_host_port
+from ..samples import NANOSECONDS, PointGroup, Quality, SampleBatch, Value, quality_of
+from ..store.writer import Commit
+
+
+class LastValues:
+    """The last committed samples of all points, one batch for each group. Subscribe `update` to a committer."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._batches: dict[PointGroup, SampleBatch] = {}
+
+    def update(self, commit: Commit) -> None:
+        """Take in a commit."""
+        with self._lock:
+            for batch in commit.batches:
+                self._batches[batch.group] = batch
+            if len(self._batches) > 10_000:
+                self._forget_covered()
+
+    def _forget_covered(self) -> None:
+        """Forget batches all of whose points have a later sample. The lock is held."""
+        latest = self._latest()
+        used = {id(batch) for batch, _ in latest.values()}
+        self._batches = {group: batch for group, batch in self._batches.items() if id(batch) in used}
+
+    def _latest(self) -> dict[tuple[str, str], tuple[SampleBatch, int]]:
+        found: dict[tuple[str, str], tuple[SampleBatch, int]] = {}
+        for batch in self._batches.values():
+            for index, point in enumerate(batch.points):
+                known = found.get((batch.device, point))
+                if known is None or known[0].time <= batch.time:
+                    found[batch.device, point] = (batch, index)
+        return found
+
+    def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
+        """Device, point, value, reason and time of the last sample of each point."""
+        with self._lock:
+            latest = self._latest()
+        for (device, point), (batch, index) in sorted(latest.items()):
+            reason = batch.reasons if isinstance(batch.reasons, int) else batch.reasons[index]
+            yield device, point, batch.values[index], reason, batch.time
+
+
+class PrometheusPage:
+    """Last values at ``http://HOST:PORT/metrics``, in a thread of their own."""
+
+    def __init__(
+        self,
+        where: str,
+        points: Sequence[str],
+        values: LastValues,
+        *,
+        stale: float = 300.0,
+        now: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """Listen.
+
+        Args:
+            where: ``127.0.0.1:9503``; port 0 takes a free one. Whoever reaches it can read.
+            points: patterns ``device/point`` of what is shown; at least one.
+            values: last values.
+            stale: seconds after which a value is left out.
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            ConfigError: there is no pattern, or ``where`` is no address.
+            LinkDown: it cannot listen there.
+            MissingExtra: prometheus-client is not installed.
+        """
+        require("prometheus_client", "a page for Prometheus")
+        if not points:
+            raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
+        self._points, self._values, self._stale, self._now = tuple(points), values, stale, now
+        self._service = HttpService(bind_tcp(*parse_host_port(where, "url")), self._answer, name="busway prometheus")
+        host, port = self._service.socket.getsockname()[:2]
+        self.url = f"http://{host}:{port}/metrics"
+        self._service.start()
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._service.stop()
+
+    def _answer(self, request: HttpRequest) -> HttpResponse:
+        from prometheus_client import CollectorRegistry
+
+        from ....observe.metrics.endpoint import render
+
+        registry = CollectorRegistry()
+        registry.register(_Collected(self._families))
+        return render(registry, request.headers.get("accept", ""))
+
+    def _families(self) -> Iterator[Any]:
+        from prometheus_client.core import GaugeMetricFamily
+
+        value = GaugeMetricFamily("busway_point_value", "Last value of a point.", labels=["device", "point"])
+        moment = GaugeMetricFamily(
+            "busway_point_time_seconds", "When it was read, seconds since 1970 UTC.", labels=["device", "point"]
+        )
+        oldest = self._now() - int(self._stale * NANOSECONDS)
+        for device, point, found, reason, at in self._values.samples():
+            if found is None or isinstance(found, str) or quality_of(reason) is Quality.BAD or at < oldest:
+                continue
+            if any(fnmatchcase(f"{device}/{point}", pattern) for pattern in self._points):
+                value.add_metric([device, point], float(found))
+                moment.add_metric([device, point], at / NANOSECONDS)
+        yield value
+        yield moment
+
+
+class _Collected:
+    """What prometheus-client asks for families."""
+
+    def __init__(self, families: Callable[[], Iterator[Any]]) -> None:
+        self._families = families
+
+    def collect(self) -> Iterator[Any]:
+        return self._families()

@@ -1,0 +1,77 @@
+"""All sinks of a store, in a thread with an event loop of its own: no sink delays polling.
+
+Knows threads and tasks; knows nothing of what a delivery does.
+"""
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections.abc import Mapping, Sequence
+
+from ....errors import ConfigError
+from ..store.writer import StoreWriter
+from .delivery import PAUSE_LIMIT, Delivery, DeliveryOptions, SinkStatus
+from .interface import Sink
+
+_log = logging.getLogger("busway.sinks")
+
+
+class SinkThread:
+    """Delivers to sinks from the start until `close`."""
+
+    def __init__(self, writer: StoreWriter, sinks: Mapping[str, tuple[Sink, DeliveryOptions]]) -> None:
+        """Start the thread.
+
+        Args:
+            writer: the open store; cursors are in its manifest.
+            sinks: by name; a name keeps its cursor over a restart.
+
+        Raises:
+            ConfigError: a name is empty or has a character that a file's name cannot have.
+        """
+        for name in sinks:
+            if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
+                raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
+        self._deliveries = [
+            Delivery(name, sink, writer.folder, writer.manifest, options) for name, (sink, options) in sinks.items()
+        ]
+        self._loop = asyncio.new_event_loop()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._thread = threading.Thread(target=self._run, name="busway-sinks", daemon=True)
+        self._thread.start()
+
+    def statuses(self) -> Sequence[SinkStatus]:
+        """How each sink does. Safe from any thread."""
+        return [delivery.status() for delivery in self._deliveries]
+
+    def close(self, timeout: float = 10.0) -> None:
+        """End all deliveries, within ``timeout`` seconds; what was not sent is sent after the next start."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._cancel)
+        self._thread.join(timeout)
+
+    def _cancel(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_until_complete(self._deliver())
+        finally:
+            self._loop.run_until_complete(self._loop.shutdown_default_executor())
+            self._loop.close()
+
+    async def _deliver(self) -> None:
+        self._tasks = [asyncio.create_task(self._guarded(delivery)) for delivery in self._deliveries]
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    @staticmethod
+    async def _guarded(delivery: Delivery) -> None:
+        """Deliver; after a defect, which is logged, begin again: one sink that breaks ends no other."""
+        while True:
+            try:
+                await delivery.run()
+            except Exception:
+                _log.exception("sink %s failed; it is tried again", delivery.name)
+                await asyncio.sleep(PAUSE_LIMIT)

@@ -1,0 +1,235 @@
+"""Samples in the order of their commits, behind a commit number: what sinks read.
+
+Knows how each kind of part is read in that order; knows no sink.
+
+1. Nothing is read that was not committed. An interval of a device is a sample without a value for each of its points.
+2. Rows are ordered by commit, time and point, so they are in order for each point.
+3. A part is read from the first wanted commit on; sealed parts, which are sorted otherwise, by ranges of commits.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from ..samples import Quality, Value, quality_of
+from .folder import SEGMENTS
+from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
+from .parts import Row, open_part_facts, part_intervals, rows_of_table
+from .sealing import arrow
+from .segment import open_for_reading, sample_value
+
+_TRIES: Final = 10
+_COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
+
+
+@dataclass(frozen=True, slots=True)
+class CommittedSample:
+    """A sample on its way to a sink.
+
+    Attributes:
+        commit: number of its commit; with device, point and time the same at every repetition.
+        device, point: names.
+        time: nanoseconds since 1970 UTC, the middle of the transaction.
+        half_width: half the length of the transaction, nanoseconds.
+        value: the value; None where there is none.
+        reason: number of the reason, 0 for good.
+        unit_of_measure: of the point.
+    """
+
+    commit: int
+    device: str
+    point: str
+    time: int
+    half_width: int
+    value: Value | None
+    reason: int
+    unit_of_measure: str = ""
+
+    @property
+    def quality(self) -> Quality:
+        """How sure the value is."""
+        return quality_of(self.reason)
+
+
+@dataclass(frozen=True, slots=True)
+class CommitRange:
+    """Samples of some commits.
+
+    Attributes:
+        last: the last commit that they are complete up to.
+        samples: ordered by commit, time and point.
+    """
+
+    last: int
+    samples: list[CommittedSample]
+
+
+class CommitReader:
+    """Reads what was committed behind a number. For one thread at a time."""
+
+    def __init__(self, folder: Path, manifest: Manifest) -> None:
+        self._folder = folder
+        self._manifest = manifest
+        self._points: dict[int, StoredPoint] = {}
+        self._sealed: tuple[str, Any] | None = None
+
+    def read(self, after: int, most: int) -> CommitRange | None:
+        """The samples of the next commits; None where there are none.
+
+        Args:
+            after: number of the commit that was read last; 0 for none.
+            most: samples that are wanted; one commit more may be given, and at least one always is.
+        """
+        for _ in range(_TRIES):
+            try:
+                return self._read(after, most)
+            except FileNotFoundError:  # sealed or dropped meanwhile
+                self._sealed = None
+        return self._read(after, most)
+
+    def count(self, after: int, last: int) -> int:
+        """How many samples there are behind a commit, up to another."""
+        found = 0
+        for part in self._parts(after):
+            if (part.first_commit or 0) > last:
+                continue
+            if part.kind == "sealed":
+                numbers = self._table(part)["commit_number"]
+                pc = arrow("compute")
+                found += pc.sum(pc.and_(pc.greater(numbers, after), pc.less_equal(numbers, last))).as_py() or 0
+                continue
+            with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:
+                asked = "SELECT coalesce(sum(samples), 0) FROM commits WHERE number > ? AND number <= ?"
+                found += database.execute(asked, (after, last)).fetchone()[0]
+        return found
+
+    def last_before(self, moment: int, after: int) -> int:
+        """The last commit made before a time, as far as that is known; ``after`` where there is none behind it."""
+        last = after
+        for part in self._parts(after):
+            if part.kind == "sealed":
+                if (part.alive or 0) < moment:
+                    last = max(last, part.last_commit or 0)
+                continue
+            with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:
+                row = database.execute("SELECT max(number) FROM commits WHERE at < ?", (moment,)).fetchone()
+                last = max(last, row[0] or 0)
+        return last
+
+    def _parts(self, after: int) -> list[StorePart]:
+        """The parts that have commits behind a number, in their order; late parts stand beside their segment."""
+        found = []
+        for part in self._manifest.parts():
+            known = open_part_facts(self._folder, part) if part.kind == "open" and self._exists(part) else part
+            if known.last_commit is not None and known.last_commit > after:
+                found.append(known)
+        return sorted(found, key=lambda part: (part.segment, part.id))
+
+    def _exists(self, part: StorePart) -> bool:
+        return (self._folder / SEGMENTS / part.file).exists()
+
+    def _read(self, after: int, most: int) -> CommitRange | None:
+        parts = self._parts(after)
+        if not parts:
+            return self._of_intervals_alone(after)
+        segment = [part for part in parts if part.segment == parts[0].segment]
+        if segment[0].kind == "sealed":
+            last, rows = self._sealed_rows(segment, after, most)
+        else:
+            self._sealed = None
+            last, rows = self._segment_rows(segment[0], after, most)
+        intervals = [row for row in self._intervals(segment) if after < row.commit_number <= last]
+        return CommitRange(last, self._samples(rows, intervals))
+
+    def _of_intervals_alone(self, after: int) -> CommitRange | None:
+        """Intervals whose segment had no samples, and so left no part when it was sealed."""
+        intervals = [row for row in self._manifest.intervals() if row.commit_number > after]
+        if not intervals:
+            return None
+        return CommitRange(intervals[-1].commit_number, self._samples([], intervals))
+
+    def _segment_rows(self, part: StorePart, after: int, most: int) -> tuple[int, list[Row]]:
+        with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:
+            database.execute("BEGIN")
+            last, total, low, high = after, 0, None, None
+            for number, first, final, samples in database.execute(
+                "SELECT number, low, high, samples FROM commits WHERE number > ? ORDER BY number", (after,)
+            ):
+                if total and total + samples > most:
+                    break
+                last, total = number, total + samples
+                if first is not None:
+                    low = first if low is None else min(low, first)
+                    high = final if high is None else max(high, final)
+            if low is None:
+                return last, []
+            rows = database.execute(
+                "SELECT time, point, value, reason, half_width, commit_number FROM samples"
+                " WHERE time BETWEEN ? AND ? AND commit_number > ? AND commit_number <= ?",
+                (low, high, after, last),
+            ).fetchall()
+            return last, rows
+
+    def _sealed_rows(self, parts: Sequence[StorePart], after: int, most: int) -> tuple[int, list[Row]]:
+        final = max(part.last_commit or 0 for part in parts)
+        first = max(min(part.first_commit or 0 for part in parts), after + 1)
+        total = sum(part.rows or 0 for part in parts)
+        whole = final + 1 - min(part.first_commit or 0 for part in parts)
+        last = min(final, first + max(1, most * whole // max(1, total)) - 1)
+        pc = arrow("compute")
+        rows: list[Row] = []
+        for part in parts:
+            table = self._table(part)
+            numbers = table["commit_number"]
+            rows += rows_of_table(table.filter(pc.and_(pc.greater(numbers, after), pc.less_equal(numbers, last))))
+        return last, rows
+
+    def _table(self, part: StorePart) -> Any:
+        """A sealed part in memory; the last one is kept, because a sink that is behind reads it piece by piece."""
+        if self._sealed is None or self._sealed[0] != part.file:
+            path = self._folder / SEGMENTS / part.file
+            self._sealed = (part.file, arrow("parquet").read_table(path, columns=_COLUMNS))
+        return self._sealed[1]
+
+    def _intervals(self, parts: Sequence[StorePart]) -> Iterator[IntervalRow]:
+        if parts[0].kind == "sealed":
+            yield from self._manifest.intervals()
+        else:
+            yield from part_intervals(self._folder, parts[0])
+
+    def _samples(self, rows: list[Row], intervals: list[IntervalRow]) -> list[CommittedSample]:
+        if any(row[1] not in self._points for row in rows) or intervals:
+            self._points = {point.id: point for point in self._manifest.points()}
+        marks: list[Row] = [
+            (row.begin, point.id, None, row.reason, 0, row.commit_number)
+            for row in intervals
+            if row.device is not None and row.end is None
+            for point in self._points.values()
+            if point.device == row.device
+        ]
+        samples = []
+        for moment, number, value, reason, half_width, commit in sorted([*rows, *marks], key=_order):
+            point = self._points[number]
+            samples.append(
+                CommittedSample(
+                    commit,
+                    point.device,
+                    point.point,
+                    moment,
+                    half_width,
+                    sample_value(value, reason, point.is_state),
+                    reason,
+                    point.unit_of_measure,
+                )
+            )
+        return samples
+
+    def forget_points(self) -> None:
+        """Look the points up again: names and units of measure may have changed."""
+        self._points = {}
+
+
+def _order(row: Row) -> tuple[int, int, int]:
+    return row[5], row[0], row[1]

@@ -1,0 +1,212 @@
+"""One delivery: cursor, repetition, a sink that is down, loss that is counted, samples that are refused, reports."""
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+from collected import METER, NOON, PUMP, at, filled, read_of
+from deliveries import RecordingSink, assert_in_order, commit_reads, delivered_once, delivery_to, run_until
+
+from busway.apps.collector.samples import Reason, StateInterval
+from busway.apps.collector.sinks.delivery import ASIDE, DeliveryOptions
+from busway.apps.collector.sinks.interface import SinkDown
+from busway.apps.collector.sinks.running import SinkThread
+from busway.apps.collector.store.retention import Retention
+from busway.apps.collector.store.writer import StoreOptions, StoreWriter
+from busway.errors import ConfigError
+from busway.points.rules import ReportRule
+
+
+async def test_everything_that_is_committed_arrives_in_order(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    with filled(tmp_path, 10) as writer:
+        await run_until(delivery_to(sink, writer, DeliveryOptions(age=0, most=7)), lambda: len(sink.taken) == 30)
+        assert_in_order(sink.taken)
+        assert max(sink.batches) <= 7
+        assert [sample.value for sample in sink.taken if sample.point == "voltage"] == [230.0 + n for n in range(10)]
+        assert sink.taken[0].commit < sink.taken[-1].commit
+
+
+async def test_a_delivery_goes_on_where_the_last_one_ended(tmp_path: Path) -> None:
+    first, second = RecordingSink(), RecordingSink()
+    with filled(tmp_path, 5) as writer:
+        delivery = delivery_to(first, writer)
+        await run_until(delivery, lambda: delivery.status().sent == 15 and delivery.status().cursor > 5)
+    with StoreWriter(tmp_path, now=at(10)) as writer:
+        commit_reads(writer, 20, 2)
+        await run_until(delivery_to(second, writer), lambda: len(second.taken) == 6)
+    assert {sample.time for sample in second.taken} == {at(20), at(21)}
+
+
+async def test_a_batch_whose_answer_was_lost_comes_again_with_the_same_keys(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    sink.takes_then_fails = 1
+    with filled(tmp_path, 4) as writer:
+        await run_until(delivery_to(sink, writer), lambda: len(sink.taken) == 24)
+    assert sink.taken[:12] == sink.taken[12:]
+    assert len(delivered_once(sink.taken)) == 12
+
+
+@pytest.mark.parametrize("sealed", [False, True])
+async def test_a_sink_that_was_down_gets_everything_in_order_when_it_is_back(tmp_path: Path, sealed: bool) -> None:
+    if sealed:
+        pytest.importorskip("pyarrow")
+    sink = RecordingSink()
+    sink.is_down = True
+    options = DeliveryOptions(age=0, most=10)
+    with filled(tmp_path, 1, options=StoreOptions(seals=sealed)) as writer:
+        delivery = delivery_to(sink, writer, options)
+        await run_until(delivery, lambda: delivery.status().error is not None)
+        assert "no answer" in (delivery.status().error or "")
+        for part in range(3):
+            commit_reads(writer, 1 + 20 * part, 20)
+            writer.roll()
+            writer.seal_closed()
+        sink.is_down = False
+        await run_until(delivery, lambda: len(sink.taken) >= 183)
+        assert len(sink.taken) == 183
+        assert_in_order(sink.taken)
+        assert delivery.status().error is None
+        assert delivery.status().lost == 0
+
+
+async def test_samples_that_waited_too_long_are_dropped_and_counted(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    with filled(tmp_path, 10, step=100.0) as writer:  # at 0, 100 … 900; now is 1000
+        delivery = delivery_to(sink, writer, DeliveryOptions(age=0, keep=350.0))
+        await run_until(delivery, lambda: len(sink.taken) == 9)
+        assert {sample.time for sample in sink.taken} == {at(700), at(800), at(900)}
+        assert delivery.status().lost == 21
+        assert writer.manifest.cursors()["sink"][1] == 21
+
+
+async def test_what_retention_takes_from_a_sink_is_counted(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    options = StoreOptions(seals=False, retention=Retention(age=500))
+    with filled(tmp_path, 20, options=options, step=100.0) as writer:
+        delivery = delivery_to(sink, writer, DeliveryOptions(age=0))
+        assert len(writer.apply_retention(at(2000))) == 2
+        await run_until(delivery, lambda: len(sink.taken) == 24)
+        assert delivery.status().lost == 36
+
+
+async def test_a_refused_sample_is_found_set_aside_and_told_and_all_others_arrive(tmp_path: Path) -> None:
+    sink = RecordingSink(poison=lambda sample: sample.point == "current" and sample.value == 3)
+    with filled(tmp_path, 10) as writer:
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: len(sink.taken) == 29)
+        assert_in_order(sink.taken)
+        status = delivery.status()
+    assert (status.set_aside, status.sent) == (1, 29)
+    assert "a value is refused" in (status.error or "")
+    (line,) = (tmp_path / ASIDE / "sink.jsonl").read_text().splitlines()
+    assert json.loads(line) == {
+        "device": "meter-7",
+        "point": "current",
+        "time": at(3),
+        "value": 3,
+        "reason": "",
+        "error": "a value is refused",
+    }
+
+
+async def test_only_the_points_that_are_named_are_sent(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    with filled(tmp_path, 5) as writer:
+        await run_until(
+            delivery_to(sink, writer, DeliveryOptions(age=0, points=("*/volt*", "pump-1/*"))),
+            lambda: len(sink.taken) == 5,
+        )
+    assert {sample.point for sample in sink.taken} == {"voltage"}
+
+
+async def test_with_a_rule_of_change_only_changes_are_sent_and_quality_always(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    options = DeliveryOptions(age=0, report=ReportRule("change", deadband=1.0, max_silence=50.0))
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        for second, value, reason in (
+            (0, 10.0, 0),
+            (1, 10.5, 0),
+            (2, 11.5, 0),
+            (3, 11.5, Reason.HELD),
+            (4, None, Reason.TIMEOUT),
+            (5, 11.5, 0),
+            (6, 11.5, 0),
+            (60, 11.5, 0),
+        ):
+            writer.commit([read_of(PUMP, second, value, reasons=reason)], [], at(second))
+        await run_until(delivery_to(sink, writer, options), lambda: len(sink.taken) == 6)
+    assert [sample.time for sample in sink.taken] == [at(second) for second in (0, 2, 3, 4, 5, 60)]
+
+
+async def test_an_interval_is_a_sample_without_a_value_for_each_point(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    with filled(tmp_path, 1) as writer:
+        writer.commit([], [StateInterval("meter-7", at(5), None, Reason.SUSPENDED)], at(5))
+        writer.commit([], [StateInterval("meter-7", at(5), at(9), Reason.SUSPENDED)], at(9))
+        await run_until(delivery_to(sink, writer), lambda: len(sink.taken) == 6)
+    marks = [(sample.point, sample.time, sample.value, sample.reason) for sample in sink.taken[3:]]
+    assert marks == [(point, at(5), None, Reason.SUSPENDED) for point in METER.points]
+
+
+async def test_a_sink_that_fails_in_open_is_closed_before_it_is_opened_again(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    sink.is_down = True
+    with filled(tmp_path, 1) as writer:
+        delivery = delivery_to(sink, writer)
+        with pytest.raises(SinkDown):
+            await delivery.step()
+        await run_until(delivery, lambda: sink.opened >= 3)
+    assert sink.closed >= sink.opened - 1
+
+
+def test_a_sink_that_hangs_delays_no_other_and_no_commit(tmp_path: Path) -> None:
+    import threading
+
+    arrived = threading.Event()
+
+    class Hanging(RecordingSink):
+        async def send(self, samples: object) -> None:
+            await asyncio.Event().wait()
+
+    class Quick(RecordingSink):
+        async def send(self, samples: object) -> None:
+            arrived.set()
+
+    with filled(tmp_path, 1) as writer:
+        quick = DeliveryOptions(age=0)
+        thread = SinkThread(writer, {"hanging": (Hanging(), quick), "quick": (Quick(), quick)})
+        assert arrived.wait(10)
+        commit_reads(writer, 5, 5)
+        thread.close()
+        assert {status.name: status.sent > 0 for status in thread.statuses()} == {"hanging": False, "quick": True}
+
+
+def test_a_sink_that_breaks_is_logged_and_ends_no_other(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    import threading
+
+    arrived = threading.Event()
+
+    class Broken(RecordingSink):
+        async def open(self) -> None:
+            raise ZeroDivisionError
+
+    class Quick(RecordingSink):
+        async def send(self, samples: object) -> None:
+            arrived.set()
+
+    with filled(tmp_path, 1) as writer:
+        options = DeliveryOptions(age=0)
+        thread = SinkThread(writer, {"broken": (Broken(), options), "quick": (Quick(), options)})
+        assert arrived.wait(10)
+        thread.close()
+    assert "sink broken failed" in caplog.text
+
+
+def test_names_and_options_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    with filled(tmp_path, 1) as writer, pytest.raises(ConfigError, match="is no name of a sink"):
+        SinkThread(writer, {"../x": (RecordingSink(), DeliveryOptions())})
+    for wrong in ({"most": 0}, {"age": -1.0}, {"keep": 0.1}):
+        with pytest.raises(ConfigError):
+            DeliveryOptions(**wrong)  # type: ignore[arg-type]

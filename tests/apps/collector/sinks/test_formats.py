@@ -1,0 +1,200 @@
+"""What sinks write: documents, files, lines for InfluxDB, and last values for Prometheus."""
+
+import csv
+import json
+import math
+import threading
+import urllib.request
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from collected import METER, PUMP, at, filled, meter_read, read_of
+from deliveries import commit_reads, delivery_to, run_until
+
+from busway.apps.collector.samples import Reason, exception_reason
+from busway.apps.collector.sinks.delivery import DeliveryOptions
+from busway.apps.collector.sinks.documents import documents
+from busway.apps.collector.sinks.files import FileSink
+from busway.apps.collector.sinks.influxdb import InfluxSink, line_of
+from busway.apps.collector.sinks.interface import SinkDown
+from busway.apps.collector.sinks.prometheus import LastValues, PrometheusPage
+from busway.apps.collector.store.commits import CommittedSample
+from busway.apps.collector.store.writer import Commit
+from busway.errors import ConfigError
+
+
+def sample(point: str, value: object, reason: int = 0, *, commit: int = 1, device: str = "d") -> CommittedSample:
+    return CommittedSample(commit, device, point, at(1), 5, value, reason)  # type: ignore[arg-type]
+
+
+def test_a_document_has_one_device_and_commit_and_says_what_is_not_good() -> None:
+    found = list(
+        documents(
+            [
+                sample("a", 1.5),
+                sample("b", 2, Reason.HELD),
+                sample("c", None, exception_reason(2)),
+                sample("a", math.nan, device="e"),
+                sample("a", 3, commit=2),
+            ]
+        )
+    )
+    assert [(each.device, each.content["reads"][0]["values"]) for each in found] == [
+        ("d", {"a": 1.5, "b": 2}),
+        ("e", {"a": "nan"}),
+        ("d", {"a": 3}),
+    ]
+    first = json.loads(found[0].encode())["reads"][0]
+    assert first["uncertain"] == {"b": "held"}
+    assert first["bad"]["c"].startswith("exception 02")
+    assert len({each.key for each in found}) == 3
+
+
+def test_the_key_of_a_document_is_the_same_at_a_repetition() -> None:
+    samples = [sample("a", 1), sample("b", 2)]
+    assert [each.key for each in documents(samples)] == [each.key for each in documents(samples)]
+
+
+async def test_lines_are_appended_and_a_cut_line_is_ended_first(tmp_path: Path) -> None:
+    target = tmp_path / "out" / "samples-{date}.csv"
+    with filled(tmp_path / "store", 2) as writer:
+        delivery = delivery_to(FileSink(target), writer)
+        await run_until(delivery, lambda: delivery.status().sent == 6)
+        (path,) = target.parent.iterdir()
+        assert path.name == "samples-2027-01-15.csv"
+        with path.open("a") as file:
+            file.write("18000000020000")  # a crash in the middle of a line
+        commit_reads(writer, 2, 1)
+        await run_until(delivery, lambda: delivery.status().sent == 9)
+    rows = [row for row in csv.DictReader(path.read_text().splitlines()) if row["device"]]
+    assert [row["value"] for row in rows if row["point"] == "current"] == ["0", "1", "2"]
+    assert rows[0]["quality"] == "good"
+
+
+async def test_json_lines(tmp_path: Path) -> None:
+    target = tmp_path / "samples.jsonl"
+    with filled(tmp_path / "store", 2) as writer:
+        delivery = delivery_to(FileSink(target), writer)
+        await run_until(delivery, lambda: delivery.status().sent == 6)
+    lines = [json.loads(line) for line in target.read_text().splitlines()]
+    assert [line["value"] for line in lines if line["point"] == "state"] == ["on", "on"]
+
+
+async def test_a_parquet_batch_that_comes_again_replaces_its_file(tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    with filled(tmp_path / "store", 4) as writer:
+        sink = FileSink(tmp_path / "files", "parquet")
+        for _ in range(2):
+            delivery = delivery_to(sink, writer, DeliveryOptions(age=0, most=6))
+            await run_until(delivery, lambda delivery=delivery: delivery.status().sent == 12)  # type: ignore[misc]
+            writer.manifest.set_cursor("sink", 0, 0)
+    table = pq.read_table(tmp_path / "files")
+    assert table.num_rows == 12
+    assert sorted(set(table["text"].to_pylist()) - {None}) == ["on"]
+
+
+async def test_a_folder_that_cannot_be_written_is_a_sink_that_is_down(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SinkDown, match="cannot be written"):
+        await FileSink(tmp_path / "file" / "x.csv").send([sample("a", 1)])
+
+
+@pytest.mark.parametrize(
+    ("point", "value", "reason", "line"),
+    [
+        ("a", 1.5, 0, "m,device=d,point=a value=1.5,reason=0i"),
+        ("a b,c=d", 7, 0, "m,device=d,point=a\\ b\\,c\\=d value=7.0,reason=0i"),
+        ("a", True, Reason.HELD, "m,device=d,point=a value=1.0,reason=1i"),
+        ("a", 'say "x"\\\n', 0, 'm,device=d,point=a text="say \\"x\\"\\\\\\n",reason=0i'),
+        ("a", None, Reason.TIMEOUT, "m,device=d,point=a reason=16i"),
+        ("a", math.inf, 0, "m,device=d,point=a reason=0i"),
+    ],
+)
+def test_a_sample_in_line_protocol(point: str, value: object, reason: int, line: str) -> None:
+    assert line_of(sample(point, value, reason), "m") == f"{line} {at(1)}"
+
+
+class LineServer(ThreadingHTTPServer):
+    """Answers as InfluxDB does: 204, 400 for a batch with a refused line, 503 while it is told to be down."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), LineHandler)
+        self.lines: list[str] = []
+        self.asked: list[tuple[str, str | None]] = []
+        self.is_down = False
+
+
+class LineHandler(BaseHTTPRequestHandler):
+    server: LineServer
+
+    def do_POST(self) -> None:
+        lines = self.rfile.read(int(self.headers["Content-Length"])).decode().split("\n")
+        self.server.asked.append((self.path, self.headers["Authorization"]))
+        refused = any("poison" in line for line in lines)
+        status = 503 if self.server.is_down else 400 if refused else 204
+        if status == 204:
+            self.server.lines += lines
+        self.send_response(status)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def lines() -> Iterator[LineServer]:
+    with LineServer() as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+async def test_lines_arrive_over_http_and_a_server_that_was_busy_gets_all(lines: LineServer, tmp_path: Path) -> None:
+    pytest.importorskip("httpx")
+    lines.is_down = True
+    url = f"http://127.0.0.1:{lines.server_port}/api/v2/write?org=o&bucket=b"
+    with filled(tmp_path, 5) as writer:
+        writer.commit([read_of(PUMP, 3, "poison")], [], at(6))
+        delivery = delivery_to(InfluxSink(url, token="t0ken"), writer)
+        await run_until(delivery, lambda: delivery.status().error is not None)
+        assert "503" in (delivery.status().error or "")
+        lines.is_down = False
+        await run_until(delivery, lambda: delivery.status().sent == 15 and delivery.status().set_aside == 1)
+    assert len(lines.lines) == 15
+    assert lines.asked[0] == ("/api/v2/write?org=o&bucket=b&precision=ns", "Token t0ken")
+    assert lines.lines[0].startswith("samples,device=meter-7,point=voltage value=230.0,reason=0i ")
+
+
+def test_prometheus_gets_last_values_of_listed_points_that_are_neither_bad_nor_stale() -> None:
+    pytest.importorskip("prometheus_client")
+    values = LastValues()
+    values.update(Commit(1, at(1), [meter_read(1, 5), read_of(PUMP, 1, 900)], []))
+    values.update(Commit(2, at(2), [meter_read(2, 6)], []))
+    moment = at(3)
+    page = PrometheusPage("127.0.0.1:0", ["meter-7/*", "pump-1/*"], values, stale=60, now=lambda: moment)
+    try:
+        text = urllib.request.urlopen(page.url, timeout=10).read().decode()
+        assert 'busway_point_value{device="meter-7",point="voltage"} 236.0' in text
+        assert 'busway_point_value{device="pump-1",point="speed"} 900.0' in text
+        assert "state" not in text, "a text has no number"
+        values.update(Commit(3, at(3), [read_of(PUMP, 3, None, reasons=Reason.TIMEOUT)], []))
+        assert "pump-1" not in urllib.request.urlopen(page.url, timeout=10).read().decode()
+        moment = at(100)
+        assert "voltage" not in urllib.request.urlopen(page.url, timeout=10).read().decode()
+    finally:
+        page.close()
+    with pytest.raises(ConfigError, match="names no point"):
+        PrometheusPage("127.0.0.1:0", [], values)
+
+
+def test_last_values_hold_one_batch_for_each_group() -> None:
+    values = LastValues()
+    for second in range(100):
+        values.update(Commit(second, at(second), [meter_read(second, second)], []))
+    assert [found[2] for found in values.samples()] == [99, "on", 329.0]
+    assert METER.points == ("voltage", "current", "state")

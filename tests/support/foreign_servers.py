@@ -1,0 +1,151 @@
+"""Servers that sinks send to, from Debian's packages: started on a free port of loopback, stopped, started again.
+
+A test is skipped by name where a server is not installed; with BUSWAY_REQUIRE_PEERS=1 it fails.
+"""
+
+import os
+import pwd
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Self
+
+import pytest
+
+READY_SECONDS = 30.0
+
+
+def needed(name: str, *places: str) -> str:
+    """The path of a program; the test is skipped, or fails, where it is not installed."""
+    path = shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", *places]))
+    if path is None:
+        if os.environ.get("BUSWAY_REQUIRE_PEERS") == "1":
+            pytest.fail(f"{name} is not installed")
+        pytest.skip(f"{name} is not installed")
+    return path
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class ForeignServer:
+    """One server on one port, which stays the same over a restart."""
+
+    def __init__(
+        self, command: Sequence[str], port: int, *, user: str | None = None, stop: int = signal.SIGTERM
+    ) -> None:
+        self.port = port
+        self._command, self._user, self._stop = list(command), user, stop
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> Self:
+        """Start it, and wait until it accepts connections."""
+        self._process = subprocess.Popen(
+            self._command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            user=self._user,
+            group=self._user,
+            cwd="/",
+        )
+        until = time.monotonic() + READY_SECONDS
+        while time.monotonic() < until:
+            assert self._process.poll() is None, f"{self._command} has ended"
+            try:
+                socket.create_connection(("127.0.0.1", self.port), 1).close()
+                return self
+            except OSError:
+                time.sleep(0.02)
+        raise AssertionError(f"{self._command} is not ready")
+
+    def stop(self) -> None:
+        """End it, and wait until it has."""
+        if self._process is not None:
+            self._process.send_signal(self._stop)
+            try:
+                self._process.wait(10)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait(10)
+            self._process = None
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *exception: object) -> None:
+        self.stop()
+
+
+def mosquitto(folder: Path, *lines: str) -> ForeignServer:
+    """An MQTT broker that keeps nothing but what is retained in memory; ``lines`` are of its configuration."""
+    program, port = needed("mosquitto"), free_port()
+    config = folder / "mosquitto.conf"
+    wanted = [f"listener {port} 127.0.0.1", *(lines or ("allow_anonymous true",)), "persistence false"]
+    config.write_text("\n".join(wanted) + "\n")
+    return ForeignServer([program, "-c", str(config)], port)
+
+
+def nats_server(folder: Path) -> ForeignServer:
+    """A NATS server with JetStream, whose streams survive a restart."""
+    program, port = needed("nats-server"), free_port()
+    return ForeignServer([program, "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "nats")], port)
+
+
+class PostgresqlServer(ForeignServer):
+    """A database cluster in a folder of its own, with one user, ``collector``, who needs a password."""
+
+    PASSWORD = "x9-secret"
+
+    def __init__(self) -> None:
+        places = [str(path) for path in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
+        postgres = Path(needed("initdb", *places)).resolve().with_name("postgres")
+        postgres = next((Path(place) / "postgres" for place in places if (Path(place) / "postgres").exists()), postgres)
+        initdb = str(postgres.with_name("initdb"))
+        self._ready = [str(postgres.with_name("pg_isready")), "-h", "127.0.0.1"]
+        user = "postgres" if os.geteuid() == 0 else None
+        self.folder = Path(tempfile.mkdtemp(prefix="busway-pg-"))
+        if user is not None:
+            owner = pwd.getpwnam(user)
+            os.chown(self.folder, owner.pw_uid, owner.pw_gid)
+        secret = self.folder / "secret"
+        secret.write_text(self.PASSWORD)
+        if user is not None:
+            os.chown(secret, owner.pw_uid, owner.pw_gid)
+        data = self.folder / "data"
+        command = [initdb, "-D", str(data), "-U", "collector", "-A", "scram-sha-256", "--pwfile", str(secret), "-N"]
+        made = subprocess.run(command, user=user, group=user, cwd="/", capture_output=True, timeout=60, check=False)
+        assert made.returncode == 0, made.stderr
+        port = free_port()
+        options = [
+            "-c",
+            "fsync=off",
+            "-c",
+            "listen_addresses=127.0.0.1",
+            "-c",
+            f"unix_socket_directories={self.folder}",
+        ]
+        super().__init__(
+            [str(postgres), "-D", str(data), "-p", str(port), *options], port, user=user, stop=signal.SIGQUIT
+        )
+        self.url = f"postgresql://collector@127.0.0.1:{port}/postgres"
+
+    def start(self) -> Self:
+        """Start it, and wait until it lets users in."""
+        super().start()
+        until = time.monotonic() + READY_SECONDS
+        while subprocess.run([*self._ready, "-p", str(self.port)], capture_output=True, check=False).returncode:
+            assert time.monotonic() < until, "the database lets nobody in"
+            time.sleep(0.05)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.stop()
+        shutil.rmtree(self.folder, ignore_errors=True)
