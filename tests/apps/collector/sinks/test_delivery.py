@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -162,8 +164,6 @@ async def test_a_sink_that_fails_in_open_is_closed_before_it_is_opened_again(tmp
 
 
 def test_a_sink_that_hangs_delays_no_other_and_no_commit(tmp_path: Path) -> None:
-    import threading
-
     arrived = threading.Event()
 
     class Hanging(RecordingSink):
@@ -184,7 +184,6 @@ def test_a_sink_that_hangs_delays_no_other_and_no_commit(tmp_path: Path) -> None
 
 
 def test_a_sink_that_breaks_is_logged_and_ends_no_other(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    import threading
 
     arrived = threading.Event()
 
@@ -200,6 +199,9 @@ def test_a_sink_that_breaks_is_logged_and_ends_no_other(tmp_path: Path, caplog: 
         options = DeliveryOptions(age=0)
         thread = SinkThread(writer, {"broken": (Broken(), options), "quick": (Quick(), options)})
         assert arrived.wait(10)
+        until = time.monotonic() + 10
+        while "sink broken failed" not in caplog.text and time.monotonic() < until:
+            time.sleep(0.01)
         thread.close()
     assert "sink broken failed" in caplog.text
 
