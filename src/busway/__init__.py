@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .access.audit import AuditLog
     from .access.authorizer import PolicyHandler
     from .access.rules import Policy, Rule
+    from .apps.collector.collector import Collector, collect
     from .apps.collector.store.reading import Store
     from .apps.control.service import Control
     from .apps.gateway.configuration import load_gateway, simple_gateway
@@ -111,6 +112,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "apps.server.configuration": ("Configuration", "load_configuration"),
+    "apps.collector.collector": ("Collector", "collect"),
     "apps.collector.store.reading": ("Store",),
     "apps.gateway.configuration": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
@@ -234,6 +236,7 @@ __all__ = [
     "CanopenGeneralReference",
     "Cells",
     "Change",
+    "Collector",
     "ConfigError",
     "Configuration",
     "Control",
@@ -300,6 +303,7 @@ __all__ = [
     "WriteSingleCoil",
     "WriteSingleRegister",
     "__version__",
+    "collect",
     "connect",
     "limit_local_connections",
     "load_configuration",

@@ -36,6 +36,7 @@ COMMANDS = {
     "serve": "Be a device.",
     "simulate": "Be devices that behave as a file says.",
     "gateway": "Forward client requests to serial lines or other servers.",
+    "collect": "Poll devices and keep what they say.",
     "query": "Show what a store of the collector holds.",
     "store": "Check, back up or restore a store of the collector.",
     "status": "Show how a running server or gateway does.",

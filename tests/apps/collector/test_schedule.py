@@ -316,9 +316,16 @@ def test_an_overloaded_link_names_the_class_to_slow_and_a_period_that_fits() -> 
 
 
 def test_a_class_that_one_timeout_can_make_late_is_named() -> None:
-    admission = admit("hall", [("a", book({"c": 5}), {"c": 0.5})], 1.0)
+    both = [(name, book({"c": 5}), {"c": 0.5}) for name in "ab"]
+    admission = admit("hall", both, 1.0)
     assert len(admission.problems) == 1
     assert "class c has a period of 0.5 s" in admission.problems[0]
+    assert admit("hall", both, 0.3).fits
+
+
+def test_a_device_that_is_alone_waits_for_no_other() -> None:
+    assert admit("hall", [("a", book({"c": 5}), {"c": 0.5})], 1.0).fits
+    assert not admit("hall", [("a", book({"c": 5}), {"c": 0.01})], 1.0).fits
 
 
 def test_a_network_link_is_judged_by_its_reads() -> None:

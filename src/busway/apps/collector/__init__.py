@@ -11,6 +11,9 @@
 `poller`        the polling engine of one link
 `reply_timeout` how long to wait for a device
 `sample_clock`  the clock of samples, which never runs back
+`configuration` a collector file → links, devices, plans
+`collector`     all of it, running: links, store, readers, reading the file again
+`preview`       what a collector would do, told before it does it
 `samples`       a sample, its quality and reason; the samples of one read; intervals without reads
 `store`         the folder that keeps samples: written, sealed, read
 `sinks`         other systems that get what a store keeps

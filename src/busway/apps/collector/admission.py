@@ -5,7 +5,7 @@ Pure: knows plans and periods; knows no clock and no socket.
 1. The load of a link is the seconds that its reads take in each second. Above `MOST_LOAD` rounds will be late, because
    silent devices, repetitions and writes need the rest.
 2. A class whose period is not longer than its own reads, the longest other read and one timeout may miss rounds even
-   on a quiet link.
+   on a quiet link. A device that is alone on its link waits for no other.
 3. Each class is counted by itself, as if no reads were shared. So the real load is that or less.
 """
 
@@ -90,7 +90,11 @@ def _too_fast(
 ) -> Iterable[str]:
     reads = sorted(longest, reverse=True)[:2]
     for name, (seconds, device) in own.items():
-        other = next((each for each, whose in reads if whose != device), 0.0)
+        other = next((each for each, whose in reads if whose != device), None)
+        if other is None:
+            if periods[name] <= seconds:
+                yield f"class {name} has a period of {periods[name]:g} s, and {device} needs {seconds:.3f} s for it"
+            continue
         needed = seconds + other + timeout
         if periods[name] <= needed:
             yield (

@@ -157,7 +157,9 @@ def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
 
 def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
     """What a read touches that belongs to no known item and lies in no readable range."""
-    declared = [ItemRange(each.start, each.start + each.width) for each in known if each.table is read.table]
+    declared = [
+        ItemRange(each.start, each.start + each.width) for each in known if each.width and each.table is read.table
+    ]
     declared += [*rules.readable.get(read.table, ()), *rules.exact.get(read.table, ())]
     left: list[ItemRange] = []
     at = read.start

@@ -1,0 +1,395 @@
+"""The collector: polls what its file says, keeps the samples, and hands them on.
+
+Knows files, links, the store and asyncio; what is asked next is decided by `schedule`, and asked by `poller`.
+
+1. A sample is handed on when it is in the store. Readers that are too slow lose the oldest batches, which is counted;
+   they never slow polling down.
+2. A file that is read again is refused as a whole, or applied link by link. A link whose section, devices and profiles
+   are the same as before is not touched, and misses no round.
+3. What was learnt is written beside the store when it changes, and at the end.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from ...client.aio import AsyncLink, open_link
+from ...config.reading import read_text
+from ...errors import ConfigError
+from .configuration import CollectedDevice, CollectorConfiguration, load_collector
+from .knowledge import Knowledge, read_knowledge
+from .poller import LinkPoller
+from .sample_clock import SampleClock
+from .samples import SampleBatch
+from .schedule import LinkSchedule
+from .store.committing import Committer, StoreStatus
+from .store.retention import Retention
+from .store.writer import Commit, StoreOptions, StoreWriter
+
+MOST_WAITING: Final = 10_000
+"""Batches that wait for a reader of `Collector.samples`, at most."""
+CLOCK_EVERY: Final = 5.0
+"""Seconds between two comparisons with the wall clock."""
+LEARNT_EVERY: Final = 30.0
+"""Seconds after which what was learnt is written, if it changed."""
+
+_log = logging.getLogger("busway.collector")
+
+
+@dataclass(frozen=True, slots=True)
+class CollectedDeviceStatus:
+    """How a device does.
+
+    Attributes:
+        name, link: its name and that of its link.
+        state: ``polled``, ``silent``, ``maintenance`` or ``not asked yet``.
+        reads, failures, rounds, skipped: how many there were since the start.
+        worst_wait: the longest time in seconds that a round waited for others.
+        last_error: what was wrong last; empty where nothing ever was.
+        learnt: what was learnt of it, in sentences.
+    """
+
+    name: str
+    link: str
+    state: str
+    reads: int
+    failures: int
+    rounds: int
+    skipped: int
+    worst_wait: float
+    last_error: str
+    learnt: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class _RunningLink:
+    """A link that is polled: what it was made from, and its task."""
+
+    key: object
+    link: AsyncLink
+    poller: LinkPoller
+    task: "asyncio.Task[None]"
+
+
+@dataclass(slots=True, eq=False)
+class _Reader:
+    """One reader of samples."""
+
+    devices: frozenset[str] | None
+    waiting: deque[SampleBatch] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
+    arrived: asyncio.Event = field(default_factory=asyncio.Event)
+    lost: int = 0
+
+    def take(self, batches: Iterable[SampleBatch]) -> None:
+        for batch in batches:
+            if self.devices is None or batch.device in self.devices:
+                self.lost += len(self.waiting) == MOST_WAITING
+                self.waiting.append(batch)
+        self.arrived.set()
+
+
+class Collector:
+    """A collector that runs; an asynchronous context manager, made by `collect`.
+
+    Attributes:
+        configuration: what its file says.
+        knowledge: what was learnt of its devices.
+        readers_lost: batches that readers of `samples` were too slow for.
+    """
+
+    def __init__(self, configuration: CollectorConfiguration) -> None:
+        self.configuration = configuration
+        self.readers_lost = 0
+        self._committer: Committer | None = None
+        self.knowledge = Knowledge()
+        self._learnt_text = ""
+        self._links: dict[str, _RunningLink] = {}
+        self._readers: list[_Reader] = []
+        self._upkeep: asyncio.Task[None] | None = None
+        self._started = 0.0
+
+    async def __aenter__(self) -> Self:
+        """Open the store and begin to poll.
+
+        Raises:
+            ConfigError: another process writes the store (its pid is named), or it cannot be written.
+        """
+        configuration = self.configuration
+        options = configuration.file.collector
+        retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
+        writer = StoreWriter(
+            configuration.store, StoreOptions(durability=options.durability, retention=retention), now=time.time_ns()
+        )
+        try:
+            self.knowledge = read_learnt(configuration.learnt_path)
+            writer.describe_points(each for device in configuration.devices.values() for each in device.descriptions())
+        except BaseException:
+            writer.close(time.time_ns())
+            raise
+        loop = asyncio.get_running_loop()
+        self._started = loop.time()
+        self._clock = SampleClock(loop.time(), time.time_ns())
+        self._committer = Committer(writer)
+        self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
+        for name in configuration.links:
+            self._start_link(name, configuration)
+        self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop polling, and commit what waits."""
+        if self._upkeep is not None:
+            await _ended(self._upkeep)
+        for name in list(self._links):
+            await self._stop_link(name)
+        self._write_learnt()
+        if self._committer is not None:
+            await asyncio.get_running_loop().run_in_executor(None, self._committer.close)
+        for reader in self._readers:
+            reader.arrived.set()
+
+    # What programs use.
+
+    async def samples(self, devices: Iterable[str] | None = None) -> AsyncIterator[SampleBatch]:
+        """The samples from now on, batch by batch, each after it is in the store.
+
+        Args:
+            devices: names of those that are wanted; None for all.
+
+        Raises:
+            ConfigError: there is no device of this name.
+        """
+        wanted = None if devices is None else frozenset(devices)
+        for name in sorted(wanted or ()):
+            if name not in self.configuration.devices:
+                raise ConfigError(f"there is no device {name!r}", file=self.configuration.name, key="device")
+        reader = _Reader(wanted)
+        self._readers.append(reader)
+        try:
+            while self._upkeep is not None and not self._upkeep.done():
+                while reader.waiting:
+                    yield reader.waiting.popleft()
+                reader.arrived.clear()
+                await reader.arrived.wait()
+        finally:
+            self._readers.remove(reader)
+            self.readers_lost += reader.lost
+
+    def maintenance(self, device: str, *, begins: bool) -> None:
+        """Begin or end the maintenance of a device: it is not polled meanwhile. Raises `ConfigError`."""
+        self._poller_of(device).pause(device, paused=begins)
+
+    def watch(self, device: str, points: Iterable[str], *, period: float = 1.0, seconds: float = 10.0) -> None:
+        """Read some points of a device every ``period`` seconds for ``seconds``, before everything but writes.
+
+        Call it again before that time is over for as long as somebody looks. Raises `ConfigError`.
+        """
+        self._poller_of(device).lease(device, list(points), period, seconds)
+
+    def store_status(self) -> StoreStatus:
+        """How the store does."""
+        assert self._committer is not None
+        return self._committer.status()
+
+    def status(self) -> list[CollectedDeviceStatus]:
+        """How each device does."""
+        return [
+            self._status_of(running.poller, name) for running in self._links.values() for name in running.poller.devices
+        ]
+
+    def loads(self) -> Mapping[str, tuple[float, float]]:
+        """By link, the part of its time that it was busy since the start, and that with probes of silent devices."""
+        elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
+        return {
+            name: (running.poller.schedule.busy / elapsed, running.poller.schedule.probing / elapsed)
+            for name, running in self._links.items()
+        }
+
+    def _poller_of(self, device: str) -> LinkPoller:
+        for running in self._links.values():
+            if device in running.poller.devices:
+                return running.poller
+        raise ConfigError(f"there is no device {device!r}", file=self.configuration.name, key="device")
+
+    @staticmethod
+    def _status_of(poller: LinkPoller, name: str) -> CollectedDeviceStatus:
+        device, scheduled = poller.devices[name], poller.schedule.devices.get(name)
+        if scheduled is None:
+            state = "nothing to read"
+        elif scheduled.is_paused:
+            state = "maintenance"
+        else:
+            state = {None: "not asked yet", True: "polled", False: "silent"}[scheduled.lives]
+        return CollectedDeviceStatus(
+            name,
+            poller.name,
+            state,
+            device.reads,
+            device.failures,
+            0 if scheduled is None else scheduled.rounds,
+            0 if scheduled is None else scheduled.skipped,
+            0.0 if scheduled is None else scheduled.worst_wait,
+            device.last_error,
+            tuple(device.book.knowledge.lines()),
+        )
+
+    # Reading the file again.
+
+    async def reload(self, configuration: CollectorConfiguration) -> list[str]:
+        """Poll by another configuration, link by link (rule 2).
+
+        Returns:
+            What changed, each as a sentence.
+
+        Raises:
+            ConfigError: the store is another; nothing was changed.
+        """
+        if configuration.store != self.configuration.store:
+            raise ConfigError(
+                "the store cannot be another while the collector runs: restart it", file=configuration.name, key="store"
+            )
+        assert self._committer is not None
+        self._committer.writer.describe_points(
+            each for device in configuration.devices.values() for each in device.descriptions()
+        )
+        self.configuration = configuration
+        done: list[str] = []
+        for name in [*self._links]:
+            if name not in configuration.links:
+                await self._stop_link(name)
+                done.append(f"link {name} ended")
+        for name in configuration.links:
+            running = self._links.get(name)
+            if running is not None and running.key == _key_of(configuration, name):
+                continue
+            if running is not None:
+                await self._stop_link(name)
+            self._start_link(name, configuration)
+            done.append(f"link {name} {'began' if running is None else 'began anew'}")
+        return done or ["nothing changed"]
+
+    # Links.
+
+    def _start_link(self, name: str, configuration: CollectorConfiguration) -> None:
+        settings = configuration.links[name].settings
+        loop = asyncio.get_running_loop()
+        assert self._committer is not None
+        link = open_link(configuration.links[name].url, **configuration.links[name].options)
+        numbered = settings.endpoint.framing == "mbap"
+        schedule = LinkSchedule(
+            settings.parameters.timeout, batch=settings.parameters.max_transactions if numbered else 1
+        )
+        poller = LinkPoller(
+            name,
+            link,
+            schedule,
+            self._clock,
+            self._committer.add,
+            self._committer.add_interval,
+            numbered=numbered,
+            now=loop.time,
+        )
+        for device in configuration.devices_of(name):
+            known = self.knowledge.of(device.name, device.profile, device.firmware)
+            poller.add(device.name, device.unit, device.book(known), configuration.periods)
+        task = asyncio.create_task(poller.run(), name=f"busway collector link {name}")
+        task.add_done_callback(_log_defect)
+        self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
+
+    async def _stop_link(self, name: str) -> None:
+        running = self._links.pop(name)
+        await _ended(running.task)
+        self._learn_from(running.poller)
+        running.poller.close()
+        await running.link.close()
+
+    # Upkeep.
+
+    async def _keep_up(self) -> None:
+        loop = asyncio.get_running_loop()
+        write_at = loop.time() + LEARNT_EVERY
+        while True:
+            await asyncio.sleep(CLOCK_EVERY)
+            self._clock.adjust(loop.time(), time.time_ns())
+            if loop.time() >= write_at:
+                write_at = loop.time() + LEARNT_EVERY
+                for running in self._links.values():
+                    self._learn_from(running.poller)
+                self._write_learnt()
+
+    def _learn_from(self, poller: LinkPoller) -> None:
+        for name, device in poller.devices.items():
+            self.knowledge.set(name, device.book.knowledge)
+
+    def _write_learnt(self) -> None:
+        text = self.knowledge.text()
+        if text != self._learnt_text and self.configuration.file.collector.learn:
+            try:
+                write_learnt(self.configuration.learnt_path, self.knowledge)
+                self._learnt_text = text
+            except OSError as error:
+                _log.error("what was learnt cannot be written to %s: %s", self.configuration.learnt_path, error)
+
+    def _committed_in_thread(self, loop: asyncio.AbstractEventLoop, commit: Commit) -> None:
+        if self._readers and commit.batches:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(self._committed, commit)
+
+    def _committed(self, commit: Commit) -> None:
+        for reader in self._readers:
+            reader.take(commit.batches)
+
+
+def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
+    """A collector for asyncio programs: ``async with busway.collect("plant.toml") as collector: …``.
+
+    Args:
+        file: a collector file, or what `load_collector` gave for one.
+
+    Raises:
+        ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
+            file, line and key. Nothing was sent.
+    """
+    return Collector(file if isinstance(file, CollectorConfiguration) else load_collector(file))
+
+
+def read_learnt(path: Path) -> Knowledge:
+    """What was learnt; nothing where there is no file. Raises `ConfigError`."""
+    return read_knowledge(read_text(str(path)), str(path)) if path.exists() else Knowledge()
+
+
+def write_learnt(path: Path, knowledge: Knowledge) -> None:
+    """Keep what was learnt: the file is as before or as after, never between. Raises `OSError`."""
+    beside = path.with_suffix(".new")
+    with open(beside, "w", encoding="utf-8") as file:
+        file.write(knowledge.text())
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, path)
+
+
+def _key_of(configuration: CollectorConfiguration, link: str) -> object:
+    """What a link is made from: two that are equal poll the same in the same way."""
+    devices: list[CollectedDevice] = configuration.devices_of(link)
+    return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
+
+
+async def _ended(task: "asyncio.Task[None]") -> None:
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError, Exception):
+        await task
+
+
+def _log_defect(task: "asyncio.Task[None]") -> None:
+    if not task.cancelled() and task.exception() is not None:
+        _log.error("%s ended unexpectedly", task.get_name(), exc_info=task.exception())

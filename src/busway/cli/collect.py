@@ -1,0 +1,236 @@
+"""``busway collect``: poll devices and keep what they say, until Ctrl-C or SIGTERM.
+
+1. ``plan`` and ``learnt`` send nothing and open no port. ``plan`` ends with code 4 where the admission test refuses.
+2. Status goes to stdout, one line for each link and for each device that is not well; everything else to stderr.
+3. SIGHUP reads the file again: it is refused as a whole, or applied link by link.
+"""
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import typer
+
+from ..errors import ConfigError, ModbusError
+from .arguments import JSON, VERBOSE, seconds, show_traffic
+from .exits import ExitCode
+from .output import print_aligned, print_json, say, say_problems
+from .signals import on_hangup, stop_event
+
+if TYPE_CHECKING:
+    from ..apps.collector.collector import Collector
+    from ..apps.collector.configuration import CollectorConfiguration
+
+EXAMPLES = """\b
+Examples:
+  busway collect plant.toml
+  busway collect plan plant.toml
+  busway collect learnt plant.toml
+  busway collect learnt plant.toml --pin meter-7
+  busway collect learnt plant.toml --forget meter-7
+
+`plan` shows the reads, the load of each link and what it would learn; nothing is sent.
+"""
+
+ACTIONS = ("plan", "learnt")
+
+
+def collect(
+    words: list[str] = typer.Argument(..., metavar="[plan|learnt] FILE", help="A collector file, in TOML."),
+    status_every: str = typer.Option("60s", "--status-every", metavar="TIME", help="Print a status this often: 60s."),
+    pin: str | None = typer.Option(None, "--pin", metavar="DEVICE", help="learnt: keep what was learnt of a device."),
+    forget: str | None = typer.Option(None, "--forget", metavar="DEVICE", help="learnt: learn it anew."),
+    as_json: bool = JSON,
+    verbose: int = VERBOSE,
+) -> int:
+    """Poll devices and keep what they say."""
+    from ..apps.collector.configuration import load_collector
+
+    action, file = _action_and_file(words)
+    if action != "learnt" and (pin or forget):
+        raise ConfigError("is for learnt", key="--pin" if pin else "--forget")
+    every = seconds(status_every, "--status-every", low=0.1)
+    configuration = load_collector(file)
+    if action == "plan":
+        return _show_plan(configuration, as_json=as_json)
+    if action == "learnt":
+        return _show_learnt(configuration, pin, forget, as_json=as_json)
+    show_traffic(verbose)
+    from ..server.loops import run
+
+    run(_collect(configuration, file, every, as_json=as_json))
+    return ExitCode.DONE
+
+
+def _action_and_file(words: list[str]) -> tuple[str, str]:
+    if len(words) == 1:
+        return "", words[0]
+    if len(words) == 2 and words[0] in ACTIONS:
+        return words[0], words[1]
+    raise ConfigError(f"must be FILE, or {' or '.join(ACTIONS)} and FILE, not {' '.join(words)}", key="FILE")
+
+
+# Running.
+
+
+async def _collect(configuration: "CollectorConfiguration", file: str, every: float, *, as_json: bool) -> None:
+    from ..apps.collector.collector import Collector
+
+    with stop_event() as stop:
+        async with Collector(configuration) as collector:
+            tasks: set[asyncio.Task[None]] = set()
+
+            def read_again() -> None:
+                task = asyncio.create_task(_read_again(collector, file))
+                tasks.add(task)
+                task.add_done_callback(tasks.discard)
+
+            with on_hangup(read_again):
+                _say_what_runs(collector)
+                while not stop.is_set():
+                    try:
+                        async with asyncio.timeout(every):
+                            await stop.wait()
+                    except TimeoutError:
+                        _print_status(collector, as_json=as_json)
+            for task in tasks:
+                task.cancel()
+            _print_status(collector, as_json=as_json)
+
+
+def _say_what_runs(collector: "Collector") -> None:
+    configuration = collector.configuration
+    points = sum(len(device.points) for device in configuration.devices.values())
+    say(
+        f"collects into {configuration.store}: links {len(configuration.links)},"
+        f" devices {len(configuration.devices)}, points {points}"
+    )
+    for load in configuration.loads(collector.knowledge):
+        for problem in load.problems:
+            say(f"warning: {problem}")
+
+
+async def _read_again(collector: "Collector", file: str) -> None:
+    from ..apps.collector.configuration import load_collector
+
+    try:
+        loop = asyncio.get_running_loop()
+        configuration = await loop.run_in_executor(None, load_collector, file)
+        done = await collector.reload(configuration)
+    except ModbusError as error:
+        say_problems("read again, nothing was changed:", str(error))
+    else:
+        say(f"read again: {'; '.join(done)}")
+
+
+def _print_status(collector: "Collector", *, as_json: bool) -> None:
+    store, devices = collector.store_status(), collector.status()
+    if as_json:
+        print_json(
+            {
+                "samples": store.samples,
+                "waiting": store.waiting,
+                "lost": store.lost,
+                "error": store.error,
+                "links": {
+                    name: {"busy": round(busy, 4), "probing": round(probing, 4)}
+                    for name, (busy, probing) in collector.loads().items()
+                },
+                "devices": [
+                    {"name": each.name, "link": each.link, "state": each.state, "reads": each.reads,
+                     "failures": each.failures, "skipped": each.skipped, "last_error": each.last_error}
+                    for each in devices
+                ],
+            }
+        )  # fmt: skip
+        return
+    lost = f", {store.lost} lost: {store.error or 'the store could not be written'}" if store.lost else ""
+    polled = sum(each.state == "polled" for each in devices)
+    print(f"{store.samples} samples kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
+    for name, (busy, probing) in collector.loads().items():
+        print(f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % with silent devices", flush=True)
+    for each in devices:
+        if each.state != "polled" or each.skipped:
+            skipped = f", {each.skipped} rounds skipped" if each.skipped else ""
+            error = f": {each.last_error}" if each.last_error and each.state != "polled" else ""
+            print(f"  device {each.name}: {each.state}{skipped}{error}", flush=True)
+
+
+# What would be done.
+
+
+def _show_plan(configuration: "CollectorConfiguration", *, as_json: bool) -> int:
+    from ..apps.collector.collector import read_learnt
+    from ..apps.collector.preview import preview
+
+    shown = preview(configuration, read_learnt(configuration.learnt_path))
+    if as_json:
+        for read in shown.reads:
+            print_json(
+                {
+                    "device": read.device,
+                    "class": read.poll_class,
+                    "first": read.first,
+                    "count": read.count,
+                    "points": read.points,
+                    "seconds": round(read.seconds, 6),
+                    "undeclared": list(read.undeclared),
+                }
+            )
+        for load in shown.loads:
+            print_json({"link": load.link, "load": round(load.load, 4), "problems": list(load.problems)})
+    else:
+        print_aligned(
+            [
+                ["device", "class", "read", "items", "points", "time", "undeclared"],
+                *(
+                    [
+                        read.device,
+                        read.poll_class,
+                        read.first,
+                        str(read.count),
+                        str(read.points),
+                        f"{1000 * read.seconds:.1f} ms",
+                        " ".join(read.undeclared),
+                    ]
+                    for read in shown.reads
+                ),
+            ]
+        )
+        for device, point, reason in shown.unreadable:
+            print(f"{device}/{point} is not read: {reason}")
+        for device, line in shown.learnt:
+            print(f"{device}: {line}")
+        for load in shown.loads:
+            print(f"link {load.link}: {load.load:.3f} s of reads in every second")
+            for problem in load.problems:
+                print(f"  {problem}")
+    return ExitCode.DONE if all(load.fits for load in shown.loads) else ExitCode.REFUSED
+
+
+def _show_learnt(configuration: "CollectorConfiguration", pin: str | None, forget: str | None, *, as_json: bool) -> int:
+    from ..apps.collector.collector import read_learnt, write_learnt
+    from ..apps.collector.store.folder import holder_of
+
+    path = configuration.learnt_path
+    knowledge = read_learnt(path)
+    if pin or forget:
+        pid = holder_of(path.parent)
+        if pid is not None:
+            raise ConfigError(f"the collector with pid {pid} runs, and would write over the change", file=str(path))
+        changed = knowledge.pin(pin) if pin else knowledge.forget(str(forget), pinned=True)
+        if not changed:
+            raise ConfigError(f"nothing was learnt of {pin or forget}", key="--pin" if pin else "--forget")
+        write_learnt(path, knowledge)
+    for name, known in knowledge:
+        for line in known.lines():
+            if as_json:
+                print_json({"device": name, "learnt": line})
+            else:
+                print(f"{name}: {line}")
+    for profile, firmware in knowledge.kinds():
+        for line in knowledge.offered(profile, firmware).lines():
+            if as_json:
+                print_json({"profile": profile, "firmware": firmware, "offered": line})
+            else:
+                print(f"offered to {profile} with firmware {firmware}: {line}")
+    return ExitCode.DONE

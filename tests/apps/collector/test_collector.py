@@ -1,0 +1,170 @@
+"""A collector from end to end: a file, real links, a store; what readers get, and reading the file again."""
+
+import asyncio
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from waiting import until
+
+import busway
+from busway.apps.collector.configuration import load_collector
+from busway.errors import ConfigError
+from busway.server.server import Server
+
+PUMP = """\
+[[unit]]
+unit = 1
+point = [
+    { name = "speed", address = "4x1", scale = 0.1 },
+    { name = "level", address = "4x2" },
+    { name = "gone", address = "4x50" },
+]
+"""
+
+
+def plant(folder: Path, links: Mapping[str, str], devices: Mapping[str, str], period: float = 0.05) -> Path:
+    (folder / "pump.toml").write_text(PUMP)
+    text = f'[collector]\nstore = "data"\n[poll_class]\nall.period = {period}\n'
+    for name, url in links.items():
+        text += f'[[link]]\nname = "{name}"\nurl = "{url}"\ntimeout = 0.5\n'
+    for name, link in devices.items():
+        text += f'[[device]]\nname = "{name}"\nlink = "{link}"\nunit = 1\nprofile = "pump.toml"\n'
+    file = folder / "plant.toml"
+    file.write_text(text)
+    return file
+
+
+def served(items: int = 100) -> Server:
+    device = busway.Device(holding_registers=items)
+    device.holding_registers[0:2] = [15, 7]
+    return busway.serve("tcp://127.0.0.1:0", units={1: device})
+
+
+async def first_values(collector: busway.Collector, devices: list[str], points: int) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    async with asyncio.timeout(20):
+        async for batch in collector.samples(devices=devices):
+            for sample in batch:
+                if sample.value is not None:
+                    found[f"{sample.device}/{sample.point}"] = sample.value
+            if len(found) == points:
+                return found
+    raise AssertionError("no more samples")
+
+
+async def test_samples_are_in_the_store_when_they_are_handed_on(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
+        async with busway.collect(file) as collector:
+            found = await first_values(collector, ["pump"], 3)
+            assert found == {"pump/speed": 1.5, "pump/level": 7, "pump/gone": 0}
+            table = busway.Store(tmp_path / "data").read("pump/speed", since="1h")
+            assert len(table) >= 1
+            (status,) = collector.status()
+            assert (status.state, status.link) == ("polled", "a")
+            assert status.reads > 0
+            assert collector.store_status().samples >= 3
+
+
+async def test_only_samples_of_the_wanted_devices_are_handed_on(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"one": "a", "two": "a"})
+        async with busway.collect(file) as collector:
+            found = await first_values(collector, ["two"], 3)
+            assert {name.split("/")[0] for name in found} == {"two"}
+            with pytest.raises(ConfigError, match="there is no device 'three'"):
+                async for _ in collector.samples(devices=["three"]):
+                    pass
+
+
+async def test_what_was_learnt_survives_a_restart(tmp_path: Path) -> None:
+    async with served(items=20) as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=0.02)
+        for run in range(2):
+            async with busway.collect(file) as collector:
+                await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt), 20)
+                if run:
+                    assert collector.status()[0].failures == 0
+        kept = json.loads((tmp_path / "data" / "learnt.json").read_text())
+        assert kept["devices"]["pump"]["holes"][0]["start"] == 49
+
+
+async def test_a_second_collector_on_one_store_is_refused_with_the_pid_of_the_first(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
+        async with busway.collect(file):
+            with pytest.raises(ConfigError, match=str(os.getpid())):
+                async with busway.collect(file):
+                    pass
+
+
+async def test_a_device_in_maintenance_is_not_asked(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=0.02)
+        async with busway.collect(file) as collector:
+            await first_values(collector, ["pump"], 3)
+            collector.maintenance("pump", begins=True)
+            assert collector.status()[0].state == "maintenance"
+            await asyncio.sleep(0.05)
+            before = collector.status()[0].reads
+            await asyncio.sleep(0.2)
+            assert collector.status()[0].reads == before
+            collector.maintenance("pump", begins=False)
+            await until(lambda: collector.status()[0].reads > before)
+
+
+async def test_reading_the_file_again_leaves_links_alone_that_did_not_change(tmp_path: Path) -> None:
+    async with served() as first, served() as second:
+        links = {"a": first.endpoints[0], "b": second.endpoints[0]}
+        file = plant(tmp_path, links, {"one": "a", "two": "b"})
+        async with busway.collect(file) as collector:
+            await first_values(collector, ["one", "two"], 6)
+            untouched = collector._links["a"]
+            rounds = {each.name: each.rounds for each in collector.status()}
+            plant(tmp_path, links, {"one": "a", "two": "b", "three": "b"})
+            assert await collector.reload(load_collector(file)) == ["link b began anew"]
+            assert collector._links["a"] is untouched
+            assert collector.status()[0].rounds >= rounds["one"]
+            await first_values(collector, ["three"], 3)
+            assert {each.skipped for each in collector.status() if each.name == "one"} == {0}
+            plant(tmp_path, {"a": links["a"]}, {"one": "a"})
+            assert await collector.reload(load_collector(file)) == ["link b ended"]
+            assert await collector.reload(load_collector(file)) == ["nothing changed"]
+
+
+async def test_another_store_is_refused_as_a_whole(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
+        async with busway.collect(file) as collector:
+            file.write_text(file.read_text().replace('"data"', '"other"').replace("pump", "pumpe"))
+            (tmp_path / "pumpe.toml").write_text(PUMP)
+            with pytest.raises(ConfigError, match="restart it"):
+                await collector.reload(load_collector(file))
+            assert [each.name for each in collector.status()] == ["pump"]
+
+
+async def test_a_link_that_is_not_there_is_a_reason_and_the_others_are_polled(tmp_path: Path) -> None:
+    async with served() as server:
+        async with served() as closed:
+            gone = closed.endpoints[0]
+        file = plant(tmp_path, {"a": server.endpoints[0], "b": gone}, {"pump": "a", "lost": "b"})
+        async with busway.collect(file) as collector:
+            await first_values(collector, ["pump"], 3)
+            await until(lambda: {each.name: each.state for each in collector.status()}["lost"] == "silent")
+            status = {each.name: each for each in collector.status()}
+            assert status["lost"].last_error
+            assert status["pump"].state == "polled"
+
+
+async def test_watched_points_are_read_more_often(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=3600.0)
+        async with busway.collect(file) as collector:
+            await until(lambda: collector.status()[0].state == "polled")
+            collector.watch("pump", ["level"], period=0.02, seconds=5)
+            found = await first_values(collector, ["pump"], 2)
+            assert found["pump/level"] == 7
