@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from ...client.calls import default_unit
+from ...client.checks import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
 from ...config.files.collector import CollectedDeviceSection, CollectorFile, SinkSection, read_collector_file
