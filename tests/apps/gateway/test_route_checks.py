@@ -106,7 +106,7 @@ def test_a_unit_or_address_that_the_line_can_not_have_is_refused(keys: dict[str,
 def test_a_unit_that_nobody_can_ask_a_serial_listener_for_is_refused() -> None:
     only = route("server", units="1, 250", listeners=["plc"])
     assert refused(LISTENER, SERIAL_LISTENER, SERVER, route("server", units="3"), only) == [
-        "15: route[1].units: nobody can ask plc for unit 250: a serial line has units 1…247"
+        "15: route[1].units: clients of plc cannot ask unit 250: a serial line has units 1…247"
     ]
     for_all = route("server", units="1, 250")
     assert warned(LISTENER, SERIAL_LISTENER, SERVER, for_all) == []
@@ -188,8 +188,7 @@ MERGED = LISTENER, LINE, route("hall", units="1-10"), route("hall", units="101-1
 def test_a_second_route_to_the_device_of_a_rule_is_odd_where_the_rule_does_not_name_its_unit(rule: str) -> None:
     (sentence,) = warned(*MERGED, rules(rule))
     assert sentence.endswith(
-        "warning: does not hold for unit 103, by which route[1] leads to the same device as unit 3: "
-        "unit 3 of line 'hall'"
+        "warning: does not hold for unit 103, which route[1] leads to the same device as unit 3: unit 3 of line 'hall'"
     )
     assert "policy.rule[0]" in sentence
 

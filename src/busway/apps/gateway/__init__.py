@@ -3,7 +3,7 @@
 Knows servers and links; a gateway is a server whose handler gives each request to a link. From the top down:
 
 * `configuration`: a gateway made from a file; `file_routes`: its routes; `route_checks` and `policy_gaps`: what of them
-  cannot work; `overview`: what they say, in rows for people
+  cannot work; `overview`: both as rows of text
 * `gateway`: listeners and upstreams with their life: start, drain, reload, status; `own_unit`: the gateway as a device
 * `router`: the requests of one listener: route and translate; `routes`, `address_index`, `translation`,
   `decoded_reads`: what it needs for that

@@ -1,7 +1,6 @@
-"""A gateway put together from one file, or from a few URLs (Messaging on TCP/IP V1.0b §4.4.2; clauses T24, T32).
+"""Builds a gateway from one file, or from a few URLs (Messaging on TCP/IP V1.0b §4.4.2; clauses T24, T32).
 
-Knows which section becomes which part of a gateway; `route_checks` knows what cannot work. It reads its file and no
-other.
+Knows which section becomes which part of a gateway; `route_checks` knows what cannot work. Reads no other file.
 
 >>> configuration = load_gateway("gateway.toml")                       # doctest: +SKIP
 >>> async with configuration.serve() as gateway: ...                   # doctest: +SKIP
@@ -47,14 +46,14 @@ _SERVER_KINDS: Mapping[str, type[Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class GatewayConfiguration:
-    """Everything that a gateway file says, checked as a whole.
+    """The checked content of a gateway file.
 
     Attributes:
-        common: what it has in common with other configurations: security, policy, audit log, metrics, control.
-        file: its sections.
+        common: the sections that other configurations have too: security, policy, audit log, metrics, control.
+        file: all sections.
         plan: listeners, upstreams and routes.
-        routes: the routes, each with where it stands.
-        at_once: sections that hold at once when the file is read again while it runs.
+        routes: the routes, each with its place in the file.
+        at_once: sections whose changes take effect when a running gateway reads the file again.
     """
 
     common: Configuration
@@ -70,7 +69,7 @@ class GatewayConfiguration:
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """Where it listens, in the order of the plan's listeners."""
+        """Its listeners, in the order of the plan."""
         return tuple(listener.settings for listener in self.plan.listeners)
 
     @property
@@ -97,11 +96,11 @@ class GatewayConfiguration:
         """The gateway, not started yet.
 
         Args:
-            listen: the listeners instead of those of the file, each in the place of one.
+            listen: listeners that replace those of the file, one for one.
             options: ``authorise``, ``policy`` and ``audit`` as of `Gateway`; ``standard_port`` as of `busway.serve`.
 
         Raises:
-            ConfigError: an option that cannot be.
+            ConfigError: an invalid option.
         """
         plan = self._plan(listen)
         beside = options.pop("standard_port", None)
@@ -110,15 +109,15 @@ class GatewayConfiguration:
         return Gateway(plan, **options)
 
     async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Let a running gateway follow this configuration; what changed, in words.
+        """Apply this configuration to a running gateway. Returns what changed, in words.
 
         Args:
-            running: the gateway that an earlier reading of the file gave.
-            listen: the listeners, each in the place of one.
-            policy: what holds at new listeners until the policy is replaced.
+            running: the gateway, as an earlier reading of the file made it.
+            listen: the listeners, one for each of the file.
+            policy: the policy of new listeners until it is replaced.
 
         Raises:
-            LinkDown, ConfigError: a new listener or upstream cannot be had; everything is as before.
+            LinkDown, ConfigError: a new listener or upstream cannot be opened; everything is as before.
         """
         assert isinstance(running, Gateway)
         old = running.plan
@@ -148,11 +147,11 @@ def load_gateway(
 
     Args:
         path: the file, in TOML.
-        examine: whether the files that it names are opened too, to say now what would fail later.
-        changes: options of listeners that go before those of the file.
+        examine: whether to open the files that it names too, to report now what would fail later.
+        changes: options of listeners that override those of the file.
 
     Raises:
-        ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
+        ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with
             file, line and key.
     """
     name = os.fspath(path)
@@ -162,15 +161,15 @@ def load_gateway(
 def parse_gateway(
     text: str, name: str, *, examine: bool = False, changes: Mapping[str, Any] | None = None
 ) -> GatewayConfiguration:
-    """The gateway that a text declares.
+    """The gateway that a text in TOML declares.
 
     Args:
         text: the content of the file.
-        name: its name, for sentences; paths in it are relative to its folder.
+        name: its name, for messages; paths in it are relative to its folder.
         examine, changes: as of `load_gateway`.
 
     Raises:
-        FileError: all that is wrong, each with file, line and key.
+        FileError: all problems, each with file, line and key.
     """
     file, source = read_gateway_file(text, name)
     return _put_together(file, source, examine=examine, changes=changes)
@@ -192,7 +191,7 @@ def simple_gateway(
         client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
 
     Raises:
-        ConfigError: a URL or an option in it that cannot be.
+        ConfigError: an invalid URL, or an invalid option in it.
     """
     for url in listeners:
         listener_settings(Listener(url), limits=ListenerParameters())
@@ -257,7 +256,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """The listeners, each with a name of its own: a free port may be wanted twice by the same URL."""
+    """The listeners with unique names: two may have the same URL, if its port is 0."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -288,7 +287,7 @@ def _upstream(section: UpstreamSection, link: NamedLink, at: Place, judge: Judge
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """The listeners, and the options that hold for the servers of all of them, as the preset makes them."""
+    """The listeners and the options common to their servers, with the preset applied."""
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     places, chosen = with_server_preset(common.listeners, options)

@@ -1,4 +1,4 @@
-"""A table of functions that remembers how the reads of pollers were decoded.
+"""A function table that caches decoded reads, because pollers repeat theirs.
 
 Knows requests; knows no upstream.
 """
@@ -10,9 +10,9 @@ REMEMBERED = 4096
 
 
 class CachingFunctionTable(FunctionTable):
-    """Gives one object for the same read, so that it is decoded once, and encoded once for the upstream.
+    """A function table that returns the same object for the same read: it is decoded once, and encoded once.
 
-    Clients of a gateway ask the same few questions for ever: 1.5 µs of 12 per transaction.
+    Saves 1.5 of 12 µs per transaction.
     """
 
     __slots__ = ("_known",)

@@ -1,12 +1,11 @@
-"""What a client in front is told when the upstream brought no answer.
+"""The exception code that a client gets for an error of an upstream.
 
 Knows errors and exception codes (Messaging on TCP/IP V1.0b §4.4.2.5, Application Protocol V1.1b3 §7).
 
-1. An exception of the device goes through as it is.
-2. Where the request did not get to the device, or the upstream is down or overloaded: 0A. What waited so long that its
-   client has given up was not sent either.
-3. Where the device was asked and gave no answer that could be used, or is known not to answer: 0B. A write that may
-   have been executed is among them: the client must not take it for refused.
+1. An exception of the device is passed on.
+2. 0A: the request was not sent, because the upstream is down or overloaded, or the client's deadline passed before.
+3. 0B: the request was sent and brought no valid reply, or the unit is known not to answer. A write that may have been
+   executed gets 0B too: the client must not take it for refused.
 """
 
 from ...codes import ExceptionCode
@@ -17,7 +16,7 @@ NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 
 
 def code_for(error: ModbusError) -> int:
-    """The exception code for what became of a request."""
+    """The exception code for the error of a request."""
     if isinstance(error, ExceptionReply):
         return error.code
     if isinstance(error, Overloaded | InvalidRequest):
@@ -27,7 +26,7 @@ def code_for(error: ModbusError) -> int:
     if isinstance(error, NoReply) and error.attempt is None and not _does_not_answer(error):
         return NO_PATH
     cause = error.__cause__
-    if isinstance(cause, ExceptionReply):  # a write behind another gateway, which got no answer itself
+    if isinstance(cause, ExceptionReply):  # a write behind another gateway, which got no reply itself
         return cause.code
     return NO_ANSWER
 

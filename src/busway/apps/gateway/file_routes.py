@@ -1,8 +1,6 @@
-"""The routes and listeners that a gateway file declares, with where they stand: so that an error can name its key.
+"""The routes and listeners of a gateway file, each with its place in the file, so that errors can name the key.
 
-Knows sections and routes; judges nothing.
-
-A route without units is for all units that its upstream can have.
+Knows sections and routes; judges nothing. A route without units is for all units that its upstream can have.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +18,7 @@ from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
 
 @dataclass(frozen=True, slots=True)
 class PlacedRoute:
-    """A route, and where it stands; ``section`` is None for the one of a file without routes."""
+    """A route and its place in the file. ``section`` is None for the default route of a file without routes."""
 
     route: Route
     place: Place
@@ -28,23 +26,23 @@ class PlacedRoute:
 
     @property
     def title(self) -> str:
-        """How sentences call it."""
+        """Its name in messages."""
         return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
 
     @property
     def gap(self) -> float:
-        """Seconds that its unit is left alone after it has replied."""
+        """Seconds of silence after a reply of its unit."""
         return (self.section.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
-        """Where the first of these keys stands that is set, or else the route itself."""
+        """The place of the first of these keys that is set, or else of the route."""
         written = set() if self.section is None else self.section.model_fields_set
         return next(((*self.place, name) for name in names if name in written), self.place)
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedListener:
-    """A listener, and where its URL stands in the file; ``is_chosen`` says that its deadline does too."""
+    """A listener and the place of its URL in the file. ``is_chosen``: the file sets its deadline."""
 
     name: str
     endpoint: Endpoint
@@ -54,12 +52,12 @@ class PlacedListener:
 
     @property
     def is_serial(self) -> bool:
-        """Whether its clients are masters, who know units 1…247 only."""
+        """Whether its clients are serial masters, which ask units 1…247 only."""
         return self.endpoint.framing != "mbap"
 
 
 def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
-    """The routes of a file, without those that the judge refuses."""
+    """The routes of a file; invalid ones are reported and left out."""
     if not file.route:
         return [
             PlacedRoute(Route(upstream=name, units=upstream_units(upstream)), ("link", 0), None)
@@ -69,7 +67,7 @@ def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], 
     for index, section in enumerate(file.route):
         at: Place = ("route", index)
         if section.link is not None and section.link not in upstreams:
-            continue  # the judge has been told of the upstream
+            continue  # reported with the section of the upstream
         made = judge.make(partial(_route, section, upstreams), partial(_key_of, section, at))
         if made is not None:
             found.append(PlacedRoute(made, at, section))
@@ -106,13 +104,13 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """The units of a route that names none: those that its upstream can have."""
+    """The units of a route without units: those that its upstream can have."""
     if upstream is None:
         return ALL_UNITS
-    behind = upstream_units(upstream)
+    there = upstream_units(upstream)
     if section.unit is not None:
-        return behind
-    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in behind)
+        return there
+    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in there)
     if not units:
         raise ConfigError(f"leaves no unit that {section.link!r} has", key="unit_offset")
     return units
@@ -124,11 +122,11 @@ def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """The gaps that routes ask for, by the unit behind: the longest of each."""
+    """The longest gap that routes want for each unit of an upstream, in seconds."""
     found: dict[int, float] = {}
     for placed in routes:
         if placed.gap and placed.route.upstream == upstream:
             for unit in placed.route.units:
-                behind = placed.route.upstream_unit(unit)
-                found[behind] = max(placed.gap, found.get(behind, 0.0))
+                there = placed.route.upstream_unit(unit)
+                found[there] = max(placed.gap, found.get(there, 0.0))
     return found

@@ -1,13 +1,13 @@
-"""The gateway: listeners, routes and upstreams, with their life (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
+"""The gateway: starts, drains, reloads and stops listeners and upstreams (Messaging on TCP/IP V1.0b §4.4.2; T24, T32).
 
 Knows servers, routes and upstreams; knows no file.
 
 1. Each listener is a server of its own, so that one can be opened, closed or changed while the others go on.
-2. Draining ends with the answers of what was asked before it, or with its deadline: no new connection is taken, and
-   nothing more is read, meanwhile.
-3. A change of configuration keeps every unchanged listener and upstream with its connections; routes change for all
-   from one request to the next.
-4. One policy, one audit log and one count of a rule's rates hold for all listeners.
+2. Draining ends when all earlier requests are answered, or at its deadline. Meanwhile no connection is accepted, and
+   nothing more is read.
+3. A change of configuration keeps unchanged listeners and upstreams with their connections. New routes hold for all
+   from the next request on.
+4. All listeners share the policy, the audit log, and the counts of rules with rates.
 """
 
 import asyncio
@@ -55,21 +55,20 @@ UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
     "timeout": ClientParameters().timeout,
     "open_after": BreakerParameters().open_after,
 }
-"""Options of links that have another default behind a gateway: nobody waits for a port that is not there, a server on a
-network is given up, after its repetition, before the gateway's clients give up, and a unit there that does not answer
-does not stall the others."""
+"""Options of links with another default in a gateway: it does not wait for a missing port; on a network, its attempts
+end before its clients give up, and a silent unit does not stall the others."""
 _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
 
 
 @dataclass(frozen=True, slots=True)
 class GatewayListener:
-    """Where clients reach the gateway.
+    """A listener of a gateway.
 
     Attributes:
-        name: what routes call it.
+        name: its name in routes.
         settings: endpoint, access, certificates and limits.
-        deadline: seconds within which each request is answered, with 0A or 0B at the latest; None for no limit. What is
-            still queued then is not sent any more.
+        deadline: seconds until each request is answered, if necessary with 0A or 0B; None for no limit. Requests
+            still queued then are not sent.
         silent_broadcasts: whether a write to unit 0 is not answered.
     """
 
@@ -81,17 +80,16 @@ class GatewayListener:
 
 @dataclass(frozen=True, slots=True)
 class UpstreamSettings:
-    """Where routes lead.
+    """An upstream of a gateway.
 
     Attributes:
-        name: what routes call it.
-        link: endpoint, timeouts, gaps: as `busway.open` takes them.
-        connections: how many there are to one server.
-        share_reads: whether identical reads in flight are asked once.
-        broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
-        unit_gaps: seconds that a unit is left alone after it has replied, by unit; on serial lines only.
-        same_device: units behind that are the same device, group by group: what is written to one of them, and what is
-            remembered of another, is of the same registers.
+        name: its name in routes.
+        link: endpoint, timeouts and gaps, as for `busway.open`.
+        connections: number of connections to one server.
+        share_reads: whether identical reads in flight are sent once.
+        broadcast: whether it gets writes to unit 0; None: if its framing is RTU or ASCII.
+        unit_gaps: seconds of silence after a reply, by unit; on serial lines only.
+        same_device: groups of units that are the same device: a write to one drops remembered values of the others.
     """
 
     name: str
@@ -126,9 +124,9 @@ class UpstreamSettings:
 
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
-        """Settings from a URL and options: those of this class, and those of links. Raises `ConfigError`.
+        """Create settings from a URL and options of this class and of links. Raises `ConfigError`.
 
-        A port that is not there is not waited for, unless ``port_wait`` says so: clients are told at once. ``timeout``
+        A missing port is not waited for, unless ``port_wait`` says so: clients get 0A at once. ``timeout``
         is 1 second, and ``open_after`` 3, for every scheme.
         """
         endpoint = parse_endpoint(url)
@@ -143,7 +141,7 @@ class UpstreamSettings:
 
 @dataclass(frozen=True, slots=True)
 class GatewayListenerStatus:
-    """A listener as a status shows it."""
+    """Status of a listener."""
 
     name: str
     server: ServerStatus
@@ -152,13 +150,13 @@ class GatewayListenerStatus:
 
 @dataclass(frozen=True, slots=True)
 class GatewayStatus:
-    """A gateway as a status shows it. What its servers tell is told for all of them together, too.
+    """Status of a gateway, also as the sum of its servers.
 
     Attributes:
-        running: whether it answers.
+        running: whether it is started.
         uptime: seconds since the start; 0 while stopped.
-        endpoints: URLs of the listeners as they are bound.
-        gateway_listeners, upstreams: each of them.
+        endpoints: URLs of the listeners, with the ports that they are bound to.
+        gateway_listeners, upstreams: status of each.
         open_requests: requests that are not answered yet.
     """
 
@@ -181,7 +179,7 @@ class GatewayStatus:
 
     @property
     def counters(self) -> ServerCounters:
-        """What happened at all listeners together."""
+        """The counters of all listeners, added up."""
         total = ServerCounters()
         for listener in self.gateway_listeners:
             counted = listener.server.counters
@@ -195,17 +193,17 @@ class GatewayStatus:
 
     @property
     def supported_connections(self) -> int:
-        """How many connections there may be at all listeners."""
+        """Most connections that all listeners accept together."""
         return sum(listener.server.supported_connections for listener in self.gateway_listeners)
 
     @property
     def remote_connections(self) -> int:
-        """How many there are."""
+        """Number of clients' connections."""
         return sum(listener.server.remote_connections for listener in self.gateway_listeners)
 
     @property
     def local_connections(self) -> int:
-        """Connections of the upstreams that stand."""
+        """Number of open connections to upstreams."""
         return sum(link.state in _CONNECTED for upstream in self.upstreams for link in upstream.links)
 
 
@@ -217,7 +215,7 @@ class _RunningListener:
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
-        """Take on what differs beside the listener; connections stay."""
+        """Apply changed options that need no new server; connections stay."""
         self.listener = listener
         self.handler.deadline = listener.deadline
         self.handler.silent_broadcasts = listener.silent_broadcasts
@@ -225,15 +223,15 @@ class _RunningListener:
 
 @dataclass(frozen=True)
 class GatewayPlan:
-    """Everything that a gateway is told, checked as a whole.
+    """The configuration of a gateway, checked as a whole.
 
     Attributes:
-        listeners, upstreams: each with a name of its own.
+        listeners, upstreams: each with a unique name.
         table: the routes between them.
-        own_unit: unit identifier of the gateway itself; None where it is no device.
-        own_registers: whether it has input registers that tell how it does.
-        functions: the table of functions; what is not in it is forwarded unread.
-        server: options of `Server` that hold for all listeners (parameters, limits, sockets, policy, audit …).
+        own_unit: unit identifier of the gateway itself; None: it answers as no unit.
+        own_registers: whether its own unit has input registers with its status.
+        functions: the table of functions; other functions are forwarded unread.
+        server: options of `Server` for all listeners (parameters, limits, sockets, policy, audit …).
     """
 
     listeners: tuple[GatewayListener, ...]
@@ -270,17 +268,17 @@ class GatewayPlan:
 
 
 class Gateway:
-    """Listeners, routes and upstreams; an asynchronous context manager that starts and stops.
+    """A gateway; as an asynchronous context manager it starts and stops.
 
     Args:
-        plan: what it is told.
-        authorise: asked with a client's host before anything of it is read, at every listener.
-        policy: who may ask what, at every listener; None lets everybody who may connect read and write.
+        plan: its configuration.
+        authorise: called at every listener with the host of a new client; decides whether it may connect.
+        policy: rules for the requests at every listener; None permits all.
         audit: where denied requests and writes are recorded.
         wrap: puts a handler around that of each listener (metrics, for example); None for none.
 
     Attributes:
-        plan: the one that it follows.
+        plan: the configuration in force.
     """
 
     def __init__(
@@ -307,20 +305,20 @@ class Gateway:
             self._own = LocalHandler({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
         self._running = {listener.name: self._made(listener, plan, {}, policy) for listener in plan.listeners}
 
-    # Its life.
+    # Start and stop.
 
     @property
     def is_running(self) -> bool:
-        """Whether it answers."""
+        """Whether it is started."""
         return bool(self._listeners)
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the listeners as they are bound; empty while stopped."""
+        """URLs of the listeners, with the ports that they are bound to; empty while stopped."""
         return [url for each in self._listeners.values() for url in each.server.endpoints]
 
     async def start(self) -> None:
-        """Open all listeners; upstreams connect when needed. Raises `LinkDown`, `ConfigError`; then nothing is open."""
+        """Open all listeners; upstreams connect at the first request. Raises `LinkDown`, `ConfigError`."""
         if self.is_running:
             return
         try:
@@ -335,7 +333,7 @@ class Gateway:
         self._started = time.monotonic()
 
     async def stop(self) -> None:
-        """Close listeners and upstreams at once. What is not answered yet gets no answer."""
+        """Close listeners and upstreams at once. Open requests get no reply."""
         listeners, self._listeners = self._listeners, {}
         for each in listeners.values():
             await each.server.stop()
@@ -345,10 +343,10 @@ class Gateway:
         self._started = 0.0
 
     async def drain(self, seconds: float = DRAIN_SECONDS) -> int:
-        """Take nothing new, let what was asked be answered, then stop; the number of requests left unanswered.
+        """Accept nothing new, wait until open requests are answered, then stop. Returns how many were not answered.
 
         Args:
-            seconds: how long that may take.
+            seconds: longest time to wait.
         """
         for each in self._listeners.values():
             await each.server.take_no_more()
@@ -361,17 +359,17 @@ class Gateway:
         return left
 
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
-        """Follow another plan; what changed, in words.
+        """Apply another configuration. Returns what changed, in words.
 
         Unchanged listeners and upstreams keep their connections. If a new listener cannot be opened, the error is
-        raised and everything is as before, except for the connections of the listeners that were to change.
+        raised and everything is as before, but clients of listeners that were to change have lost their connections.
 
         Args:
             plan: the new plan.
-            policy: what holds at new listeners until `replace_policy`; None: what holds at the others.
+            policy: the policy of new listeners until `replace_policy`; None: that of the others.
 
         Raises:
-            LinkDown, ConfigError: a new listener or upstream cannot be had.
+            LinkDown, ConfigError: a new listener or upstream cannot be opened.
         """
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
@@ -392,7 +390,7 @@ class Gateway:
         going = [each for name, each in self._listeners.items() if name not in same_listeners]
         forwarders, listeners = dict(same_upstreams), dict(same_listeners)
         try:
-            # They may hold the very ports that new ones want.
+            # They may hold ports that new ones need.
             for each in going:
                 await each.server.stop()
             for upstream in ports:
@@ -437,7 +435,7 @@ class Gateway:
     ) -> None:
         await self.stop()
 
-    # What stands around it.
+    # Policy, security, counters.
 
     def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
         """Put a handler around that of each listener, of those that a change brings too. Only while stopped.
@@ -452,7 +450,7 @@ class Gateway:
             each.server.wrap_handler(wrap)
 
     def replace_policy(self, policy: Policy) -> None:
-        """Let another policy hold at every listener, from the next request on.
+        """Replace the policy of all listeners, from the next request on.
 
         Raises:
             ConfigError: the gateway was made without one.
@@ -474,22 +472,22 @@ class Gateway:
         return sum(each.server.end_unauthorised() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host has priority connections at the listener of a URL, as it is bound."""
+        """Whether a host is a priority host of the listener with a URL, as in ``endpoints``."""
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
-        """Set the counters of listeners and upstreams to zero; connections and listeners stay as they are."""
+        """Set the counters of listeners and upstreams to zero."""
         for each in self._running.values():
             each.server.reset_counters()
             _to_zero(each.handler.counters)
         for upstream in self._upstreams:
             _to_zero(upstream.counters)
 
-    # Its state.
+    # Status.
 
     @property
     def open_requests(self) -> int:
-        """Requests that are not answered yet."""
+        """Number of requests that are not answered yet."""
         return sum(forwarder.open_requests for forwarder in self._forwarders.values())
 
     @property
@@ -498,7 +496,7 @@ class Gateway:
         return [each.server for each in self._running.values()]
 
     def status(self) -> GatewayStatus:
-        """How it stands now."""
+        """A snapshot of its status."""
         return GatewayStatus(
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
@@ -552,7 +550,7 @@ class Gateway:
             everything = Policy(default=PolicyAction.ALLOW)
             outer = guard = PolicyHandler(handler, policy or everything, self._audit, rates=self._rates)
             handler.refusal_of = guard.refusal_of
-        # A client that closes has gone, and must not keep a serial line busy with what it asked.
+        # A client that half-closes has left: its requests must not keep a serial line busy.
         limits = listener.settings.limits or plan.server.get("listener") or ListenerParameters()
         settings = replace(listener.settings, limits=replace(limits, answer_half_closed=False))
         options = {**plan.server, "standard_port": _standard_port(listener, plan)}
@@ -567,12 +565,12 @@ class Gateway:
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
-    """What of a plan holds until the gateway is started anew."""
+    """The parts of a plan that change only with a restart."""
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Whether a listener listens on 502 too: for a server with several listeners it is one of them that does."""
+    """Whether a listener listens on 502 too; one of several listeners does."""
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}
     plain = {name: place for name, place in places.items() if place.scheme == "tcp"}
@@ -603,7 +601,7 @@ def _open(upstream: Upstream, settings: UpstreamSettings) -> None:
 def _changes(
     what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
-    """What there is to say of listeners, or of upstreams."""
+    """Added, changed and closed listeners or upstreams, in words."""
     names = set()
     for one in new:
         names.add(one.name)
@@ -635,8 +633,8 @@ def simple_plan(
 
     Args:
         listeners: URLs to listen on.
-        upstream: URL of the upstream, or of the server.
-        options: of the upstream, as `UpstreamSettings.of` takes them.
+        upstream: URL of the upstream.
+        options: of the upstream, as for `UpstreamSettings.of`.
     """
     from .routes import ALL_UNITS, Route
 

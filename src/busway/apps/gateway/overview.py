@@ -1,6 +1,6 @@
-"""What a gateway file says, in rows for people: listeners, upstreams, and the routing table.
+"""The content of a gateway file as rows of text: listeners, upstreams, and the routing table.
 
-Knows sections, plans and words; judges nothing.
+Knows sections and plans; judges nothing.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ _OF_GATEWAYS = frozenset({"listener", "policy", "server"})
 
 
 def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
-    """Listeners, upstreams, the gateway's own unit, policy and logs: kind, name, what is said about it."""
+    """Listeners, upstreams, own unit, policy and logs: kind, name and description of each."""
     plan = configuration.plan
     known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
     for listener, row in zip(plan.listeners, known["listener"], strict=True):
@@ -35,7 +35,7 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
 
 
 def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
-    """The routes in the order in which they are looked through."""
+    """The routes in their order, which decides which one takes a request."""
     names = [listener.name for listener in configuration.plan.listeners]
     for placed in configuration.routes:
         route = placed.route

@@ -1,11 +1,11 @@
-"""The gateway itself as a device: identification, diagnostics, and, if they are wanted, its status as input registers.
+"""The gateway as a device with a unit of its own: identification, diagnostics, and optionally its status as registers.
 
-Knows numbers of a status; knows no upstream and no listener (T32: unit 255, and 0 for what is no broadcast).
+Knows numbers of a status; knows no upstream and no listener (T32: unit 255, and 0 for requests that are no broadcast).
 
-Without registers a read gets exception 01: who names no unit asks unit 255, and shall not take what the gateway says of
-itself for values of a device.
+Without registers a read gets exception 01. A client that names no unit asks unit 255, and must not take the status of
+the gateway for values of a device.
 
-``REGISTERS`` is the map; the documentation's table is made of it.
+``REGISTERS`` is the register map; the table in the documentation is generated from it.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,14 +29,14 @@ FUNCTIONS: Final = (
     FunctionCode.REPORT_SERVER_ID,
     FunctionCode.ENCAPSULATED_INTERFACE,
 )
-"""What it offers in any case."""
+"""Functions that it offers without registers too."""
 STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
-"""States of a connection, the better ones behind."""
+"""States of a connection, from worst to best."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatusRegister:
-    """One value of the map: its address (within an upstream's block), its width, and its meaning."""
+    """One value of the register map: address (for upstreams, within the block), width and meaning."""
 
     address: int
     registers: int
@@ -66,15 +66,15 @@ UPSTREAM_REGISTERS: Final = (
 )
 
 Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
-"""Gives the values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`, as they are now."""
+"""Returns the current values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`."""
 
 
 def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
     """Return the device that answers for the gateway itself.
 
     Args:
-        numbers: the values of its registers.
-        registers: whether it has any: input registers, made anew at each read.
+        numbers: returns the values of its registers; called at each read.
+        registers: whether it has input registers.
     """
     device = Device(
         input_registers=FIRST_UPSTREAM + MOST_UPSTREAMS * PER_UPSTREAM if registers else 0,

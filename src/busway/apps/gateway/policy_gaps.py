@@ -1,8 +1,8 @@
-"""Ways past a rule of a policy: routes by which its device is reached under numbers that the rule does not name.
+"""Gaps of a policy: routes that reach the device of a rule under units or addresses that the rule does not name.
 
-Knows rules and routes; opens nothing. Rules are judged in the numbers of the listener. Where a second route calls the
-same device another unit, or its registers other addresses, a rule that names the first numbers says nothing of the
-others; so whoever wrote it is told.
+Knows rules and routes; opens nothing. Rules use the numbers of the listener. If a second route gives the same device
+another unit, or its registers other addresses, a rule for the first numbers does not hold for the second: `gateway
+check` warns of it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,11 +15,11 @@ from .file_routes import PlacedRoute
 from .routes import Route
 
 Device = tuple[str, int]
-"""Upstream, and unit behind."""
+"""Name of the upstream, and unit there."""
 
 
 def policy_gaps(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
-    """The rules that do not hold for all ways to their devices: where each stands, and a sentence."""
+    """The rules that some route to their device evades: the place of each in the file, and a message."""
     forwards = [one for one in routes if one.route.upstream]
     for index, rule in enumerate(policy.rules):
         if _restricts(rule):
@@ -32,7 +32,7 @@ def _restricts(rule: Rule) -> bool:
 
 
 def _by_unit(rule: Rule, policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[str]:
-    """Routes that call a device of the rule by a unit that the rule does not name."""
+    """Routes that reach a device of the rule under a unit that the rule does not name."""
     if rule.units is None:
         return
     known: dict[Device, int] = {}
@@ -45,21 +45,21 @@ def _by_unit(rule: Rule, policy: Policy, routes: Sequence[PlacedRoute]) -> Itera
             asked = known.get((route.upstream, route.upstream_unit(unit)))
             if asked is not None and _is_permitted(policy, unit) and not _has_a_rule_alike(policy, rule, unit):
                 yield (
-                    f"does not hold for unit {unit}, by which {one.title} leads to the same device as unit {asked}: "
+                    f"does not hold for unit {unit}, which {one.title} leads to the same device as unit {asked}: "
                     f"unit {route.upstream_unit(unit)} of line {route.upstream!r}"
                 )
                 break
 
 
 def _is_permitted(policy: Policy, unit: int) -> bool:
-    """Whether anything is permitted at a unit."""
+    """Whether the policy permits anything at a unit."""
     return policy.default is not Action.DENY or any(
         rule.action is not Action.DENY and (rule.units is None or unit in rule.units) for rule in policy.rules
     )
 
 
 def _has_a_rule_alike(policy: Policy, rule: Rule, unit: int) -> bool:
-    """Whether another rule does to a unit what this one does to its own."""
+    """Whether another rule treats a unit as this rule treats its own."""
     return any(
         other is not rule
         and other.units is not None
@@ -70,9 +70,9 @@ def _has_a_rule_alike(policy: Policy, rule: Rule, unit: int) -> bool:
 
 
 def _by_address(rule: Rule, routes: Sequence[PlacedRoute]) -> Iterator[str]:
-    """Routes that call registers of the rule by addresses that the rule does not name."""
+    """Routes that reach registers of the rule under addresses that the rule does not name."""
     for table, ranges in rule.items.items():
-        devices: dict[Device, set[int]] = {}  # the shifts by which the rule's numbers reach it
+        devices: dict[Device, set[int]] = {}  # the shifts of routes that the rule names
         for one in routes:
             for unit in one.route.units if rule.units is None else one.route.units & rule.units:
                 devices.setdefault((one.route.upstream, one.route.upstream_unit(unit)), set()).add(one.route.shift)
@@ -87,8 +87,8 @@ def _other_addresses(
 ) -> str:
     route = one.route
     for unit in sorted(route.units if rule.units is None else route.units & rule.units):
-        behind = (route.upstream, route.upstream_unit(unit))
-        for shift in sorted(devices.get(behind, set()) - {route.shift}):
+        device = (route.upstream, route.upstream_unit(unit))
+        for shift in sorted(devices.get(device, set()) - {route.shift}):
             for first, end in ranges:
                 moved = (first + shift - route.shift, end + shift - route.shift)
                 found = _taken(route, table, moved)

@@ -1,16 +1,15 @@
-"""What an upstream remembers of reads: those in flight, which others may share, and values that may still be answered.
+"""The reads of an upstream that others may use: reads in flight, which are shared, and remembered values.
 
 Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
 
-Whoever has seen a write end must not be given what was there before it. So:
+A client that has seen a write end must not get a value from before it. So:
 
-1. From the moment a write to a unit is asked until it has ended, nothing of the unit is shared or remembered, and what
-   was before is forgotten. A broadcast does so for all units of the upstream.
-   A write to 255 or 0 of a server on TCP is one to the device itself, whatever number others ask it by: it concerns all
-   units too, and what is remembered of 255 and 0 is forgotten at every write.
-   So is a write to one of the units that are known to be the same device: it concerns all of them.
+1. From the moment a write to a unit is forwarded until it has ended, no read of the unit is shared or remembered, and
+   earlier values are dropped. A broadcast concerns all units of the upstream. So does a write to 255 or 0 of a server
+   on TCP, which is the device itself, whatever unit others ask; and every write drops the values of 255 and 0. A write
+   to one of several units that are the same device concerns all of them.
 2. A read that was sent before a write ended is not remembered either: its value may be the old one.
-3. A value is as old as the moment its read was sent; it is answered until its time to live has passed since.
+3. A value is as old as its request; it is used until its time to live has passed.
 """
 
 from collections.abc import Collection, Iterable
@@ -27,15 +26,15 @@ Key = bytes
 Place = tuple[Table, int, int]
 """Table, address of the first item, count."""
 
-EVERYBODY = (BROADCAST_UNIT, TCP_DEVICE_UNIT)
-"""Units that may stand for any other."""
+ANY_DEVICE = (BROADCAST_UNIT, TCP_DEVICE_UNIT)
+"""Units that may be the same device as any other."""
 BLOCKS_PER_UNIT = 64
-"""Values remembered of a unit; the one unused longest is forgotten."""
+"""Most values remembered of a unit; the one unused longest is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Items that were read in one request, and when it was asked."""
+    """Items that were read in one request, and when it was forwarded."""
 
     place: Place
     data: bytes
@@ -44,12 +43,12 @@ class _Block:
 
 @dataclass(slots=True)
 class _Unit(Generic[Shared]):
-    """What is remembered of one unit."""
+    """The reads and values of one unit."""
 
     open_writes: int = 0
     changes: int = 0
     reading: dict[Key, Shared] = field(default_factory=dict)
-    blocks: dict[Place, _Block] = field(default_factory=dict)  # what was used last comes last
+    blocks: dict[Place, _Block] = field(default_factory=dict)  # used last comes last
 
     def forget(self) -> None:
         self.changes += 1
@@ -58,19 +57,19 @@ class _Unit(Generic[Shared]):
 
 
 class ReadCache(Generic[Shared]):
-    """The memory of one upstream. ``Shared`` is whatever stands for a read in flight.
+    """The shared reads and remembered values of one upstream. ``Shared`` is the type that stands for a read in flight.
 
     Args:
         register_width: bytes of a register.
-        same_device: units that are the same device, group by group.
+        same_device: groups of units that are the same device.
     """
 
     __slots__ = ("_concerned", "_open_writes", "_units", "_width")
 
     def __init__(self, register_width: int = NARROW, same_device: Iterable[Collection[int]] = ()) -> None:
         self._width = register_width
-        # What a write to a unit concerns, where that is more than itself and what may stand for any unit.
-        self._concerned = {unit: (*sorted(group), *EVERYBODY) for group in same_device for unit in group}
+        # The units that a write concerns, if the unit has others on the same device.
+        self._concerned = {unit: (*sorted(group), *ANY_DEVICE) for group in same_device for unit in group}
         self._units: dict[int, _Unit[Shared]] = {}
         self._open_writes = 0
 
@@ -83,58 +82,58 @@ class ReadCache(Generic[Shared]):
     # Writes.
 
     def write_begins(self, unit: int) -> None:
-        """A write to ``unit`` is about to be asked."""
+        """A write to ``unit`` is about to be forwarded."""
         self._unit(unit).open_writes += 1
         self._open_writes += 1
         self._changed(unit)
 
     def write_ended(self, unit: int) -> None:
-        """It has ended, however."""
+        """A write to ``unit`` has ended, with or without success."""
         self._unit(unit).open_writes -= 1
         self._open_writes -= 1
         self._changed(unit)
 
     def _changed(self, unit: int) -> None:
-        concerned = self._units if unit in EVERYBODY else self._concerned.get(unit, (unit, *EVERYBODY))
+        concerned = self._units if unit in ANY_DEVICE else self._concerned.get(unit, (unit, *ANY_DEVICE))
         for each in concerned:
             state = self._units.get(each)
             if state is not None:
                 state.forget()
 
     def _is_quiet(self, unit: int) -> bool:
-        """Whether no write is open that concerns a unit."""
+        """Whether no open write concerns a unit."""
         if not self._open_writes:
             return True
-        if unit in EVERYBODY:
+        if unit in ANY_DEVICE:
             return False
-        states = (self._units.get(each) for each in self._concerned.get(unit, (unit, *EVERYBODY)))
+        states = (self._units.get(each) for each in self._concerned.get(unit, (unit, *ANY_DEVICE)))
         return not any(state is not None and state.open_writes for state in states)
 
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """All reads of a unit that may be shared, and where new ones are put in; None while they must not be.
+        """The reads in flight of a unit by their key, where new ones are added; None while a write forbids sharing.
 
-        It is the same one for ever, and empty when something was written.
+        It is always the same object. A write empties it.
         """
         state = self._unit(unit)
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
     def changes(self, unit: int) -> int:
-        """A number that changes with every write that concerns a unit; `remember` wants what it was before the read."""
+        """A number that changes with every write that concerns a unit; take it before a read, for `remember`."""
         return self._unit(unit).changes
 
     # Values.
 
     def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
-        """Keep what a read has brought, unless something was written meanwhile.
+        """Keep the data of a read, unless there was a write since it was forwarded.
 
         Args:
             unit: the unit on the upstream.
-            place: what was read there.
-            data: the items, as a reply carries them.
-            since: what `changes` gave before it was asked.
-            read_at: when it was asked.
+            place: the range that was read.
+            data: the items, as in a reply.
+            since: result of `changes` when the read was forwarded.
+            read_at: when it was forwarded.
         """
         state = self._unit(unit)
         if state.changes != since or not self._is_quiet(unit):
@@ -145,11 +144,11 @@ class ReadCache(Generic[Shared]):
             del state.blocks[next(iter(state.blocks))]
 
     def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
-        """The items of a range from what is remembered, also out of a larger block; None if nothing so young is."""
+        """The remembered items of a range, also as a part of a larger one; None if there are none that young."""
         state = self._units.get(unit)
         if state is None or not state.blocks:
             return None
-        same = state.blocks.get(place)  # what pollers ask for, again and again
+        same = state.blocks.get(place)  # pollers repeat their reads
         if same is not None and now < same.read_at + for_seconds:
             state.blocks[place] = state.blocks.pop(place)
             return same.data

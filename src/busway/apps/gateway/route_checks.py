@@ -1,11 +1,11 @@
-"""What of the routes of a gateway file cannot work, said before anything runs.
+"""Checks of the routes of a gateway file, before anything runs.
 
-Knows what the sections say and what upstreams and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2,
+Knows the sections, and what upstreams and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2,
 T32).
 
-1. What can never work is refused: a route that is never reached, a unit that an upstream or a listener cannot have, a
-   client that gives up before the upstream can have answered, an upstream that leads back to a listener.
-2. What works, but hardly as it was meant, is a warning: units that an earlier route takes, an upstream without a route.
+1. Errors: a route that is never reached, a unit that an upstream or a listener cannot have, a client deadline shorter
+   than the upstream may take, an upstream that leads back to a listener.
+2. Warnings: units that an earlier route takes, an upstream without a route, a gap of the policy.
 """
 
 import os
@@ -36,11 +36,11 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """How long an upstream may take for a request that has its turn.
+    """The longest time that an upstream may take for a request, from its turn on.
 
     Attributes:
         seconds: until the last attempt has failed.
-        sum: how they come about.
+        sum: how they add up, as text.
     """
 
     seconds: float
@@ -58,7 +58,7 @@ def judge_routes(
     policy: Policy | None,
     judge: Judge,
 ) -> None:
-    """Tell the judge what of routes, listeners, upstreams and the policy does not go together."""
+    """Report errors and warnings about routes, listeners, upstreams and the policy."""
     for at, sentence in (
         *_unreached(routes),
         *_hidden_refusals(routes),
@@ -103,7 +103,7 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
         route = placed.route
         is_rest = placed.section is None or placed.section.units is None
         if is_rest and (route.action is RouteAction.FORWARD or not (route.functions or route.addresses)):
-            continue  # it is for what the others have left
+            continue  # it is meant for what other routes leave
         takers, left = taken_before(plain, position)
         if left and takers and route.action is not RouteAction.REFUSE:
             taken = units_text(placed.route.units - left)
@@ -112,9 +112,9 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
-    """Refusals of which an earlier route takes a part: what is to be refused would be forwarded.
+    """Refusals of which an earlier route takes a part, so that it would be forwarded.
 
-    A refusal that says neither units, functions nor addresses is for what others have left.
+    A refusal without units, functions and addresses is meant for what other routes leave.
     """
     for position, placed in enumerate(routes):
         refusal = placed.route
@@ -122,7 +122,7 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
             continue
         for earlier in routes[:position]:
             if earlier.route.covers(refusal):
-                break  # it is never reached, which is said already
+                break  # it is never reached, which is reported elsewhere
             part = "" if earlier.route.action is RouteAction.REFUSE else _hidden_part(placed, earlier.route)
             if part:
                 yield (
@@ -134,7 +134,7 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """What an earlier route takes of a refusal: all in two respects, and a part of what the third one says."""
+    """The part of a refusal that an earlier route takes: some of its units, functions or addresses; empty if none."""
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
     is_for_all = not refusal.listeners and bool(earlier.listeners)
@@ -181,18 +181,18 @@ def _impossible_units(
         if wrong and serial and (route.listeners or len(serial) == len(at)):
             yield (
                 placed.key("units"),
-                f"nobody can ask {serial[0].name} for unit {wrong[0]}: a serial line has units 1…{LAST_SERIAL_UNIT}",
+                f"clients of {serial[0].name} cannot ask unit {wrong[0]}: a serial line has units 1…{LAST_SERIAL_UNIT}",
             )
 
 
 def _no_upstream_unit(route: Route, unit: int) -> str:
-    behind = route.upstream_unit(unit)
-    if behind == 0:
+    there = route.upstream_unit(unit)
+    if there == 0:
         return (
             f"unit {unit} would be 0 on {route.upstream!r}, where no unit answers; "
             "a broadcast goes to all lines by itself"
         )
-    return f"unit {unit} would be {behind} on {route.upstream!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
+    return f"unit {unit} would be {there} on {route.upstream!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
 
 
 def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
@@ -243,7 +243,7 @@ def _impatient_clients(
 def _upstreams_slower_than_the_default(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
-    """Upstreams whose timeouts nobody waits for, because no ``client_deadline`` was chosen where they are asked."""
+    """Upstreams that may take longer than the default ``client_deadline`` of the listeners that lead to them."""
     deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
         return
@@ -268,7 +268,7 @@ def _upstreams_slower_than_the_default(
 
 
 def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
-    """How long a request of a route may take upstream once it has its turn; ``gap``: that of its unit, seconds."""
+    """The longest time of a request of a route, from its turn on. ``gap``: that of its unit, in seconds."""
     parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout
     reading = writing = parameters.request_gap
@@ -321,7 +321,7 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
 
 
 def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
-    """Upstreams that lead to the gateway itself, and ports that are wanted twice."""
+    """Upstreams that lead to the gateway itself, and serial ports that are used twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
         if listener.endpoint.carrier == "serial":

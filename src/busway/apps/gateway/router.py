@@ -1,14 +1,13 @@
-"""One listener of a gateway: each request to the upstream that its route names, or to the gateway itself.
+"""Routes and translates the requests of one listener: to an upstream, or to the gateway's own unit.
 
 Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
-1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered once it was sent. An
-   upstream takes it only where a route lets the listener write so to each of its units, and the policy the client:
-   all of them will hear it.
-2. What no route takes on 0 and on the own unit is the gateway's; on any other unit there is no path: 0A. A serial
-   listener is silent there, because it never hears of those units (`ListenerRouter.serial_units`).
-3. A request that breaks a rule of its function is answered as any server would, and not forwarded: a serial line could
-   not frame it. A function that is not known is forwarded unread.
+1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered when it was sent. All
+   units of an upstream hear it, so a route must permit the write for each of them, and the policy too.
+2. Requests without a route get 0A. Unit 0 and the own unit are then the gateway itself. A serial listener does not
+   answer for units without a route (`ListenerRouter.serial_units`).
+3. A malformed request is answered here, as by any server: it could not be framed on a serial line. A request with an
+   unknown function is forwarded unread.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -35,13 +34,13 @@ _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 @dataclass(slots=True)
 class GatewayListenerCounters:
-    """What became of the requests of a listener that no upstream has counted.
+    """Counters of requests of a listener that reached no upstream, and of broadcasts.
 
     Attributes:
-        no_route: requests for which there is no route.
-        refused: requests that a route refuses.
-        dropped: requests that a route drops.
-        own: requests to the gateway itself.
+        no_route: requests without a route.
+        refused: requests that a route refused.
+        dropped: requests that a route dropped.
+        own: requests to the own unit.
         malformed: requests that broke a rule of their function.
         broadcasts: writes to all units.
     """
@@ -55,8 +54,8 @@ class GatewayListenerCounters:
 
 
 RefusalOf = Callable[[RequestContext, AnyRequest, Collection[int], set[int]], int]
-"""Client, request, units that it reaches and marks of what has counted it already → the exception code by which a
-policy refuses it, 0 for none."""
+"""Client, request, units that it reaches, and ids of rules that have counted it → the exception code with which a
+policy refuses it; 0 if it is permitted."""
 
 
 def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[int], charged: set[int]) -> int:
@@ -70,12 +69,12 @@ class ListenerRouter:
         refusal_of: what a policy around it says of single units that hear a broadcast.
 
     Args:
-        name: what routes call the listener.
-        functions: the table of functions; what is not in it is forwarded unread.
-        own: what answers for the gateway itself; None where it is no device.
+        name: name of the listener in routes.
+        functions: the table of functions; other functions are forwarded unread.
+        own: answers for the own unit; None without one.
         own_unit: its unit identifier.
-        deadline: seconds after which a client of this listener has given up; None if that is not known.
-        silent_broadcasts: whether a broadcast gets no answer.
+        deadline: seconds until each request is answered, if necessary with 0A or 0B; None for no limit.
+        silent_broadcasts: whether a broadcast gets no reply.
     """
 
     def __init__(
@@ -104,12 +103,12 @@ class ListenerRouter:
         self._targets: dict[tuple[int, str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
-        """Route by these from now on; what was forwarded is answered. ``forwarders``: by the name of the upstream."""
+        """Use these routes from now on, with these forwarders by name of upstream. Open requests are still answered."""
         self._routes = routes
         self._forwarders = forwarders
         self._plans = ForwardPlans()
         self._targets = {}
-        # The same set for ever: listeners hold it as a live view.
+        # Always the same set: listeners hold it as a live view.
         self._serial_units.clear()
         self._serial_units.update(unit for unit in routes.units if 1 <= unit <= LAST_SERIAL_UNIT)
         if self._own is not None and self._own_unit <= LAST_SERIAL_UNIT:
@@ -122,7 +121,7 @@ class ListenerRouter:
         return self._serial_units
 
     def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """There is no short road: every answer comes from an upstream."""
+        """No compiled answers: every reply comes from an upstream."""
         return {}
 
     def forward_plans(self, context: RequestContext) -> ForwardPlans:
@@ -130,7 +129,7 @@ class ListenerRouter:
         return self._plans
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """How a read is forwarded; None if it is refused, split, remembered, or its reply has to be looked at."""
+        """The plan of a read; None if it is refused, split, remembered, or its reply must be checked."""
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
             return None
@@ -150,7 +149,7 @@ class ListenerRouter:
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
     def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Forward, answer for the gateway itself, or say why not."""
+        """Forward a request, answer it for the own unit, or refuse it."""
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
             return ExceptionResponse(context.function, request.code)
@@ -173,7 +172,7 @@ class ListenerRouter:
         return self._no_route(context, found)
 
     def _forwarder_of(self, route: Route) -> Forwarder | None:
-        """Where a route leads; None if it forwards nothing, or its upstream has just left the configuration."""
+        """The forwarder of a route; None if it forwards nothing, or its upstream was just removed."""
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
 
     def _target(self, forwarder: Forwarder, unit: int, route: Route) -> ForwardTarget:
@@ -216,7 +215,7 @@ class ListenerRouter:
         return SILENCE
 
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
-        """A write to unit 0 that came over a network."""
+        """Broadcast a write to unit 0 that came over a network."""
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
         if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
@@ -230,7 +229,7 @@ class ListenerRouter:
             if forwarder is not None and isinstance(own, Route):
                 return self._forward(context, request, own, forwarder)
             return self._no_route(context, None)
-        rest = _Rest(context, None if self.silent_broadcasts else echo(request))
+        rest = _Broadcast(context, None if self.silent_broadcasts else echo(request))
         parts = [(way, rest.part()) for way in ways]
         for way, part in parts:
             outcome = self._refused(part, way) if isinstance(way, int) else self._to_all(part, request, way)
@@ -239,10 +238,10 @@ class ListenerRouter:
         return LATER
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """A broadcast of a serial listener, which comes once per unit: an upstream that takes broadcasts gets one.
+        """Forward a broadcast of a serial listener, which comes once per unit; upstreams that take broadcasts get one.
 
-        A server on a network gets one for each unit that a route names, and one to unit 0 where the route names none:
-        247 requests of which most have no device would keep it busy for minutes.
+        A server on a network gets one for each unit that a route names, and one to unit 0 if the route names none: most
+        of 247 units would have no device, and their timeouts would take minutes.
         """
         found = self._routes.find(context.unit, request)
         if not isinstance(found, Route) or found.action is not RouteAction.FORWARD:
@@ -270,13 +269,13 @@ class ListenerRouter:
     def _way_to_all(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """How a write reaches all units of an upstream; the exception code, if one of them must not be written so.
+        """The route of a broadcast to an upstream, the exception code if it is refused, or None if it is not for it.
 
-        Every unit on the upstream hears it: what is refused for one of them is refused for all, and all must want it
-        under the same address. None where it is not for that upstream at all. ``charged`` as of `RefusalOf`.
+        Every unit of the upstream hears it: so all of them must permit it, under the same address. ``charged`` as of
+        `RefusalOf`.
         """
         ways: set[Route] = set()
-        refused = 0  # by the words of a route
+        refused = 0  # by a route
         unreached = False
         units: list[int] = []
         for unit in self._routes.units_to(upstream):
@@ -309,7 +308,7 @@ class ListenerRouter:
 
 
 def _for_all_units(route: Route) -> Route:
-    """A route to all units of an upstream, that moves and splits as the one to one of them does."""
+    """The route to all units of an upstream that shifts and splits like a route to one of them."""
     return Route(
         upstream=route.upstream,
         unit=BROADCAST_UNIT,
@@ -321,7 +320,7 @@ def _for_all_units(route: Route) -> Route:
 
 
 class _SingleRequest:
-    """A request that is forwarded alone: it gets its reply as the outcome of `handle`, or later by its context."""
+    """A single request on its way upstream: its reply is the outcome of `handle`, or comes later by its context."""
 
     __slots__ = ("_context", "_is_late", "_outcome", "batches", "is_priority", "peer")
 
@@ -368,12 +367,12 @@ class _SingleRequest:
 
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
-    """The same read, whose reply is its data as it came: a message around it would be taken off again (0.4 µs)."""
+    """A class of the same read whose reply is its data alone: no message is built only to be taken apart (0.4 µs)."""
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})
 
 
-class _Rest:
-    """Waits until a broadcast was sent on all upstreams; the worst of them is the answer."""
+class _Broadcast:
+    """A broadcast to several upstreams: answered when all have sent it, with an exception if one failed."""
 
     __slots__ = ("_context", "_parts", "_reply")
 
@@ -384,7 +383,7 @@ class _Rest:
         context.gone = self.asker_gone
 
     def part(self) -> RequestContext:
-        """Who asks one of the upstreams."""
+        """The context of the broadcast to one upstream."""
         context = self._context
         part = RequestContext(
             unit=BROADCAST_UNIT,
@@ -400,7 +399,7 @@ class _Rest:
         return part
 
     def one_done(self, part: RequestContext, reply: Message | Deferral) -> None:
-        """One upstream has sent it, or could not."""
+        """One upstream has sent the broadcast, or failed to."""
         if isinstance(reply, ExceptionResponse):
             self._reply = reply
         self._parts.remove(part)
@@ -408,6 +407,6 @@ class _Rest:
             self._context.reply(self._reply)
 
     def asker_gone(self) -> None:
-        """The client has gone: where the broadcast was not sent yet, it is not sent any more."""
+        """The client has disconnected: upstreams that have not sent the broadcast do not send it."""
         for part in self._parts:
             part.abandon()

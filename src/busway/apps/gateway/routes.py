@@ -1,12 +1,12 @@
-"""Which upstream and which unit a request belongs to.
+"""Routes: which upstream and which unit gets a request.
 
-Knows requests by unit, function and range; knows no upstream beyond its name, and no byte.
+Knows requests by unit, function and range; knows of an upstream its name only.
 
-1. The routes of a listener are looked through in their order; the first one that fits decides.
-2. A route with a range of addresses takes what lies wholly within it. A request that lies across the edge of such a
-   range fits nowhere behind it either: it is refused with 02, since no single device could answer it as asked.
-3. A function that is not in the table carries no address that could be read: routes with a range never take it.
-4. Two routes of which the second can never be reached are refused when the table is made, by name.
+1. The first route that fits decides.
+2. A route with an address range takes requests wholly within it. A request across the edge of the range is refused with
+   02 and goes to no later route: no single device could answer it.
+3. The addresses of an unknown function cannot be read: routes with a range never take it.
+4. A route that can never be reached is an error.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,13 +20,13 @@ from ...pdu.message import Request, Span
 from .address_index import AddressIndex
 
 _FEW = 3
-"""So many routes of a unit are looked through in the time that finding one by its address takes."""
+"""Up to this number, trying the routes of a unit one after the other is as quick as an index of addresses."""
 ALL_UNITS = frozenset(range(256))
 SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 
 
 class RouteAction(Enum):
-    """What becomes of a request that a route takes."""
+    """What a route does with a request."""
 
     FORWARD = "forward"
     REFUSE = "refuse"
@@ -51,23 +51,23 @@ class AddressRange:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """One rule of a routing table.
+    """One route of a routing table.
 
     Attributes:
         upstream: name of the upstream; empty where nothing is forwarded.
         listeners: names of the listeners it holds for; empty for all.
-        units: unit identifiers as they are asked, 0…255.
+        units: unit identifiers as clients ask them, 0…255.
         functions: function codes; empty for all.
         addresses: only requests within this range; None for all.
-        unit: the unit that is asked behind; None for the one that was asked in front, plus ``unit_offset``.
+        unit: the unit upstream; None for the unit that the client asks, plus ``unit_offset``.
         unit_offset: added to the unit.
-        shift: added to every address; the answer is shifted back.
-        max_registers, max_bits: what the device takes in one request; a longer read is split. None for no limit.
-        split_writes: whether longer writes are split too. They are executed one after the other then, no longer whole.
+        shift: added to every address; in replies it is subtracted.
+        max_registers, max_bits: most items in one request to the device; longer reads are split. None for no limit.
+        split_writes: whether longer writes are split too; their parts are executed one after the other.
         action: forward, refuse with ``code``, or drop.
         code: the exception code of a refusal.
-        cache: seconds for which a read may be answered from an earlier one; None for never.
-        timeout: seconds to wait for the device, instead of the upstream's own.
+        cache: seconds for which a read may be answered with remembered data; None for never.
+        timeout: seconds to wait for the device; None for the timeout of the upstream.
         name: for messages.
     """
 
@@ -117,15 +117,15 @@ class Route:
 
     @property
     def names_no_units(self) -> bool:
-        """Whether it takes every unit as it is, so that nobody knows from it which there are."""
+        """Whether it takes every unit unchanged, so that it does not tell which units exist."""
         return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
 
     def covers(self, other: "Route") -> bool:
-        """Whether it takes everything that ``other`` would take, so that ``other`` behind it is never reached."""
+        """Whether it takes every request that ``other`` would take: then ``other`` after it is never reached."""
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
-        """Whether it takes everything that ``other`` would take of the units that both have."""
+        """Whether it takes every request that ``other`` would take at units that both have."""
         return (
             (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
@@ -142,13 +142,13 @@ class Route:
 
     @property
     def title(self) -> str:
-        """How messages call it."""
+        """Its name in messages."""
         return self.name or f"units {units_text(self.units)} to {self.upstream or self.action.value}"
 
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """A request that lies across the edge of a route's range."""
+    """Result of a search for a route: the request lies across the edge of this route's range."""
 
     route: Route
 
@@ -160,7 +160,7 @@ class ListenerRoutes:
 
     def __init__(self, routes: Sequence[Route]) -> None:
         self._by_unit: dict[int, tuple[Route, ...]] = {}
-        # The routes of a unit that take a function, with an index of their addresses in a table; made at need.
+        # The routes of a unit that take a function, with an index of their addresses in a table; made at first use.
         self._indexed: dict[tuple[int, int, Table], tuple[list[Route], AddressIndex]] = {}
         for unit in range(256):
             found: list[Route] = []
@@ -168,19 +168,19 @@ class ListenerRoutes:
                 if unit in route.units:
                     found.append(route)
                     if not route.functions and route.addresses is None:
-                        break  # it takes everything: nothing gets behind it
+                        break  # it takes everything: later routes are never reached
             if found:
                 self._by_unit[unit] = tuple(found)
 
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
-        """The route of a request, or None where there is none."""
+        """The route of a request; None without one."""
         routes = self._by_unit.get(unit, ())
         if len(routes) > _FEW and (touch := _touched_at_once(request)) is not None:
             return self._found_by_address(routes, request, touch)
         return self._looked_through(routes, request)
 
     def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
-        """What `_looked_through` finds, in a time that does not grow with the number of routes."""
+        """As `_looked_through`, in a time that does not grow with the number of routes."""
         key = id(routes), request.code, touch.table
         indexed = self._indexed.get(key)
         if indexed is None:
@@ -209,7 +209,7 @@ class ListenerRoutes:
         return None
 
     def units_to(self, upstream: str) -> list[int]:
-        """The units 1…247 of which some requests lead to an upstream."""
+        """The units 1…247 that have a route to an upstream."""
         return [
             unit
             for unit in range(1, LAST_SERIAL_UNIT + 1)
@@ -218,12 +218,12 @@ class ListenerRoutes:
 
     @property
     def units(self) -> frozenset[int]:
-        """The units for which there is any route."""
+        """The units that have a route."""
         return frozenset(self._by_unit)
 
     @property
     def upstreams(self) -> tuple[str, ...]:
-        """The upstreams that routes lead to, each once, in the order of the routes."""
+        """The names of the upstreams of its routes, each once, in the order of the routes."""
         return tuple(
             dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
         )
@@ -241,7 +241,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """The one range that a request touches; None where it touches several, or none, or no item of it."""
+    """The one range that a request touches; None if it touches several ranges, or no item."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -249,7 +249,7 @@ def _touched_at_once(request: Request) -> Span | None:
 
 
 def _within(wanted: AddressRange, request: Request) -> bool | None:
-    """True: all of the request lies in the range; False: nothing; None: a part."""
+    """Whether a request lies in a range: True for wholly, False for not at all, None for partly."""
     if isinstance(request, OpaqueRequest):
         return False
     spans = request.spans()
@@ -270,7 +270,7 @@ class RoutingTable:
     """All routes of a gateway.
 
     Attributes:
-        routes: in the order in which they are looked through.
+        routes: in their order; the first one that fits decides.
     """
 
     routes: tuple[Route, ...]
@@ -281,7 +281,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """What cannot be: position of the route, and a sentence."""
+        """The routes that are never reached: position, and a message."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -301,7 +301,7 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """The earlier routes that take all requests to some units of a route, and the units that are left to it."""
+    """The earlier routes that take all requests to some units of a route, and the units that it keeps."""
     route = routes[position]
     whole = next((one for one in routes[:position] if one.covers(route)), None)
     if whole is not None:
@@ -320,7 +320,7 @@ def function_of(request: Request) -> int:
 
 
 def units_text(units: frozenset[int]) -> str:
-    """Units as people write them: ``1-5, 7``."""
+    """Units as text: ``1-5, 7``."""
     parts: list[str] = []
     ordered = sorted(units)
     start = 0

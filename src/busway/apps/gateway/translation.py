@@ -25,17 +25,17 @@ class Translated:
     """A client's request as it is asked upstream, and the way back for its reply.
 
     Args:
-        request: as the client asks it.
-        route: what becomes of it.
-        width: bytes of the registers of the device, 2…12; it answers reads in its own width, which goes through.
+        request: the client's request.
+        route: its route.
+        width: bytes of the registers of the device, 2…12; clients get its registers in this width.
 
     Attributes:
-        requests: what is sent for it: itself, as a rule.
-        key: the bytes by which an identical read is recognised; empty for what is no read.
-        place: what it reads, if its data are to be remembered; otherwise None.
+        requests: the requests that are sent for it; usually one.
+        key: the bytes by which an identical read is recognised; empty for other requests.
+        place: the range that it reads, if its data are to be remembered; otherwise None.
 
     Raises:
-        InvalidRequest: an address that does not exist behind the shift.
+        InvalidRequest: the shifted address does not exist.
     """
 
     __slots__ = ("_request", "_route", "key", "place", "requests")
@@ -62,7 +62,7 @@ class Translated:
         return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
 
     def client_reply(self, reply: Message) -> Message:
-        """The client's reply, from the upstream's to the request or to all its parts."""
+        """The client's reply, made from the upstream's."""
         if reply is self.requests[0]:  # no unit answers on unit 0 of a serial line: the request stands for its reply
             return echo(self._request)
         shift = self._route.shift
@@ -99,7 +99,7 @@ def _upstream_requests(request: Request, route: Route, width: int) -> tuple[Requ
 
 
 def echo(request: Request) -> Message:
-    """What a device would have answered to a write."""
+    """The reply of a device to a write that it has executed."""
     if request.echoes or isinstance(request, OpaqueRequest):
         return request
     fields = request.values()
@@ -107,7 +107,7 @@ def echo(request: Request) -> Message:
 
 
 def _limit(request: Request, route: Route) -> int | None:
-    """What fits in one request of this kind, or None."""
+    """Most items in one request of this kind; None for no limit."""
     if isinstance(request, ReadRegisters):
         return route.max_registers
     if isinstance(request, ReadBits):
@@ -126,12 +126,12 @@ def _count(request: Any) -> int:  # one of the four kinds that `_limit` knows
 
 @lru_cache(maxsize=1024)
 def _read_pieces(kind: type[Any], address: int, count: int, limit: int) -> tuple[Request, ...]:
-    """A poller asks the same for ever: its pieces are made, and encoded, once."""
+    """The parts of a split read; cached, because pollers repeat their reads."""
     return tuple(kind(address + at, min(limit, count - at)) for at in range(0, count, limit))
 
 
 def _wire(request: Request) -> bytes:
-    """The PDU; a poller's request is encoded once."""
+    """The PDU of a request, encoded at most once."""
     return request.wire if hasattr(request, "wire") else request.prepare()
 
 
@@ -152,7 +152,7 @@ def _joined(request: Request, route: Route, sent: Sequence[Request], replies: Se
 
 
 def _moved(message: Message, kind: type[Request], shift: int) -> Message:
-    """The message with every address that its function names moved by ``shift``."""
+    """The message with ``shift`` added to all its addresses."""
     names = {touch.address for touch in (kind.reads, kind.writes) if touch is not None}
     values = message.values()
     moved = names & set(values)

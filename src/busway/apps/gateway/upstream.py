@@ -36,17 +36,17 @@ _CLIENTS_REMEMBERED = 4096
 
 @dataclass(slots=True)
 class UpstreamCounters:
-    """What happened to the requests of an upstream.
+    """Counters of the requests of an upstream.
 
     Attributes:
-        forwarded: requests that were handed to a link.
-        answered: requests that got the device's answer.
+        forwarded: requests that a link accepted.
+        answered: requests with a reply of the device.
         exceptions: requests that the device refused.
-        no_path: requests answered 0A: upstream down, queue full, or not to be asked so.
+        no_path: requests answered 0A: upstream down, queue full, deadline passed in the queue.
         no_answer: requests answered 0B.
-        shared: reads that were answered by another's read in flight.
-        recalled: reads that were answered from memory.
-        abandoned: requests whose client had gone.
+        shared: reads that waited for an identical read in flight.
+        recalled: reads that were answered with remembered data.
+        abandoned: requests whose client disconnected before the reply.
         broadcasts: writes to all units.
     """
 
@@ -63,12 +63,12 @@ class UpstreamCounters:
 
 @dataclass(frozen=True, slots=True)
 class SuspendedUnit:
-    """A unit that is not asked, because it did not answer.
+    """A unit whose breaker is not closed.
 
     Attributes:
-        unit: the unit, as it is behind.
+        unit: the unit on the upstream.
         state: ``open`` or ``probing``.
-        next_probe: seconds until a request may ask it again; 0: the next one does.
+        next_probe: seconds until a request may probe it; 0: the next request does.
     """
 
     unit: int
@@ -81,13 +81,13 @@ class LinkStatus:
     """One connection of an upstream.
 
     Attributes:
-        state: where it stands.
-        in_flight: requests whose reply is awaited.
-        queued: requests that wait for their turn.
-        counters: what happened on it.
-        suspended: units that are not asked now.
+        state: state of the connection.
+        in_flight: number of requests in flight.
+        queued: number of requests in the queue.
+        counters: counters of the link.
+        suspended: units that are suspended by their breaker.
         reason: why it cannot be reached; empty while it can be, and before the first attempt.
-        next_attempt: seconds until it is tried again at the earliest; None where the next request tries it.
+        next_attempt: seconds until the next attempt is allowed; None if the next request makes one.
         in_doubt: units that owe replies, on links without transaction numbers.
     """
 
@@ -103,12 +103,12 @@ class LinkStatus:
 
 @dataclass(frozen=True, slots=True)
 class UpstreamStatus:
-    """An upstream as a status shows it.
+    """Status of an upstream.
 
     Attributes:
-        name, endpoint: what routes call it, and where it leads.
+        name, endpoint: its name in routes, and its URL.
         links: its connections.
-        counters: what happened to its requests.
+        counters: counters of its requests.
         indicators: communication is on while replies are awaited, error flashes while it cannot be reached.
     """
 
@@ -120,17 +120,17 @@ class UpstreamStatus:
 
 
 class Upstream:
-    """One upstream: where routes lead.
+    """The connections of one upstream.
 
     Args:
-        name: what routes call it.
-        settings: of its links.
-        connections: how many there are to one server; 1 on a serial line.
-        broadcast: whether a write to unit 0 goes there; None: where the framing is that of a serial line.
-        clock: seconds, by which values that are remembered grow old.
+        name: its name in routes.
+        settings: settings of its links.
+        connections: number of connections to one server; 1 on a serial line.
+        broadcast: whether it gets writes to unit 0; None: if its framing is RTU or ASCII.
+        clock: monotonic seconds, for log lines and the age of remembered values.
 
     Attributes:
-        watch: called with the session of a link after it has handled what came, or that time has passed.
+        watch: called with the session of a link after received bytes or a timer were handled.
     """
 
     def __init__(
@@ -154,19 +154,19 @@ class Upstream:
         self.clock = clock
         self.watch: Callable[[ClientSession], None] | None = None
         self.links: list[AsyncLinkDriver] = []
-        self._keeper: asyncio.Task[None] | None = None  # of a serial port
+        self._keeper: asyncio.Task[None] | None = None  # keeps a serial port open
         self._port_gone = asyncio.Event()
         is_port = settings.endpoint.carrier == "serial"
         self.news: UpstreamLog = UpstreamLog(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
-        self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; who asked last comes last
-        self._users: dict[AsyncLinkDriver, int] = {}  # how many of them each has
+        self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; asked last comes last
+        self._users: dict[AsyncLinkDriver, int] = {}  # number of clients of each
         self.register_width = settings.parameters.register_width
         self.pipelines = settings.line is None  # whether it takes several requests at once
 
-    # Its life.
+    # Open and close.
 
     def open(self) -> None:
-        """Make the links; a port is opened soon, the others connect at need. In a coroutine. Raises `ConfigError`."""
+        """Create the links; call it in a coroutine. A serial port is opened soon. Raises `ConfigError`."""
         if self.links:
             return
         for _ in range(self._connections):
@@ -182,10 +182,10 @@ class Upstream:
                 self._keeper = asyncio.get_running_loop().create_task(self._keep_open(link))
 
     async def _keep_open(self, link: AsyncLinkDriver) -> None:
-        """Have the port open, now and whenever it has gone."""
+        """Open the port now, and again whenever it is lost."""
         while True:
             self._port_gone.clear()
-            with contextlib.suppress(LinkDown):  # it is told by its event
+            with contextlib.suppress(LinkDown):  # reported by its event
                 await link.connect()
             if link.is_connected:
                 await self._port_gone.wait()
@@ -193,7 +193,7 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Something has happened to a connection."""
+        """Log an event of a connection."""
         if event is ConnectionEvent.CONNECTED:
             self.news.is_up()
         elif event is ConnectionEvent.FAILED:
@@ -203,13 +203,13 @@ class Upstream:
             self.news.is_down(reason)
 
     def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
-        """Leave units alone for so many seconds after their replies; on serial lines only."""
+        """Set the seconds of silence after replies, by unit; on serial lines only."""
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.leave_alone(unit_gaps)
 
     async def close(self) -> None:
-        """Close the links. What still waits is answered 0A."""
+        """Close the links. Open requests are answered 0A or 0B."""
         keeper, self._keeper = self._keeper, None
         if keeper is not None:
             keeper.cancel()
@@ -218,11 +218,11 @@ class Upstream:
         self._link_of.clear()
         self._users.clear()
         for link in links:
-            link.told = None  # that we close it is no news
+            link.told = None  # closing is not logged
             await link.close()
 
     def status(self) -> UpstreamStatus:
-        """How it stands."""
+        """A snapshot of its status."""
         links = tuple(
             LinkStatus(
                 link.reconnect.state.value,
@@ -256,12 +256,12 @@ class Upstream:
         return link
 
     def refused(self, error: ModbusError) -> int:
-        """The exception code for an error, counted."""
+        """The exception code for an error. Counts the request, and logs 0A."""
         code = code_for(error)
         counters = self.counters
         if code == ExceptionCode.GATEWAY_PATH_UNAVAILABLE:
             counters.no_path += 1
-            cause = error.__cause__  # without the pause until the next attempt, which differs each time
+            cause = error.__cause__  # the log line leaves out the pause until the next attempt, which differs each time
             self.news.no_path(cause.message if isinstance(cause, LinkDown) else error.message)
         elif code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND:
             counters.no_answer += 1
@@ -271,7 +271,7 @@ class Upstream:
 
 
 def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
-    """What the status indicators of an upstream show."""
+    """The status indicators of an upstream."""
     is_faulty = not links or any(link.reason for link in links)
     return StatusIndicators(
         StatusIndicator.ON if any(link.in_flight for link in links) else StatusIndicator.OFF,
@@ -287,7 +287,7 @@ def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:
-    """The units that are not asked now."""
+    """The units whose breaker is not closed."""
     session = link.session
     if session.breakers is None:
         return ()

@@ -1,10 +1,10 @@
-"""Log lines about an upstream of a gateway: that it cannot be reached, and how many requests got 0A for it.
+"""Log lines about an upstream: that it cannot be reached, and how many requests were answered 0A.
 
 Knows reasons and times; knows no link and no request.
 
-1. A reason is told once, and again when it changes; that the upstream is back is told too.
-2. The first request that gets 0A is told with its reason. Those after it are counted, and told once a minute, or when
-   the reason changes, or when the upstream is back: a poller would fill the log.
+1. A reason is logged once, and again when it changes. That the upstream is back is logged too.
+2. The first request that is answered 0A is logged with the reason. Later ones are counted, and their number is logged
+   once a minute, when the reason changes, or when the upstream is back: a poller would fill the log.
 """
 
 import logging
@@ -15,21 +15,21 @@ from typing import Final
 _log = logging.getLogger("busway.apps.gateway")
 
 AGAIN_AFTER: Final = 60.0
-"""Seconds after which requests that got 0A for the same reason are told again."""
+"""Seconds between log lines about requests answered 0A for the same reason."""
 WAITING: Final = "waiting for it"
-"""What follows the reason where the upstream is tried again by itself; `busway serve` says so of its ports."""
+"""End of the line if the gateway tries again by itself; `busway serve` says the same of its ports."""
 AT_NEED: Final = "tried again when something is asked"
-"""What follows it elsewhere."""
+"""End of the line otherwise."""
 
 
 class UpstreamLog:
     """The log lines of one upstream.
 
     Args:
-        name: what routes call it.
-        endpoint: where it leads.
-        is_waited_for: whether it is tried again by itself.
-        clock: seconds.
+        name: its name in routes.
+        endpoint: its URL.
+        is_waited_for: whether the gateway tries to open it without a request.
+        clock: monotonic seconds.
     """
 
     __slots__ = ("_clock", "_endpoint", "_name", "_no_path", "_no_path_reason", "_reason", "_then", "_told_at")
@@ -45,13 +45,13 @@ class UpstreamLog:
         self._told_at = -math.inf
 
     def is_down(self, reason: str) -> None:
-        """It cannot be reached."""
+        """Log that it cannot be reached."""
         if reason != self._reason:
             self._reason = reason
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """It can be reached."""
+        """Log that it can be reached again."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)
@@ -59,7 +59,7 @@ class UpstreamLog:
         self._no_path_reason = ""
 
     def no_path(self, reason: str) -> None:
-        """A request got 0A."""
+        """Log or count a request that was answered 0A."""
         if reason != self._no_path_reason:
             self._tell_count()
             self._no_path_reason = reason
@@ -71,7 +71,7 @@ class UpstreamLog:
             self._tell_count()
 
     def _tell_count(self) -> None:
-        """Tell how many requests got 0A since it was told last."""
+        """Log how many requests were answered 0A since the last such line."""
         if self._no_path:
             now = self._clock()
             _log.warning(

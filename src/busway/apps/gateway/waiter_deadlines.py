@@ -1,6 +1,6 @@
-"""When each of those who share a read gives up: each has his own deadline, and the read goes on for the others.
+"""Deadlines of the clients that share a read: each has its own, and the read goes on for the others.
 
-Knows waiters and times; knows no read. One timer, for the nearest deadline; there is none where a read is one client's.
+Knows waiters and times; knows no read. There is one timer, for the nearest deadline; a read of one client has none.
 """
 
 from collections.abc import Callable
@@ -10,10 +10,10 @@ Waiter = TypeVar("Waiter")
 
 
 class DeadlineTimer(Protocol):
-    """What is called at its time."""
+    """A timer that can be cancelled."""
 
     def cancel(self) -> None:
-        """It is not called any more."""
+        """Cancel it: its callback is not called."""
 
 
 CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
@@ -21,12 +21,12 @@ CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
 
 
 class WaiterDeadlines(Generic[Waiter]):
-    """The deadlines of those who wait for one read.
+    """The deadlines of the clients that wait for one read.
 
     Args:
         now: the clock of the deadlines.
-        call_at: makes a timer of that clock.
-        over: called with each waiter whose time is over.
+        call_at: creates a timer of that clock.
+        over: called with each waiter whose deadline has passed.
     """
 
     __slots__ = ("_call_at", "_deadlines", "_now", "_over", "_timer")
@@ -39,13 +39,13 @@ class WaiterDeadlines(Generic[Waiter]):
         self._timer: DeadlineTimer | None = None
 
     def add(self, waiter: Waiter, deadline: float) -> None:
-        """One more waits, until ``deadline``."""
+        """Add a waiter and its deadline."""
         self._deadlines.append((deadline, waiter))
         if self._timer is None or deadline < self._nearest(self._deadlines[:-1]):
             self._arm()
 
     def close(self) -> None:
-        """The read has ended."""
+        """Forget all deadlines: the read has ended."""
         self._deadlines.clear()
         if self._timer is not None:
             self._timer.cancel()
