@@ -146,7 +146,7 @@ def test_a_program_that_does_not_answer_is_said_and_does_not_hide_the_others(
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["/nowhere/x.sock"], 5, "/nowhere/x.sock: nobody answers"),
+        (["/nowhere/x.sock"], 5, "/nowhere/x.sock: no program answers"),
         (["http://127.0.0.1:1"], 2, "no token for http://127.0.0.1:1"),
         (["http://10.0.0.1:80"], 2, "only an address of this host's loopback"),
         (["--watch", "soon"], 2, "--watch: a time such as"),
@@ -197,7 +197,7 @@ def test_watching_shows_again_says_a_failure_and_ends_by_ctrl_c(home: Path) -> N
         assert watching.process.stdout is not None
         assert watching.process.stdout.readline().startswith(b"plant on")
     with watching:
-        assert "nobody answers" in watching.wait_for("nobody")
+        assert "no program answers" in watching.wait_for("no program")
         watching.stop()
         assert watching.process.returncode == 0
 

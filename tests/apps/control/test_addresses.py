@@ -81,7 +81,7 @@ def test_a_runtime_directory_that_is_not_there_is_passed_over(tmp_path: Path, mo
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert control_directory({"XDG_RUNTIME_DIR": str(tmp_path / "gone")}).parent == tmp_path
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
-    with pytest.raises(ConfigError, match="can not be made"):
+    with pytest.raises(ConfigError, match="cannot be made"):
         control_directory({})
 
 

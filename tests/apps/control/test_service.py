@@ -113,7 +113,7 @@ async def test_a_subject_offers_what_it_can_and_no_more(directory: Path) -> None
         assert (await asked(directory, "/connections"))["connections"] == ["a", "b"]
         assert "POST /reload" not in (await asked(directory, "/"))["resources"]
         for method, resource, words in (
-            ("POST", "/reset-counters", "can not be reset"),
+            ("POST", "/reset-counters", "cannot be reset"),
             ("POST", "/reload", "there is no POST /reload"),
             ("GET", "/metrics", "there is no GET /metrics"),
             ("GET", "/../etc", "there is no GET"),
@@ -321,9 +321,9 @@ async def test_a_wrong_token_and_a_dead_address_are_told_apart(directory: Path) 
             await asyncio.to_thread(ask, Running(found.address, "wrong"))
         assert find_one(str(found.address), directory) == found
     assert find_running(directory) == []
-    with pytest.raises(LinkDown, match="nobody answers"):
+    with pytest.raises(LinkDown, match="no program answers"):
         await asyncio.to_thread(ask, found)
-    with pytest.raises(LinkDown, match="nobody answers"):
+    with pytest.raises(LinkDown, match="no program answers"):
         await asyncio.to_thread(ask, Running(UnixAddress(directory / "none.sock")))
     with pytest.raises(ConfigError, match="no token for"):
         find_one(str(found.address), directory)

@@ -1,11 +1,11 @@
-"""Control of a running server or gateway from outside: what it does, read over a socket that only its user reaches.
+"""Control of a running server or gateway from outside: its status, over a socket that only its user can reach.
 
-`addresses` says where such sockets are, `binding` makes them, `service` answers, `asking` asks; `plain` turns a status
-into JSON.
+`addresses` says where such sockets are, `binding` makes them, `service` answers, `asking` is the client; `plain` turns
+a status into JSON.
 
 1. A Unix domain socket of mode 0600 in a directory of mode 0700; where there is none, or by choice, HTTP on loopback
-   with a token that stands in a file of mode 0600. There is no way to offer it to other hosts.
-2. The status is gathered in the event loop of whoever is asked, and written in a thread of its own.
+   with a token in a file of mode 0600. It cannot be offered to other hosts.
+2. The status is collected in the event loop of the program, and sent by another thread.
 """
 
 from .addresses import (

@@ -1,11 +1,10 @@
-"""Where a running program is controlled: addresses, and the directory where they are found.
+"""Addresses of control sockets, and the directory where they are found.
 
 Knows paths and the environment; opens nothing but that directory.
 
-1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that is there, else ``busway-<user id>`` among the temporary
-   files. It is the
-   user's own, and nobody else's to read: one that is not is refused, since somebody else may have put it there.
-2. In it stands ``<name>.sock`` for a Unix domain socket, or ``<name>.json`` with URL and token for loopback HTTP. The
+1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that exists, else ``busway-<user id>`` among the temporary
+   files. It must belong to the user and be closed to others; any other is refused, since another user may have made it.
+2. It holds ``<name>.sock`` for a Unix domain socket, or ``<name>.json`` with URL and token for loopback HTTP. The
    name is the process id, with a number behind it if a process has several.
 """
 
@@ -55,7 +54,7 @@ def parse_control_address(text: str) -> ControlAddress:
     """The address in a text: the path of a socket, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
 
     Raises:
-        ConfigError: it is none, or leads to other hosts.
+        ConfigError: it is not an address, or not one of this host.
     """
     host_port = text.removeprefix("http://").removesuffix("/")
     _, colon, port_text = text.rpartition(":")
@@ -79,19 +78,19 @@ def is_loopback(host: str) -> bool:
 
 
 def control_directory(environment: Mapping[str, str] | None = None) -> Path:
-    """Where a program of this user makes its control socket; made if it is not there.
+    """The directory for control sockets of this user; created if it does not exist.
 
     Args:
-        environment: instead of that of the process.
+        environment: used instead of that of the process.
 
     Raises:
-        ConfigError: it cannot be made, is somebody else's, or is open to others.
+        ConfigError: it cannot be made, belongs to another user, or is open to others.
     """
     path = _candidates(environment)[0]
     try:
         path.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"the directory {path} can not be made: {error.strerror or error}", key=KEY) from error
+        raise ConfigError(f"the directory {path} cannot be made: {error.strerror or error}", key=KEY) from error
     problem = _problem(path)
     if problem:
         raise ConfigError(problem, key=KEY)
@@ -99,15 +98,15 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
 
 
 def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
-    """Where programs of this user may be found: a service has another environment than a shell.
+    """Directories where programs of this user may be found: a service has another environment than a shell.
 
-    What is not there, or not the user's alone, is left out.
+    Directories that do not exist, or are not the user's alone, are left out.
     """
     return [path for path in _candidates(environment) if path.exists() and not _problem(path)]
 
 
 def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
-    """The directories, the one to use first."""
+    """Possible directories, the preferred one first."""
     runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
     own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
     temporary = Path(tempfile.gettempdir()) / own

@@ -1,8 +1,8 @@
-"""Asks a running program over its control socket, and finds the programs that run.
+"""Client of control sockets: asks a running program, and finds the programs that run.
 
 Knows the client's side of HTTP over a Unix domain socket and over loopback; knows no status.
 
-1. Blocking, with one time limit for each step. An answer is at most `ANSWER_LIMIT` bytes.
+1. Blocking, with one time limit for each step. A response is at most `ANSWER_LIMIT` bytes.
 """
 
 import http.client
@@ -32,7 +32,7 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A program that can be asked."""
+    """A running program and how to ask it."""
 
     address: ControlAddress
     token: str = ""
@@ -42,7 +42,7 @@ class Running:
 
 
 def find_running(*directories: Path) -> list[Running]:
-    """The programs of these directories that run, by name."""
+    """The running programs of these directories, by name."""
     found: list[Running] = []
     for directory in directories:
         if HAS_UNIX_SOCKETS:
@@ -70,19 +70,19 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """What a program answers: the content of its JSON, or a text where it is none.
+    """The answer of a program: the content of its JSON, or a text.
 
     Args:
-        running: whom.
+        running: the program.
         resource: ``/status``, ``/connections``, ``/metrics``, ``/reset-counters``, ``/reload``.
         method: ``GET`` or ``POST``.
         timeout: seconds for each step.
 
     Raises:
-        LinkDown: nobody answers there.
+        LinkDown: no program answers at the address.
         NoReply: the answer did not come in time, or the program's event loop is stuck.
-        ConfigError: the token is wrong, there is no such resource, or it could not be done: the sentence says why.
-        BadReply: what came is no such answer.
+        ConfigError: the token is wrong, the resource does not exist, or the request failed: the sentence says why.
+        BadReply: the response is not valid.
     """
     connection = _Connection(running.address, timeout)
     try:
@@ -96,7 +96,7 @@ def ask(running: Running, resource: str = "/status", *, method: str = "GET", tim
     except http.client.HTTPException as error:
         raise BadReply(f"no answer in HTTP ({type(error).__name__})", endpoint=str(running)) from error
     except OSError as error:
-        raise LinkDown(f"nobody answers: {error.strerror or error}", endpoint=str(running)) from error
+        raise LinkDown(f"no program answers: {error.strerror or error}", endpoint=str(running)) from error
     finally:
         connection.close()
     if not kind.startswith("application/json"):
@@ -120,7 +120,7 @@ def _error(status: int, content: Any, running: Running) -> ModbusError:
 
 
 class _Connection(http.client.HTTPConnection):
-    """To a Unix domain socket or to loopback."""
+    """HTTP connection to a Unix domain socket or to loopback."""
 
     def __init__(self, address: ControlAddress, timeout: float) -> None:
         if isinstance(address, LoopbackAddress):
@@ -141,7 +141,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """The programs on loopback that a directory has a token of."""
+    """The programs on loopback whose tokens are in a directory."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:

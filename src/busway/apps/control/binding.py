@@ -1,12 +1,11 @@
-"""Makes the socket of a control service, and takes it away again.
+"""Makes and removes the socket of a control service.
 
 Knows sockets, files and their modes; knows no request.
 
-1. Nobody else can connect at any moment: a Unix socket gets its mode before it listens, a token its mode before it is
+1. At no moment can another user connect: a Unix socket gets its mode before it listens, a token its mode before it is
    written.
-2. What a dead program left behind is replaced. Where a living one answers, or something else stands, nothing is
-   touched.
-3. What is taken away at the end is what was made, not what somebody else has put there meanwhile.
+2. What a dead program left behind is replaced. A socket that answers, or any other file, is left alone.
+3. At the end a file is removed only if it is still the one that was made.
 """
 
 import contextlib
@@ -31,11 +30,11 @@ _CONNECT_SECONDS = 1.0
 
 @dataclass
 class Bound:
-    """A bound socket and what belongs to it.
+    """A bound socket and its file.
 
     Attributes:
-        address: where it can be reached.
-        token: what must come with each request; empty where the file system guards the socket.
+        address: its address.
+        token: token that each request must carry; empty where the file system guards the socket.
     """
 
     socket: socket.socket
@@ -45,12 +44,12 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """This file was made for it."""
+        """Remember the file that belongs to the socket."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
     def remove(self) -> None:
-        """Take its file away, if it is still the one that was made."""
+        """Remove its file, if it is still the one that was made."""
         made, self._made = self._made, None
         if made is None:
             return
@@ -61,7 +60,7 @@ class Bound:
 
 
 def bind_default(directory: Path) -> Bound:
-    """A socket in a directory, under a name that is free. Raises as `bind_unix` and `bind_loopback`."""
+    """A socket in a directory, under a free name. Raises as `bind_unix` and `bind_loopback`."""
     sweep(directory)
     for number in count(1):
         name = str(os.getpid()) if number == 1 else f"{os.getpid()}-{number}"
@@ -77,8 +76,8 @@ def bind_unix(address: UnixAddress) -> Bound:
     """A Unix domain socket of mode 0600.
 
     Raises:
-        ConfigError: something else stands there, or the path is too long.
-        LinkDown: it cannot be bound, or a living program answers there.
+        ConfigError: another file is at the path, or the path is too long.
+        LinkDown: it cannot be bound, or a running program answers there.
     """
     path = address.path.absolute()
     if not HAS_UNIX_SOCKETS:
@@ -94,7 +93,7 @@ def bind_unix(address: UnixAddress) -> Bound:
         path.chmod(0o600)
     except OSError as error:
         bound.close()
-        raise LinkDown(f"can not listen on {path}: {error.strerror or error}") from error
+        raise LinkDown(f"cannot listen on {path}: {error.strerror or error}") from error
     return made
 
 
@@ -112,12 +111,12 @@ def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
         made.remember(path)
     except OSError as error:
         bound.close()
-        raise LinkDown(f"the token can not be written to {path}: {error.strerror or error}") from error
+        raise LinkDown(f"the token cannot be written to {path}: {error.strerror or error}") from error
     return made
 
 
 def is_alive(path: Path) -> bool:
-    """Whether somebody answers at a Unix socket."""
+    """Whether a program answers at a Unix socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(_CONNECT_SECONDS)
         try:
@@ -130,7 +129,7 @@ def is_alive(path: Path) -> bool:
 
 
 def sweep(directory: Path) -> None:
-    """Take away the sockets of programs that ended without doing so."""
+    """Remove the sockets of programs that ended without doing so."""
     for path in directory.glob(f"*{SOCKET_SUFFIX}"):
         with contextlib.suppress(OSError):
             if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):
@@ -138,7 +137,7 @@ def sweep(directory: Path) -> None:
 
 
 def same_user(accepted: socket.socket) -> bool:
-    """Whether a Unix socket's peer is the same user or root, where the system tells; otherwise its mode has to do."""
+    """Whether the peer of a Unix socket is the same user or root. True where the system cannot tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True
@@ -155,6 +154,6 @@ def _make_room(path: Path) -> None:
     if not stat.S_ISSOCK(mode):
         raise ConfigError(f"{path} is there and is no socket", key=KEY)
     if is_alive(path):
-        raise LinkDown(f"can not listen on {path}: a running program answers there")
+        raise LinkDown(f"cannot listen on {path}: a running program answers there")
     with contextlib.suppress(FileNotFoundError):
         path.unlink()

@@ -1,13 +1,13 @@
 """The control service of a running server or gateway.
 
-Knows resources and how they are asked for; knows no server: a `Subject` is whatever has a status.
+Knows resources and requests; knows no server: a `Subject` is an object with a status.
 
-1. ``GET /status`` is all there is to know, ``GET /connections`` a part of it, ``GET /metrics`` what a scraper reads.
-   ``POST /reset-counters`` and ``POST /reload`` do what the subject offers, and nothing where it does not.
-2. The subject is asked in its own event loop, and for no longer than `GATHER_SECONDS`: where the loop is stuck, the
-   answer says so, instead of none.
-3. Over loopback each request carries the token, and a ``Host`` of loopback: a web page that a browser was led to has
-   neither. What comes with an ``Origin`` is refused.
+1. ``GET /status`` is the whole state, ``GET /connections`` a part of it, ``GET /metrics`` the metrics for a scraper.
+   ``POST /reset-counters`` and ``POST /reload`` exist where the subject offers them.
+2. The subject is asked in its own event loop, for at most `GATHER_SECONDS`: where the loop is stuck, the response says
+   so.
+3. Over loopback each request carries the token and a ``Host`` of loopback: a foreign web page has
+   neither. Requests with an ``Origin`` are refused.
 """
 
 import asyncio
@@ -41,10 +41,10 @@ OFF: Final = "off"
 
 
 class Subject(Protocol):
-    """What is controlled."""
+    """The object that is controlled."""
 
     def status(self) -> Any:
-        """How it stands now: a dataclass, of any fields. Called in the subject's event loop."""
+        """Present state: a dataclass with any fields. Called in the subject's event loop."""
 
 
 @runtime_checkable
@@ -60,11 +60,11 @@ class Reloadable(Protocol):
     """A subject that can read its files again."""
 
     async def reload(self) -> Any:
-        """Read them; what it gives is shown to whoever asked. Raises `ModbusError`; then the old ones hold."""
+        """Read the files again. The result is shown to the client. Raises `ModbusError`; then the old ones hold."""
 
 
 Reload = Callable[[], Any]
-"""Reads files again; may be a coroutine function. What it gives is shown to whoever asked."""
+"""Reads the files again; may be a coroutine function. Its result is shown to the client."""
 AnswerMetrics = Callable[[HttpRequest], HttpResponse]
 
 
@@ -75,19 +75,19 @@ class Control:
             ...
 
     Args:
-        subject: a server, a gateway, or whatever has a ``status()``.
-        at: path of a Unix domain socket, or an address of loopback, ``127.0.0.1:0``. None: a socket of a name of its
-            own where `busway status` finds it.
-        name: what the program is, for whoever has several.
-        directory: where sockets and tokens are found, instead of `control_directory`.
-        reload: reads files again, if the subject itself does not.
-        metrics: gives the metrics, for example `MetricsEndpoint.answer`.
+        subject: a server, a gateway, or another object with a ``status()``.
+        at: path of a Unix domain socket, or an address of loopback, ``127.0.0.1:0``. None: a socket of its own
+            where `busway status` finds it.
+        name: name of the program, to tell several apart.
+        directory: directory of sockets and tokens, instead of `control_directory`.
+        reload: reads the files again, if the subject itself does not.
+        metrics: returns the metrics, for example `MetricsEndpoint.answer`.
 
     Attributes:
         address: where it answers; None while it does not.
 
     Raises:
-        ConfigError: ``at`` cannot be.
+        ConfigError: ``at`` is not an address of this host.
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class Control:
             self._resources["POST", "/reload"] = self._reload_files
 
     async def start(self) -> None:
-        """Answer from now on; in the subject's event loop.
+        """Answer from now on. Called in the subject's event loop.
 
         Raises:
-            ConfigError: something else stands at the path, or the directory is not the user's own.
-            LinkDown: it cannot be listened on, or another program answers there.
+            ConfigError: another file is at the path, or the directory is not the user's own.
+            LinkDown: the address cannot be bound, or another program answers there.
         """
         if self._service is not None:
             return
@@ -145,7 +145,7 @@ class Control:
         self._service.start()
 
     async def stop(self) -> None:
-        """Answer no more, and take the socket away. Returns when the thread has gone."""
+        """Stop answering and remove the socket. Returns when the threads have ended."""
         service, self._service = self._service, None
         bound, self._bound = self._bound, None
         self.address = None
@@ -183,7 +183,7 @@ class Control:
         if "origin" in request.headers:
             raise HttpError(HTTPStatus.FORBIDDEN, "web pages are not answered")
         if not self._token:
-            return  # the file system has authorised whoever could connect
+            return  # the mode of the socket has authorised the client
         host = request.headers.get("host", "").rpartition(":")[0] or request.headers.get("host", "")
         if host != "localhost" and not is_loopback(host.strip("[]")):
             raise HttpError(HTTPStatus.FORBIDDEN, "the Host is not this one")
@@ -204,7 +204,7 @@ class Control:
 
     def _reset_counters(self, request: HttpRequest) -> HttpResponse:
         if not isinstance(self._subject, Resettable):
-            raise HttpError(HTTPStatus.NOT_FOUND, "its counters can not be reset")
+            raise HttpError(HTTPStatus.NOT_FOUND, "its counters cannot be reset")
         self._in_loop(self._subject.reset_counters)
         return _json({"reset": True})
 
@@ -213,7 +213,7 @@ class Control:
         return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
     def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
-        """What ``work`` gives in the subject's event loop. `HttpError` 503 or 504 where that does not answer."""
+        """The result of ``work`` in the subject's event loop. `HttpError` 503 or 504 if that does not answer."""
         assert self._loop is not None
 
         async def done() -> Any:
@@ -258,14 +258,14 @@ async def open_control(
     reload: Reload | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
-    """A `Control` for commands: ``off`` gives None, and a default socket that cannot be had is said and lived without.
+    """A `Control` for commands: None for ``off``, and where the default socket cannot be bound, which is logged.
 
     Args:
         subject, name, reload, metrics: as of `Control`.
         at: as of `Control`, or ``off``.
 
     Raises:
-        ConfigError, LinkDown: an address that was asked for cannot be had.
+        ConfigError, LinkDown: the address ``at`` is invalid or cannot be bound.
     """
     if at == OFF:
         yield None

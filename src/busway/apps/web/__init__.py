@@ -1,17 +1,18 @@
-"""The control API of a simulation, and its page: HTTP, one WebSocket, and files that a browser gets.
+"""The control API of a simulation and its page: HTTP, one WebSocket, and the files of the page.
 
 ===============  =======================================================================
-`hosting`        starts and stops it all: `ControlPage`
-`access`         who may ask: Host, Origin, token, sizes
-`operations`     the application, how errors are answered, and the OpenAPI document
-`messages`       what is asked and answered, as JSON
-`api`            the resources themselves
-`stream`         the WebSocket: a snapshot, then what changes
-`traffic`        the frames that pass, kept for whoever looks
-`subject`        what is controlled, as far as this part needs to know it
+`hosting`        starts and stops everything: `ControlPage`
+`access`         checks Host, Origin, token and size of every request
+`connections`    limits number and time of connections
+`operations`     the FastAPI application: errors and the OpenAPI document
+`messages`       JSON of requests and responses
+`api`            the resources
+`stream`         the WebSocket: a snapshot, then changes
+`traffic`        the last frames on the wire
+`subject`        the interface of a simulation that this package needs
 ``page``         HTML, style and script
 ===============  =======================================================================
 
-1. It needs the extra ``web``, and is imported only where it is asked for.
-2. It runs in the event loop of the simulation: what it reads is never half changed.
+1. It needs the extra ``web``, and is imported only when the page is started.
+2. It runs in the event loop of the simulation, so it never reads a state that is half changed.
 """

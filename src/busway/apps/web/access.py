@@ -1,14 +1,14 @@
-"""Who may ask, before anything of a request is read: its Host, its Origin, its token; and how much may be sent.
+"""Access to the page: Host, Origin, token and size of every request, checked before the application sees it.
 
-Knows headers and sizes; knows no resource. It stands around the whole application, HTTP and WebSocket.
+Knows headers and sizes; knows no resource. It wraps the whole application, HTTP and WebSocket.
 
-1. On loopback no token is needed, but the ``Host`` must be one of loopback: a name that somebody has pointed at
-   127.0.0.1 (DNS rebinding) is not.
-2. A page of another origin is refused, by ``Origin`` and by ``Sec-Fetch-Site``; and what changes something must be
-   JSON, which such a page cannot send unasked.
+1. On loopback no token is needed, but the ``Host`` must be a loopback name: a foreign name that resolves to 127.0.0.1
+   (DNS rebinding) is refused.
+2. Pages of another origin are refused, by ``Origin`` and by ``Sec-Fetch-Site``. Requests that change something must be
+   JSON, which such a page cannot send without asking first.
 3. Elsewhere each request to the API carries the token, in ``Authorization: Bearer …``; a WebSocket, for which a browser
-   sets no such header, as its subprotocol ``bearer.…``. It is never part of an address, which would end in logs.
-   The page itself holds no secret and needs none.
+   sets no such header, as its subprotocol ``bearer.…``. It is never part of a URL, which would end up in logs.
+   The page itself holds no secret and needs no token.
 4. Tokens are compared in constant time.
 """
 
@@ -29,19 +29,19 @@ Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 BODY_LIMIT: Final = 4 * 1024 * 1024
-"""Bytes of a request: a hundred thousand values."""
+"""Bytes of a request: room for a hundred thousand values."""
 BEARER_PROTOCOL: Final = "bearer."
 POLICY_VIOLATION: Final = 1008
-"""Why a WebSocket is closed (RFC 6455 §7.4.1)."""
+"""Close code of a WebSocket that is refused (RFC 6455 §7.4.1)."""
 _CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 
 
 @dataclass(frozen=True, slots=True)
 class PageAccessRules:
-    """What holds for one listener.
+    """Rules of one listener.
 
     Attributes:
-        token: what must be shown; empty where none is needed.
+        token: required token; empty if none is needed.
         is_loopback: whether it can be reached from this host alone.
     """
 
@@ -54,11 +54,11 @@ class Refused(HTTPException):
 
 
 class PageAccess:
-    """Lets through to ``inner`` what may pass.
+    """ASGI middleware that refuses requests against the rules.
 
     Args:
         inner: the application.
-        rules: what holds.
+        rules: rules of the listener.
         is_open: whether a path needs no token.
     """
 
@@ -68,7 +68,7 @@ class PageAccess:
         self._is_open = is_open
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Of ASGI."""
+        """Handle one ASGI connection."""
         if scope["type"] not in ("http", "websocket"):
             await self._inner(scope, receive, send)
             return
@@ -134,7 +134,7 @@ def _has_body(headers: dict[str, list[str]]) -> bool:
 
 
 def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
-    """Take at most `BODY_LIMIT` bytes, announced or not."""
+    """Limit what is received to `BODY_LIMIT` bytes, announced or not."""
     announced = _single(headers, "content-length")
     if announced and (not announced.isdecimal() or int(announced) > BODY_LIMIT):
         raise Refused(413, f"the body exceeds {BODY_LIMIT} bytes")

@@ -1,9 +1,9 @@
-"""The resources of the control API: what each asks of the simulation, and how that is shown.
+"""The resources of the control API: requests to the simulation, and its state as messages.
 
 Knows a simulation by `busway.apps.web.subject`; knows no socket and no page.
 
-1. Whoever sets a point by the API is ``api`` to all who look at its last writer.
-2. Many values are set one by one, in their order: what is refused keeps none of the others from being set, and is told.
+1. The last writer of a point that was set by the API is ``api``.
+2. Many values are set one by one, in order: a refused one is reported and does not prevent the others.
 """
 
 import time
@@ -19,7 +19,7 @@ from ...errors import ModbusError
 from ...values.refusal import shown
 from ...version import __version__
 from ..control.plain import plain
-from .faults import all_fault_profiles, all_faults, fault_named, put_on
+from .faults import add_fault_to, all_fault_profiles, all_faults, fault_named
 from .messages import (
     Connections,
     CountersMessage,
@@ -63,9 +63,9 @@ class Api:
 
     Attributes:
         subject: the simulation.
-        traffic: the frames that passed.
-        name: what the simulation is called.
-        order: its points in their order, as the stream numbers them.
+        traffic: the last frames.
+        name: name of the simulation.
+        order: its points in order, as the stream numbers them.
         places: the number of each point by its key.
     """
 
@@ -81,7 +81,7 @@ class Api:
 
     @property
     def server(self) -> ServedUnits:
-        """What answers by Modbus."""
+        """The Modbus server of the simulation."""
         served = self.subject.server
         inner = getattr(served, "server", served)  # a service has its server as a part
         return cast("ServedUnits", inner)
@@ -183,7 +183,7 @@ class Api:
                 yield index
 
     def shown(self, index: int) -> PointAnswer:
-        """A point by its number."""
+        """The point with this number."""
         point = self.order[index]
         return PointAnswer(
             index=index,
@@ -253,11 +253,11 @@ class Api:
 
     @property
     def board(self) -> Board:
-        """What goes wrong on purpose."""
+        """The switchboard of its faults."""
         return self.subject.board
 
     def faults(self) -> list[FaultAnswer]:
-        """All that were put on."""
+        """All faults that were added."""
         return all_faults(self.board)
 
     async def list_faults(self) -> FaultsMessage:
@@ -266,7 +266,7 @@ class Api:
 
     async def add_fault(self, new: NewFault) -> FaultAnswer:
         """Add a fault."""
-        return put_on(self.board, new)
+        return add_fault_to(self.board, new)
 
     async def switch_fault(self, name: str, switch: Switch) -> FaultAnswer:
         """Switch a fault on or off."""
@@ -303,7 +303,7 @@ class Api:
         return Nothing()
 
     def status(self) -> dict[str, Any]:  # Any: JSON
-        """What the page shows of the server, once a second."""
+        """State of server and simulation, which the page shows once a second."""
         status = self.server.status()
         return {
             "time": time.time(),

@@ -1,13 +1,14 @@
-"""The connections of the page: how many there may be, and how long one may take to say what it wants.
+"""Connections of the page: their number, and the time each has to send a request.
 
-Knows connections of the HTTP server and their limits; knows nothing of what is asked.
+Knows connections of uvicorn and their limits; knows no request. uvicorn limits neither the number of connections that
+have sent nothing, nor the time of a head, so that is here.
 
 1. From its beginning, or from the first byte of a further request, a connection has `HEAD_SECONDS` to the end of the
-   head. Who it is, is known then, and no sooner.
-2. There are at most `MOST` connections, WebSockets included. A newcomer takes the place of the oldest that has not said
-   what it wants; where all have, it is closed.
-3. The last descriptors of the process are Modbus': a newcomer that has got one of them is closed.
-4. What happens again and again is logged once a minute, with how often.
+   head. Before that it is not known who the client is.
+2. There are at most `MOST` connections, WebSockets included. One too many replaces the oldest that has not sent its
+   request; if all have, it is closed.
+3. The last descriptors of the process are for Modbus: a connection that was given one of them is closed.
+4. Events that repeat are logged once a minute, with their number.
 """
 
 import asyncio
@@ -30,14 +31,14 @@ _log = logging.getLogger("busway.apps.web")
 
 
 class Throttle(logging.Filter):
-    """Lets each sentence through once a minute, and says how often it was held back."""
+    """Log filter that passes each sentence once a minute, with the number of those it dropped."""
 
     def __init__(self) -> None:
         super().__init__()
         self._repeats = Repeats()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is said now."""
+        """Whether a record is logged now."""
         sentence = record.getMessage()
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is None:
@@ -47,15 +48,15 @@ class Throttle(logging.Filter):
 
 
 _http_log = logging.getLogger("busway.apps.web.http")
-"""What the HTTP server has to say: whoever sends nonsense makes it say the same again and again."""
+"""Log of the HTTP server; a client that sends nonsense makes it repeat itself."""
 _http_log.addFilter(Throttle())
 
 
-class Doors:
-    """What the connections of one page have in common.
+class SharedConnections:
+    """State that the connections of one page share.
 
     Attributes:
-        waiting: those that have not said what they want, in the order they came.
+        waiting: connections that have not sent their request, the oldest first.
     """
 
     def __init__(self) -> None:
@@ -63,11 +64,11 @@ class Doors:
         self._repeats = Repeats()
 
     def protocols(self) -> Callable[..., asyncio.Protocol]:
-        """What makes the protocol of a newcomer; takes what uvicorn gives."""
+        """The protocol factory for uvicorn."""
         return partial(PageConnection, self)
 
     def say(self, sentence: str, *arguments: object) -> None:
-        """Log something that may come again and again."""
+        """Log an event that may repeat."""
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is not None:
             _log.warning(f"{sentence}%s", *arguments, so_often(repeated))
@@ -77,36 +78,36 @@ class PageConnection(H11Protocol):
     """A connection of the page, until it becomes a WebSocket.
 
     Args:
-        doors: what it shares with the others.
-        given: what uvicorn gives.
+        shared: state shared with the other connections.
+        given: arguments of uvicorn.
     """
 
-    def __init__(self, doors: Doors, **given: Any) -> None:
+    def __init__(self, shared: SharedConnections, **given: Any) -> None:
         super().__init__(**given)
         self.logger: logging.Logger = _http_log
-        self._doors = doors
+        self._shared = shared
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Accepted: see whether there is room."""
+        """Keep an accepted connection if there is room."""
         super().connection_made(transport)
         accepted = transport.get_extra_info("socket")
         if accepted is not None and is_reserved(accepted.fileno()):
-            self._doors.say("a connection to the page is closed: the last file handles are kept for Modbus")
+            self._shared.say("a connection to the page is closed: the last file descriptors are reserved for Modbus")
             transport.abort()
             return
         while len(self.connections) > MOST:
-            oldest = next(iter(self._doors.waiting), None)
+            oldest = next(iter(self._shared.waiting), None)
             if oldest is None:
-                self._doors.say("a connection to the page is closed: there are %d already", MOST)
+                self._shared.say("a connection to the page is closed: %d are open already", MOST)
                 transport.abort()
                 return
-            self._doors.say("a connection to the page has made room: it had not said what it wants, and %d stand", MOST)
+            self._shared.say("a connection to the page has made room: it had sent no request, and %d are open", MOST)
             oldest.close_unheard()
         self._wait()
 
     def data_received(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Handle received bytes."""
         super().data_received(data)
         if self.transport.is_closing() or self.conn.their_state is not h11.IDLE:
             self._heard()
@@ -114,31 +115,31 @@ class PageConnection(H11Protocol):
             self._wait()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """It becomes a WebSocket."""
+        """Hand the connection over to the WebSocket."""
         self._heard()
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has ended."""
+        """Forget a connection that has ended."""
         self._heard()
         super().connection_lost(exc)
 
     def close_unheard(self) -> None:
-        """Close it before it has said what it wants."""
+        """Close it before it has sent its request."""
         self._heard()
         self.connections.discard(self)
         self.transport.abort()
 
     def _wait(self) -> None:
-        self._doors.waiting[self] = None
+        self._shared.waiting[self] = None
         self._timer = self.loop.call_later(HEAD_SECONDS, self._too_slow)
 
     def _heard(self) -> None:
-        self._doors.waiting.pop(self, None)
+        self._shared.waiting.pop(self, None)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
     def _too_slow(self) -> None:
-        self._doors.say("a connection to the page is closed: it has not said within %g s what it wants", HEAD_SECONDS)
+        self._shared.say("a connection to the page is closed: no request came within %g s", HEAD_SECONDS)
         self.close_unheard()

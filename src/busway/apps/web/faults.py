@@ -14,22 +14,22 @@ from .subject import Board
 
 
 def all_faults(board: Board) -> list[FaultAnswer]:
-    """All that were put on, in the order in which they act."""
+    """All faults that were added, in the order in which they act."""
     return [_fault(one) for one in board.list()]
 
 
 def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
-    """All that can be put on."""
+    """All fault profiles that can be added."""
     return [_fault_profile(one) for one in board.fault_profiles.values()]
 
 
 def fault_named(board: Board, name: str) -> FaultAnswer:
-    """One of them. Raises `ConfigError` for an unknown name."""
+    """The fault with this name. Raises `ConfigError` for an unknown name."""
     return _fault(board.status(name))
 
 
-def put_on(board: Board, wanted: NewFault) -> FaultAnswer:
-    """Put one on. Raises `ConfigError` for a name, a parameter or an address range that cannot be."""
+def add_fault_to(board: Board, wanted: NewFault) -> FaultAnswer:
+    """Add a fault. Raises `ConfigError` for an invalid name, parameter or address range."""
     name = board.add(
         wanted.fault_profile,
         name=wanted.name,
@@ -69,7 +69,7 @@ def _addresses(first: int | None, last: int | None) -> range | None:
 
 
 def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of several types
-    """What chooses; what chooses everything is left out."""
+    """The filters of a fault, without those that select everything."""
     shown: dict[str, Any] = {}
     if selection.units is not None:
         shown["units"] = sorted(selection.units)

@@ -1,11 +1,11 @@
-"""Starts and stops the control API with its page, on one address, in the event loop that runs already.
+"""Starts and stops the control API and its page on one address, in the running event loop.
 
-Knows sockets, the files of the page and the HTTP server; knows nothing of what is asked.
+Knows sockets, the files of the page and the HTTP server; knows no resource.
 
-1. On loopback no token is needed. Elsewhere one is made, if none is given; it stands behind ``#`` in the address of the
-   page, where a browser keeps it to itself.
-2. The page comes from files of this package alone: its policy (CSP) lets nothing else in, and no script within HTML.
-3. Everything has a limit: connections, bytes of a request and of a message, seconds of a connection that says nothing.
+1. On loopback no token is needed. Elsewhere one is made unless it is given; it stands behind ``#`` in the URL of the
+   page, which a browser does not send.
+2. The page consists of files of this package alone: its policy (CSP) allows nothing else, and no script within HTML.
+3. Everything has a limit: connections, bytes of a request and of a message, seconds of an idle connection.
 """
 
 import asyncio
@@ -32,23 +32,23 @@ from ...options.endpoints import parse_endpoint
 from ..control.addresses import is_loopback
 from .access import Application, Message, PageAccess, PageAccessRules, Receive, Scope, Send
 from .api import Api
-from .connections import Doors, Throttle
+from .connections import SharedConnections, Throttle
 from .operations import failed, new_application, secure_document
 from .stream import Streams
 from .subject import PageSubject
 from .traffic import Traffic
 
 _errors = logging.getLogger("busway.apps.web.errors")
-"""Once a minute: whoever has found how to make one, makes many."""
+"""Logged once a minute: a request that fails can be repeated at will."""
 _errors.addFilter(Throttle())
 
 DEFAULT_ADDRESS: Final = "127.0.0.1:8502"
 KEY: Final = "api"
 SHORTEST_TOKEN: Final = 16
-"""Characters of a token that somebody chose."""
+"""Characters of a token that is given."""
 _TOKEN_BYTES: Final = 24
 _WISH_LIMIT: Final = 256 * 1024
-"""Bytes of a message by WebSocket from a browser."""
+"""Bytes of a WebSocket message from a browser."""
 _KEEP_ALIVE: Final = 15
 _STOP_SECONDS: Final = 1
 _FILES: Final = {
@@ -92,19 +92,19 @@ class ControlPage:
             print(page.url)
 
     Args:
-        subject: the simulation, which runs.
+        subject: the running simulation.
         at: host and port; port 0 takes a free one.
-        token: what every request to the API must show. None: none on loopback, and one that is made elsewhere.
-        name: of the simulation, for the page.
+        token: token that every request to the API must carry. None: none on loopback, a new one elsewhere.
+        name: name of the simulation, for the page.
 
     Attributes:
-        url: where the page is, without the token; empty while stopped.
-        token: what must be shown; empty where none is needed.
+        url: URL of the page, without the token; empty while stopped.
+        token: required token; empty if none is needed.
         api: the resources.
         streams: the WebSockets.
 
     Raises:
-        ConfigError: the address cannot be, or the token is too short.
+        ConfigError: the address is invalid, or the token is too short.
     """
 
     def __init__(
@@ -131,17 +131,16 @@ class ControlPage:
 
     @property
     def page_url(self) -> str:
-        """Where the page is, with the token if there is one: what a person opens. Whoever sees it has the token."""
+        """URL of the page for a person, with the token if there is one: whoever sees it can use the API."""
         return f"{self.url}#token={self.token}" if self.token else self.url
 
     @property
     def announced_url(self) -> str:
-        """Where the page is, for logs and terminals: with the token only if it was made here, and so is told nowhere
-        else. One that was given stays with who gave it."""
+        """URL of the page for logs and terminals: with the token only if it was made here and stands nowhere else."""
         return self.url if self._given is not None else self.page_url
 
     async def start(self) -> None:
-        """Answer from now on. Raises `LinkDown` if the address cannot be had, `ConfigError` for a page elsewhere."""
+        """Listen. Raises `LinkDown` if the address cannot be bound, `ConfigError` if traffic is already recorded."""
         if self._task is not None:
             return
         bound = await asyncio.to_thread(bind_tcp, *self._address)
@@ -160,7 +159,7 @@ class ControlPage:
             raise
 
     async def stop(self) -> None:
-        """Answer no more; connections are closed."""
+        """Stop listening and close all connections."""
         task, self._task = self._task, None
         if task is not None and self._server is not None:
             self._server.should_exit = True
@@ -169,7 +168,7 @@ class ControlPage:
         self.url = ""
 
     def application(self, rules: PageAccessRules) -> Application:
-        """The whole as an ASGI application, with these rules of access."""
+        """The ASGI application, with these rules of access."""
         page = _page()
 
         async def show_file(request: Request) -> Response:
@@ -205,7 +204,7 @@ class ControlPage:
 
 
 class _Server(uvicorn.Server):
-    """The HTTP server, which leaves the signals to the program, and says when it answers."""
+    """The HTTP server. It leaves signals to the program, and reports when it listens."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -213,7 +212,7 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave them to the program."""
+        """Leave signals to the program."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -231,7 +230,7 @@ def _configured(application: Application) -> uvicorn.Config:
         log_level="warning",
         proxy_headers=False,
         server_header=False,
-        http=cast("Any", Doors().protocols()),  # a class is asked for, and called like any callable
+        http=cast("Any", SharedConnections().protocols()),  # a class is asked for, and called like any callable
         ws="websockets-sansio",
         ws_max_size=_WISH_LIMIT,
         timeout_keep_alive=_KEEP_ALIVE,
@@ -250,7 +249,7 @@ def _page() -> dict[str, _File]:
 
 
 def _with_headers(inner: Application) -> Application:
-    """Add what every answer carries."""
+    """Add the headers that every response carries."""
 
     async def application(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_more(message: Message) -> None:
@@ -277,6 +276,6 @@ def _is_token(text: str) -> bool:
 
 
 def _reachable_name(bound: socket.socket) -> str:
-    """Host and port under which a browser finds it: of every interface, the name of this machine."""
+    """Host and port for a browser: the name of this machine if it listens on every interface."""
     host, port = bound.getsockname()[:2]
     return f"{socket.gethostname()}:{port}" if host in ("0.0.0.0", "::") else bound_name(bound)

@@ -1,10 +1,10 @@
-"""What is asked of the API and what it answers, as JSON. Times are seconds; moments are seconds since 1970.
+"""Requests and responses of the API as JSON. Durations are seconds; times are seconds since 1970.
 
 Knows shapes; knows no simulation.
 
-1. A number that JSON has not is a text: ``"NaN"``, ``"Infinity"``, ``"-Infinity"``. So is a whole number that a browser
-   could not hold (beyond 2**53).
-2. What is asked is strict: a key that there is not is refused. What is answered may gain keys.
+1. A number that JSON does not have is a text: ``"NaN"``, ``"Infinity"``, ``"-Infinity"``. So is an integer that a
+   browser cannot hold (beyond 2**53).
+2. Requests are strict: an unknown key is refused. Responses may gain keys.
 """
 
 import math
@@ -22,23 +22,23 @@ _NOT_IN_JSON: Final = ("NaN", "Infinity", "-Infinity")
 
 
 class Asked(BaseModel):
-    """The body or the query of a request."""
+    """Body or query of a request."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
 
 class Answer(BaseModel):
-    """The body of an answer."""
+    """Body of a response."""
 
 
 class Failure(Answer):
-    """Why it could not be done."""
+    """Why a request failed."""
 
     error: str = Field(description="A sentence.")
 
 
 class Nothing(Answer):
-    """It is done."""
+    """The request was done; there is nothing to return."""
 
     done: bool = True
 
@@ -47,9 +47,9 @@ class Nothing(Answer):
 
 
 class PointAnswer(Answer):
-    """A point: what it is, and what it holds now."""
+    """A point and its value."""
 
-    index: int = Field(description="its place among all points, by which the stream names it")
+    index: int = Field(description="its place among all points, as the stream numbers them")
     key: str = Field(description="UNIT/NAME")
     unit: int
     name: str
@@ -80,7 +80,7 @@ class PointsMessage(Answer):
 
 
 class PointsQuery(Asked):
-    """Which points."""
+    """Filters of points."""
 
     unit: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="only this unit")
     search: str | None = Field(None, description="only where key, description or unit of measure has this")
@@ -89,7 +89,7 @@ class PointsQuery(Asked):
 
 
 class NewValue(Asked):
-    """A value in the unit of measure, or the name of one."""
+    """A value in the unit of measure, or its name."""
 
     value: Plain
 
@@ -107,7 +107,7 @@ class NewValues(Asked):
 
 
 class Written(Answer):
-    """What was set of many values, and what was not."""
+    """Result of setting many values."""
 
     written: int
     refused: dict[str, str] = Field(default_factory=dict, description="sentences by key")
@@ -141,7 +141,7 @@ class ParameterAnswer(Answer):
 
 
 class FaultyAnswer(Answer):
-    """A way to misbehave."""
+    """A fault profile."""
 
     name: str
     happens: str
@@ -151,7 +151,7 @@ class FaultyAnswer(Answer):
 
 
 class FaultAnswer(Answer):
-    """A fault that was put on."""
+    """A fault that was added."""
 
     name: str
     fault_profile: str
@@ -163,14 +163,14 @@ class FaultAnswer(Answer):
 
 
 class FaultsMessage(Answer):
-    """Faults that were put on, and those that can be."""
+    """Faults that were added, and fault profiles that can be."""
 
     faults: list[FaultAnswer]
     fault_profiles: list[FaultyAnswer]
 
 
 class NewSchedule(Asked):
-    """When a fault is on, counted from its being switched on."""
+    """When a fault is on, in seconds since it was switched on."""
 
     after: Annotated[float, Field(ge=0)] = 0.0
     lasts: Annotated[float, Field(ge=0)] | None = None
@@ -180,7 +180,7 @@ class NewSchedule(Asked):
 
 
 class NewFault(Asked):
-    """A fault to put on; what is left out chooses everything."""
+    """A fault to add; a filter that is left out selects everything."""
 
     fault_profile: str
     name: str = Field("", max_length=100, description="what to call it; by default as its fault profile")
@@ -216,7 +216,7 @@ class LinesMessage(Answer):
 
 
 class CountersMessage(Answer):
-    """What has happened since the start or the last reset."""
+    """Counters since the start or the last reset."""
 
     counters: dict[str, Any]
 
@@ -234,7 +234,7 @@ class FieldAnswer(Answer):
 
 
 class FrameAnswer(Answer):
-    """A frame that passed."""
+    """A frame on the wire."""
 
     number: int = Field(description="counts up by one")
     at: float
@@ -261,7 +261,7 @@ class TrafficMessage(Answer):
 
 
 class TrafficQuery(Asked):
-    """Which frames."""
+    """Filters of frames."""
 
     limit: Annotated[int, Field(ge=1, le=2000)] = 100
     after: Annotated[int, Field(ge=0)] | None = Field(None, description="only those with a higher number")
@@ -271,7 +271,7 @@ class TrafficQuery(Asked):
 
 
 class SimulationAnswer(Answer):
-    """The simulation."""
+    """State of the simulation."""
 
     name: str
     version: str
@@ -286,7 +286,7 @@ class SimulationAnswer(Answer):
 
 
 class SimulationChange(Asked):
-    """What is to change; the rest stays."""
+    """New settings of the simulation; those left out stay."""
 
     speed: Annotated[float, Field(gt=0, le=100_000)] | None = None
     paused: bool | None = None
@@ -315,5 +315,5 @@ def plain_values(values: Mapping[str, Any]) -> dict[str, Plain]:
 
 
 def given_value(value: Plain) -> Plain:
-    """A value as it was given: the texts for numbers that JSON has not become those numbers."""
+    """A value of a request; texts for numbers that JSON does not have become those numbers."""
     return float(value) if isinstance(value, str) and value in _NOT_IN_JSON else value

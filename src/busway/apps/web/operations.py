@@ -1,4 +1,4 @@
-"""How the API answers what goes wrong, and what of that stands in its OpenAPI document.
+"""The FastAPI application of the API: how errors are answered, and its OpenAPI document.
 
 Knows FastAPI, JSON and HTTP; knows no simulation. FastAPI makes routes, checks and document from functions of `api`.
 
@@ -32,7 +32,7 @@ ErrorHandler = Callable[[Request, Any], Coroutine[Any, Any, Response]]  # Any: t
 
 
 def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHandler]) -> FastAPI:
-    """An application without routes. ``handlers`` answer exceptions that are not of this file, by class."""
+    """An application without routes. ``handlers`` answer further exceptions, by class."""
     return FastAPI(
         title=title,
         version=__version__,
@@ -51,7 +51,7 @@ def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHa
 
 
 def secure_document(application: FastAPI) -> None:
-    """Say in the OpenAPI document how a request is authorised: before it gets here, so FastAPI does not know."""
+    """State in the OpenAPI document how requests are authorised; FastAPI does not know, as `access` does it."""
     document = application.openapi()
     document["components"]["securitySchemes"] = {"token": _TOKEN}
     document["security"] = [{"token": []}, {}]

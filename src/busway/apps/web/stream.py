@@ -1,15 +1,13 @@
-"""``/stream``: what happens, as it happens, to whoever looks. One WebSocket of JSON texts.
+"""``/stream``: one WebSocket of JSON texts that reports changes to clients as they happen.
 
-Knows clients and what each wants; knows no page.
+Knows clients and their wishes; knows no page.
 
-1. A client says what it wants (`Wish`), as often as it likes; what it then gets first is how that stands. So coming
-   back after a lost connection is asking again.
-2. It gets at most ten messages a second. A point that changed more often comes once, as it is now: nothing is kept of
-   it but that it changed.
-3. Frames come from the tail of the traffic: what a client was too slow for, or what is too much for anybody to read,
-   is skipped and counted. So nothing grows, however slowly a client takes what it gets; one that takes nothing at all
-   is closed.
-4. The simulation is watched only while somebody looks.
+1. A client sends what it wants (`Wish`) as often as it likes, and first gets the present state of that. So it
+   reconnects by asking again.
+2. It gets at most ten messages a second. A point that changed several times is sent once, with its present value.
+3. Frames come from the tail of the traffic. Those that a client is too slow for are skipped and counted, so no
+   queue grows. A client that takes nothing at all is closed.
+4. The simulation is watched only while there are clients.
 """
 
 import asyncio
@@ -28,18 +26,17 @@ from .api import Api
 from .messages import Asked, plain_value
 
 PROTOCOL: Final = "busway"
-"""The subprotocol that is chosen; beside it a browser may show its token."""
+"""The subprotocol that is chosen; a browser may offer its token beside it."""
 INTERVAL: Final = 0.1
-"""Seconds between two messages to one client, at least."""
+"""Least seconds between two messages to one client."""
 STATUS_INTERVAL: Final = 1.0
 SEND_SECONDS: Final = 20.0
-"""For one message to be taken."""
+"""Seconds that a client has to take one message."""
 CLIENTS: Final = 16
 POINTS_AT_ONCE: Final = 4000
-"""In one message; the rest comes with the next."""
+"""Points of one message; the rest comes with the next."""
 MOST_POINTS: Final = 5000
-"""That one client may follow: more than that nobody looks at, and following all points of a large simulation would
-take its time away."""
+"""Points that one client may follow: a page shows fewer, and following a whole large simulation would slow it down."""
 FRAMES_AT_ONCE: Final = 50
 _TRY_AGAIN_LATER: Final = 1013
 _UNSUPPORTED: Final = 1003
@@ -48,12 +45,12 @@ Index = Annotated[int, Field(ge=0)]
 
 
 class Wish(Asked):
-    """What a client wants to get from now on; what is left out stays as it was.
+    """What a client wants from now on; a key that is left out stays as it was.
 
     Attributes:
         points: their numbers, as ``/api/points`` gives them, or ``all``.
         traffic: whether frames are wanted.
-        after: the number of the last frame that it has.
+        after: number of the last frame that the client has.
     """
 
     points: Literal["all"] | Annotated[list[Index], Field(max_length=MOST_POINTS)] | None = None
@@ -62,7 +59,7 @@ class Wish(Asked):
 
 
 class Client:
-    """One WebSocket: what it wants, and what of that it does not have yet."""
+    """One WebSocket: what it wants, and what of that has not been sent yet."""
 
     def __init__(self, api: Api) -> None:
         self._api = api
@@ -77,7 +74,7 @@ class Client:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Take a wish; what cannot be is said."""
+        """Take a wish. The reason if it is impossible, else an empty text."""
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:
@@ -105,7 +102,7 @@ class Client:
     # What happens, told by the hub.
 
     def changed(self, indices: Sequence[int]) -> None:
-        """Points have changed."""
+        """Note points that have changed."""
         if self._wants_all:
             self._changed.update(dict.fromkeys(indices))
         else:
@@ -115,19 +112,19 @@ class Client:
             self._wake.set()
 
     def passed(self) -> None:
-        """A frame has passed."""
+        """Note that a frame was recorded."""
         if self._wants_traffic:
             self._wake.set()
 
     def switched(self) -> None:
-        """A fault was switched, put on or taken off."""
+        """Note that a fault was added, removed or switched."""
         self._has_switched = True
         self._wake.set()
 
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """The next message, as soon as there is something to say."""
+        """The next message; waits until there is one."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
@@ -182,7 +179,7 @@ class Streams:
     """All clients of the stream.
 
     Args:
-        api: what they look at.
+        api: the resources that they watch.
     """
 
     def __init__(self, api: Api) -> None:
@@ -277,7 +274,7 @@ class Streams:
         self._tell(Client.switched)
 
     def _tell(self, say: Callable[[Client], None]) -> None:
-        """Say it to all clients, in the thread of the event loop."""
+        """Call a function with each client, in the thread of the event loop."""
         if threading.get_ident() == self._thread:
             self._say(say)
         elif self._loop is not None and not self._loop.is_closed():

@@ -1,4 +1,4 @@
-"""What is controlled, as far as the API needs to know it: a simulation.
+"""The interface of a simulation that the API needs.
 
 Knows the shape of a simulation; knows no implementation. `busway.apps.simulator.simulation` has it.
 """
@@ -84,7 +84,7 @@ class ServedUnits(Protocol):
         """URLs as they are bound."""
 
     def status(self) -> ServerStatus:
-        """How it stands."""
+        """Present state: listeners, connections, counters."""
 
     def reset_counters(self) -> None:
         """Set the counters to zero."""
@@ -137,20 +137,20 @@ class PageSubject(Protocol):
 
     @property
     def server(self) -> ServedUnits:
-        """What answers by Modbus."""
+        """The Modbus server."""
 
     @property
     def board(self) -> Board:
-        """What goes wrong on purpose."""
+        """The switchboard of faults."""
 
     def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says
-        """Give a point a value, which holds against its behaviour until `release`. Raises `InvalidRequest`."""
+        """Set a point; the value holds against its behaviour until `release`. Raises `InvalidRequest`."""
 
     def release(self, key: str) -> Any:
-        """Let its behaviour go on."""
+        """Let the behaviour of a point continue."""
 
     def watch(self, callback: Watcher) -> Any:
-        """Call ``callback`` with each group of changes; what is given back ends that when it is called."""
+        """Call ``callback`` with each group of changes. Returns a function that ends it."""
 
     # Time.
 
@@ -160,13 +160,13 @@ class PageSubject(Protocol):
 
     @property
     def time(self) -> float:
-        """Seconds since its beginning."""
+        """Seconds since the simulation began."""
 
     def change_speed(self, speed: float) -> None:
-        """Seconds of the simulation in a second, from now on."""
+        """Set the seconds of the simulation per second."""
 
     def pause(self) -> None:
-        """Stand still."""
+        """Stop the time of the simulation."""
 
     def resume(self) -> None:
-        """Go on."""
+        """Let the time of the simulation continue."""

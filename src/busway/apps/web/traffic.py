@@ -1,13 +1,12 @@
-"""The frames that pass, kept for whoever looks at them: a bounded tail, taken apart only when it is asked for.
+"""The last frames on the wire: a bounded tail, dissected only when it is shown.
 
-Knows frames and times; knows no page. It stands where a capture file would (`busway.observe.trace`), and passes
+Knows frames and times; knows no page. It takes the place of a capture file (`busway.observe.trace`), and passes
 everything on to the file if there is one.
 
-1. Keeping a frame costs 8 µs and holds its bytes; describing it costs ten times as much, and is done only for
-   those that somebody gets to see, once.
-2. Each frame has a number that counts up, so that whoever comes back asks for what came after, and learns how many are
-   not kept any more.
-3. Frames of connections that this program made itself, as a client, are left out.
+1. Keeping a frame costs 8 µs and holds its bytes; dissecting it costs ten times as much, and is done once, for frames
+   that are shown.
+2. Frames are numbered, so a client asks for those after a number, and learns how many are no longer kept.
+3. Frames of client connections of this program are left out.
 """
 
 import time
@@ -36,15 +35,15 @@ _ASKED: Final = 16
 
 
 class Passed:
-    """A frame that passed, or damaged bytes.
+    """A frame, or damaged bytes.
 
     Attributes:
         number: counts up by one.
         at: seconds since 1970.
-        is_reply: whether it left; None where a line does not tell.
-        pdu: the PDU; of damaged bytes those.
-        asked: of a reply, the PDU of its request, if that is known.
-        seconds: of a reply, since its request.
+        is_reply: whether it is a reply; None where a line does not tell.
+        pdu: the PDU, or the damaged bytes.
+        asked: of a reply, the PDU of its request if that is known.
+        seconds: of a reply, seconds since its request.
         reason: why the bytes are damaged; empty if they are not.
     """
 
@@ -88,13 +87,13 @@ class Passed:
 
 
 class Traffic:
-    """The tail of what passes, from `start` to `stop`.
+    """The tail of the traffic, from `start` to `stop`.
 
     Args:
-        ports: the ports that the server listens on, asked again for each new connection.
-        kept: frames that are kept.
+        ports: returns the ports that the server listens on; called for each new connection.
+        kept: number of frames kept.
         functions: the table of functions.
-        clock: seconds since 1970.
+        clock: returns seconds since 1970.
 
     Attributes:
         last: number of the last frame; 0 before the first.
@@ -118,7 +117,7 @@ class Traffic:
         self._is_on = False
 
     def start(self) -> None:
-        """See what passes on connections made from now on. Raises `ConfigError` if it does so already."""
+        """Record connections made from now on. Raises `ConfigError` if it already does."""
         if self._is_on:
             raise ConfigError("the traffic is recorded already", key="traffic")
         self._is_on = True
@@ -126,7 +125,7 @@ class Traffic:
         TRACE.capture_into(self)
 
     def stop(self) -> None:
-        """See nothing more; what is kept stays."""
+        """Record nothing more; the frames kept stay."""
         self._is_on = False
         if TRACE.capture is self:
             below = self._before
@@ -135,7 +134,7 @@ class Traffic:
             TRACE.capture_into(below)
 
     def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
-        """Have ``passed`` called after each frame; calling what is given back ends that."""
+        """Call ``passed`` after each frame. Returns a function that ends it."""
         self._watchers = (*self._watchers, passed)
 
         def unwatch() -> None:
@@ -156,16 +155,16 @@ class Traffic:
 
     @property
     def first(self) -> int:
-        """Number of the oldest frame that is kept; one more than the last if none is."""
+        """Number of the oldest frame kept; one more than the last if there is none."""
         return self._tail[0].number if self._tail else self.last + 1
 
     def shown(self, passed: Passed) -> FrameAnswer:
-        """A frame taken apart."""
+        """A frame, dissected."""
         if passed.shown is None:
             passed.shown = self._described(passed)
         return passed.shown
 
-    # What the trace asks of whatever records.
+    # The interface of a recorder of the trace.
 
     def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
         """A connection between these ends."""
@@ -252,7 +251,7 @@ class Traffic:
 
 
 class _Requests:
-    """The requests of one connection that were not answered yet."""
+    """Requests of one connection that were not answered yet."""
 
     __slots__ = ("_asked",)
 
@@ -330,7 +329,7 @@ class _Line:
         if isinstance(found, Damaged):
             self._traffic.add(self._peer, found.raw, is_reply=is_outgoing, reason=found.reason.value, at=at)
             return
-        # What leaves is a reply, whatever it looks like: requests and replies of 05 and 06 are alike.
+        # Direction decides: requests and replies of 05 and 06 look alike.
         is_reply = is_outgoing or found.direction is Direction.REPLY
         passed = self._traffic.add(self._peer, found.pdu, is_reply=is_reply, unit=found.unit, at=at)
         if is_reply:
@@ -340,7 +339,7 @@ class _Line:
 
 
 class _Nothing:
-    """Where nothing is recorded."""
+    """Recorder that records nothing."""
 
     __slots__ = ()
 
