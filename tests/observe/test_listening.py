@@ -77,7 +77,7 @@ def test_a_line_that_vanishes_ends_the_listening(line: PacedLine) -> None:
 @pytest.mark.real_time
 def test_a_port_that_this_process_uses_is_refused(line: PacedLine) -> None:
     heard_line = line_to_hear(f"rtu://{line.paths[1]}")
-    with Listening(heard_line), pytest.raises(ConfigError, match="somebody who listens"):
+    with Listening(heard_line), pytest.raises(ConfigError, match="a listener to the line"):
         Listening(heard_line)
     Listening(heard_line).close()
 

@@ -224,7 +224,7 @@ def test_a_write_can_be_waited_for() -> None:
         assert device.wait_for_write("4x2") == 2
         waiting.join()
         writer.join()
-        with pytest.raises(TimeoutError, match="nobody wrote 4x1 within"):
+        with pytest.raises(TimeoutError, match="no client wrote 4x1 within"):
             device.wait_for_write("4x1", timeout=0.01)
 
 

@@ -1,1 +1,1 @@
-"""What happens on links and listeners, made visible: log lines, and later metrics and captures."""
+"""Observation of links and listeners: log lines, capture files, the dissector, metrics."""

@@ -1,19 +1,19 @@
 """Capture files for Wireshark: writes the bytes of connections and the frames of serial lines as packets.
 
-Knows what Wireshark makes of each kind of packet; knows no driver. A driver hands in what it received and sent.
+Knows how Wireshark dissects each kind of packet; knows no driver. Drivers pass in what they received and sent.
 
-1. TCP: each receive and send is one TCP segment with the true addresses and ports. Port 502 is decoded as it is;
-   another one where Wireshark's preference says so (``tshark -o mbtcp.tcp.port:502,5020``).
-2. Serial lines: each frame is a packet that Wireshark decodes as Modbus RTU. The master stands at address 0.0.0.0,
-   unit 7 at 0.0.0.7, so that replies are matched with their requests. Requests and replies that are alike (05, 06, 08,
-   22) and some rare functions are told apart where ``mbrtu.tcp.port:1`` is set: port 1 stands for the units.
-3. Wireshark takes no RTU frame of four bytes (07, 11, 12, 17) and no broadcast: those are written as data, with our
-   words for them as comment (and in the list of packets, from Wireshark 4.2 on). An ASCII frame is written in its RTU
+1. TCP: each receive and send is one TCP segment with the true addresses and ports. Wireshark decodes port 502 by
+   default, and others by its preference (``tshark -o mbtcp.tcp.port:502,5020``).
+2. Serial lines: each frame is a packet that Wireshark decodes as Modbus RTU. The master has the address 0.0.0.0,
+   unit 7 has 0.0.0.7, so that replies are matched with their requests. Where requests and replies look alike (05, 06,
+   08, 22), Wireshark tells them apart with ``mbrtu.tcp.port:1``: port 1 stands for the units.
+3. Wireshark dissects no RTU frame of four bytes (07, 11, 12, 17) and no broadcast: those are written as data, with our
+   description as comment (and in the list of packets, from Wireshark 4.2 on). An ASCII frame is written in its RTU
    form, with its characters in the comment: there is no dissector for ASCII.
 4. Damaged bytes are packets too; their comment says what is wrong with them.
-5. Capturing never disturbs the conversation: where the file cannot be written any more, it ends there, is said once
-   in the log, and everything else goes on.
-6. A packet is in the file as soon as it is known: of a line, as soon as silence ends it. At `close` all are there.
+5. Capturing never disturbs the conversation: if the file cannot be written, the capture ends, one log line says so,
+   and everything else goes on.
+6. A packet is written as soon as it is decided: on a line, as soon as silence ends it. `close` decides the rest.
 """
 
 import logging
@@ -38,7 +38,7 @@ LARGEST_SEGMENT: Final = 32_768
 """Bytes of one packet; a larger receive becomes several."""
 _MASTER_PORT: Final = 50_000
 _UNIT_PORT: Final = 1
-"""No Modbus server is there in earnest, so that the preference for lines takes nothing away from TCP."""
+"""No Modbus server uses it, so the preference for lines does not affect TCP."""
 _SHORTEST_DISSECTED: Final = 5
 """Bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
 _MARK: Final = "Made by busway"
@@ -50,7 +50,7 @@ _HINT: Final = (
 
 
 def is_capture(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of a capture file that was made here."""
+    """Whether the first bytes of a file are those of a capture file that busway wrote."""
     return head.startswith(SECTION_HEADER) and _MARK.encode("ascii") in head
 
 
@@ -58,7 +58,7 @@ class Capture:
     """One capture file; a context manager. May be fed from several threads.
 
     Attributes:
-        failure: why nothing is written any more; empty while all is well.
+        failure: why writing ended; empty while it works.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
@@ -115,7 +115,7 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """End the file, with what lines have not decided yet. May be called twice; what comes afterwards is lost."""
+        """End the file, with what is undecided on lines. May be called twice; later packets are dropped."""
         TRACE.settle()
         with self._lock:
             self.failure = self.failure or "closed"
@@ -228,7 +228,7 @@ class LineCapture:
         Args:
             found: what it found.
             at: seconds since 1970 at which it began; None for now.
-            direction: whether it is a request or a reply, where somebody knows better than the receiver.
+            direction: request or reply, if the caller knows better than the receiver.
             is_outgoing: whether it was sent from here.
         """
         flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING

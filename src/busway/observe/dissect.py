@@ -1,11 +1,11 @@
-"""A frame that somebody found → what it is: framing, direction and every field, also of a frame that is broken.
+"""Dissects a frame from an unknown source: framing, direction and every field, also of broken frames.
 
-Knows the shapes of the framings and the describer of PDUs; knows no connection. Nothing raises, whatever the bytes are.
+Knows the shapes of the framings and the describer of PDUs; knows no connection. It raises nothing, for any bytes.
 
-1. Framing: what proves itself goes first (MBAP by its protocol and length, RTU by its CRC, ASCII by its colon), then a
-   PDU that is right by itself, then the likeliest broken frame.
-2. Direction: a frame is a reply if it answers the request before it; else what its length and limits allow. Some
-   requests and replies are alike (05, 06, 08, 22); that is said.
+1. Framing: a frame that proves itself is first (MBAP by its protocol and length, RTU by its CRC, ASCII by its colon),
+   then a PDU that is valid by itself, then the likeliest broken frame.
+2. Direction: a frame is a reply if it answers the request before it; else its length and limits decide. Some
+   requests and replies are alike (05, 06, 08, 22); the dissection says so.
 3. The parts of a dissection hold all bytes, in their order.
 4. The time is linear in the bytes: a stream of MBAP frames is cut by its headers, each frame looked at once.
 """
@@ -26,7 +26,7 @@ from ..pdu.message import Request
 
 
 class Framing(Enum):
-    """What surrounds a PDU."""
+    """Framing around a PDU."""
 
     MBAP = "mbap"
     RTU = "rtu"
@@ -35,7 +35,7 @@ class Framing(Enum):
 
 
 class MessageDirection(Enum):
-    """Who sent it."""
+    """Direction of a message."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -44,14 +44,14 @@ class MessageDirection(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Dissection:
-    """One frame.
+    """A dissected frame.
 
     Attributes:
-        framing: what surrounds the PDU.
-        direction: who sent it.
+        framing: framing around the PDU.
+        direction: request or reply.
         title: framing, addressing, function and direction in words.
         parts: all fields; offsets count from the first byte (of ASCII: character) of the frame.
-        problems: what is wrong, one sentence each; empty if nothing is.
+        problems: what is wrong, one sentence each; empty for a valid frame.
         answers: whether it answers the request that was dissected before it.
     """
 
@@ -65,7 +65,7 @@ class Dissection:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """A frame cut into what surrounds the PDU, and the PDU."""
+    """A frame cut into framing and PDU."""
 
     framing: Framing
     pdu: bytes
@@ -101,12 +101,12 @@ _HEX: Final = frozenset(b"0123456789ABCDEFabcdef")
 
 
 class Dissector:
-    """Takes frames apart, one after the other, and remembers the last request.
+    """Dissects frames one after the other, and remembers the last request.
 
     Args:
         functions: the table of functions.
-        framing: the framing of all frames; None to find it out for each.
-        direction: the direction of all frames; None to find it out.
+        framing: the framing of all frames; None to detect it for each.
+        direction: the direction of all frames; None to detect it.
     """
 
     def __init__(

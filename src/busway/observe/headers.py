@@ -1,9 +1,9 @@
-"""The headers that a capture file needs around Modbus bytes: IP, TCP and UDP, and what names a line's dissector.
+"""Headers for a capture file around Modbus bytes: IP, TCP and UDP, and the tag that names a line's dissector.
 
-Knows the layouts; knows no file and no Modbus. A program sees payloads, not packets: the headers are made from what it
-knows of the connection.
+Knows the layouts; knows no file and no Modbus. A program sees payloads, not packets, so the headers are made from
+the addresses of the connection.
 
-1. Ports and addresses are the true ones; sequence numbers count from 1 (RFC 9293), checksums fit.
+1. Ports and addresses are the true ones; sequence numbers count from 1 (RFC 9293), checksums are valid.
 2. A frame of a serial line travels in no packet. It is written as an "upper PDU" of Wireshark: tags that name the
    dissector and stand for sender and receiver, then the frame.
 """

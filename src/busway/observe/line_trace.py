@@ -1,11 +1,12 @@
 """Traffic of RTU and ASCII lines as log lines, and into a capture file; the levels are those of `busway.observe.trace`.
 
-Knows frames and messages; knows no port: a driver hands it what it received and sent. It follows the line as an
-observer does, so frames of others are shown too.
+Knows frames and messages; knows no port: a driver passes in what it received and sent. It follows the line as an
+observer does, so frames of other masters are shown too.
 
-1. What a driver sends are whole frames: each is shown at once, and what was received before it is decided first.
-2. What was received and is undecided (a function of unknown length, the beginning of a frame) is decided when silence
-   ends it, by a timer of its own: drivers have none for what is only watched. At the end of a capture all is decided.
+1. A driver sends whole frames: each is shown at once, after what was received before it has been decided.
+2. Received bytes that are undecided (a function of unknown length, the beginning of a frame) are decided when silence
+   ends them, by a timer of their own: drivers have none for traffic that is only watched. The end of a capture decides
+   everything.
 """
 
 import logging
@@ -26,30 +27,30 @@ from .trace import TRACE, StreamTrace, TraceLevel
 _log = logging.getLogger("busway.trace")
 
 _SOONEST: Final = 0.001
-"""Seconds that a timer takes at least, so that one that comes a little early does not turn in circles."""
+"""Least seconds of a timer, so that one that fires a little early is not restarted at once again and again."""
 
 
 class ConnectionTrace(Protocol):
-    """Shows one connection."""
+    """Trace of one connection."""
 
     def received(self, data: bytes) -> None:
-        """Show what came in."""
+        """Show received bytes."""
 
     def sent(self, data: bytes) -> None:
-        """Show what went out."""
+        """Show sent bytes."""
 
     def note(self, text: str) -> None:
-        """Show what the frames do not tell."""
+        """Show an event that the frames do not contain."""
 
 
 class SilenceTimer(Protocol):
     """A timer that was set: `threading.Timer`."""
 
     def start(self) -> None:
-        """Let it run."""
+        """Start it."""
 
     def cancel(self) -> None:
-        """Let it not call any more."""
+        """Stop it before it calls."""
 
 
 def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> ConnectionTrace:
@@ -69,7 +70,7 @@ def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
 
 
 class LineTrace:
-    """Shows one line. Its methods may be called from several threads."""
+    """Trace of one line. Its methods may be called from several threads."""
 
     __slots__ = (
         "__weakref__",
@@ -115,14 +116,14 @@ class LineTrace:
         self._timer: SilenceTimer | None = None
 
     def received(self, data: bytes) -> None:
-        """Show what came in, as far as it is decided."""
+        """Show received bytes, as far as they are decided."""
         with self._lock:
             now = self._heard("<", data)
             self._take("<", self._receiver.receive(data, now), now)
             self._wait(now)
 
     def sent(self, data: bytes) -> None:
-        """Show what went out: one frame or several, all of them whole."""
+        """Show sent bytes: one or several whole frames."""
         with self._lock:
             self.settle()
             now = self._heard(">", data)
@@ -130,12 +131,12 @@ class LineTrace:
             self._take(">", found, now)
 
     def note(self, text: str) -> None:
-        """Show what the frames do not tell."""
+        """Show an event that the frames do not contain."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 
     def tick(self) -> None:
-        """Show what the silence until now has ended."""
+        """Show what silence has ended by now."""
         with self._lock:
             self._timer = None
             now = self._clock()
@@ -143,7 +144,7 @@ class LineTrace:
             self._wait(now)
 
     def settle(self) -> None:
-        """Decide about all that was received, as a long silence would."""
+        """Decide all received bytes, as a long silence would."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()

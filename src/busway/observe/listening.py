@@ -1,13 +1,12 @@
-"""Ears on a line: opened to listen, never to send.
+"""Passive listening to a line: opened to receive, never to send.
 
-Knows ports, and sockets to device servers that mirror a line; knows no Modbus beyond what its receiver and `Pairing`
-tell.
+Knows ports, and sockets to device servers that mirror a line; knows no Modbus beyond its receiver and `Pairing`.
 
-1. There is no way to send: nothing here writes. So a device server is dialled over TCP, but over UDP it has to send its
-   datagrams here by itself, and the URL names where they arrive.
-2. A frame that is marked by the port as damaged is none, as for everybody else on the line (Serial Line V1.02 §2.5.1).
-3. A port that vanishes is waited for where somebody wants to know (``vanished``); otherwise it ends the listening.
-   A connection that ends does so always: its device server has decided it.
+1. It cannot send: nothing here writes. A device server is dialled over TCP; over UDP it must send its
+   datagrams here by itself, and the URL names the local address.
+2. A frame that the port marks as damaged is dropped, as by every unit on the line (Serial Line V1.02 §2.5.1).
+3. A port that vanishes is waited for if there is a ``vanished`` callback; otherwise listening ends.
+   A TCP connection that ends always ends it: the device server has decided so.
 """
 
 import socket
@@ -82,7 +81,7 @@ class SocketEar:
 
 
 class DatagramEar:
-    """A port of this machine at which the datagrams of a device server arrive, from whatever address."""
+    """A local UDP port that receives the datagrams of a device server, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
         """Bind. Raises `LinkDown`."""
@@ -162,7 +161,7 @@ class _ClaimedPort:
     """Open a serial port that no other user in this process can open meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
-        self._claim = Claim(path, "somebody who listens")
+        self._claim = Claim(path, "a listener to the line")
         try:
             self._port = BlockingSerialPort(path, settings)
         except BaseException:

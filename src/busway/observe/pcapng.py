@@ -1,10 +1,10 @@
 """Capture files in the pcapng format (draft-ietf-opsawg-pcapng), which Wireshark and tshark read.
 
-Knows blocks and options; knows no packet's inside. `busway.observe.capture` decides what is written.
+Knows blocks and options; knows nothing of what packets contain. `busway.observe.capture` decides what is written.
 
 1. Little-endian; times in microseconds. One section.
-2. Nothing is kept: each block is written and flushed at once, so that a file is whole whenever the program ends, and
-   can be looked at while it grows.
+2. Each block is written and flushed at once: the file is valid whenever the program ends, and readable while it grows.
+3. Written here: three kinds of blocks are needed, less than a dependency, and rule 2 must hold.
 """
 
 import struct
@@ -15,7 +15,7 @@ from ..version import __version__
 
 _SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
 SECTION_HEADER: Final = struct.pack("<I", _SECTION)
-"""What each file begins with."""
+"""First bytes of each file."""
 _BYTE_ORDER: Final = 0x1A2B3C4D
 _UNKNOWN_LENGTH: Final = -1
 _END_OF_OPTIONS: Final = 0
@@ -25,18 +25,18 @@ _APPLICATION: Final = 4
 _FLAGS: Final = 2
 _MICROSECONDS: Final = 6
 _LONGEST_TEXT: Final = 4000
-"""Bytes of a comment; the format has room for 65 535, and nobody reads more than this."""
+"""Bytes of a comment; the format has room for 65 535, more than is readable."""
 
 
 class LinkType(IntEnum):
-    """What the packets of an interface begin with."""
+    """Link layer of the packets of an interface."""
 
     RAW_IP = 101
     UPPER_PDU = 252
 
 
 class Flow(IntEnum):
-    """Which way a packet went, as seen from here."""
+    """Direction of a packet, as seen from this program."""
 
     UNKNOWN = 0
     INCOMING = 1

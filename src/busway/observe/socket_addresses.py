@@ -1,6 +1,6 @@
-"""Which two addresses a connection runs between, for packets of a capture file.
+"""Local and remote address of a connection, for packets of a capture file.
 
-Knows sockets, and what stands for them; knows no Modbus.
+Knows sockets and transports; knows no Modbus.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class SocketAddresses:
-    """Both ends of a connection, as ``getsockname`` and ``getpeername`` give them; None where there is no telling."""
+    """Both ends of a connection, as ``getsockname`` and ``getpeername`` return them; None if unknown."""
 
     local: object = None
     peer: object = None
@@ -20,7 +20,7 @@ class SocketAddresses:
 
 
 def socket_addresses_of(carrier: object) -> SocketAddresses:
-    """The ends of a socket, of a transport of asyncio, or of what has the descriptor of a socket."""
+    """The addresses of a socket, of an asyncio transport, or of an object with the descriptor of a socket."""
     if isinstance(carrier, SocketAddresses):
         return carrier
     ask = getattr(carrier, "get_extra_info", None)

@@ -1,9 +1,9 @@
 """Traffic as log lines, at three levels that can be switched while the program runs; and into a capture file.
 
-Knows frames and messages; knows no connection: a driver hands it what it received and sent.
+Knows frames and messages; knows no connection: a driver passes in what it received and sent.
 
-1. ``message``: each request and reply with its fields. ``frame``: the ADU in hexadecimal too. ``bytes``: what each
-   receive and send carried, however it was cut.
+1. ``message``: each request and reply with its fields. ``frame``: the ADU in hexadecimal too. ``bytes``: the bytes of
+   each receive and send, however they were cut.
 2. Off costs a driver one attribute test (``TRACE.level``). A capture file switches it on too, without log lines.
 3. Lines go to the logger ``busway.trace`` at level DEBUG, lazily formatted.
 """
@@ -24,7 +24,7 @@ _log = logging.getLogger("busway.trace")
 
 
 class TraceLevel(IntEnum):
-    """How much is shown."""
+    """Detail of the trace."""
 
     CAPTURE = -1
     """Nothing, but what passes goes into a capture file."""
@@ -52,7 +52,7 @@ class LineRecorder(Protocol):
 
 
 class Recorder(Protocol):
-    """What traffic goes into: a capture file (`busway.observe.capture.Capture`), or whatever keeps it."""
+    """Destination of traffic: a capture file (`busway.observe.capture.Capture`), or another object that keeps it."""
 
     def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
         """A connection between these ends."""
@@ -62,19 +62,19 @@ class Recorder(Protocol):
 
 
 class Undecided(Protocol):
-    """A line on which something was received that is not decided yet."""
+    """A line with received bytes that are not decided yet."""
 
     def settle(self) -> None:
         """Decide about it now."""
 
 
 class Trace:
-    """The switch. One for the process: `TRACE`.
+    """The switch of the trace. One for the process: `TRACE`.
 
     Attributes:
-        level: how much is shown; what drivers test.
-        capture: what traffic goes into, a file or else, or None.
-        undecided: lines on which something was received that silence has not ended yet.
+        level: detail; what drivers test.
+        capture: destination of traffic, or None.
+        undecided: lines with received bytes that silence has not ended yet.
     """
 
     __slots__ = ("capture", "level", "undecided")
@@ -93,13 +93,13 @@ class Trace:
             _log.setLevel(logging.DEBUG)
 
     def capture_into(self, capture: Recorder | None) -> None:
-        """Hand the traffic of connections that are made from now on to this file or recorder; None ends it."""
+        """Record the traffic of connections that are made from now on in this file or recorder; None ends it."""
         self.settle()
         self.capture = capture
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
 
     def settle(self) -> None:
-        """Let what was received on lines and is undecided go into captures and log now."""
+        """Decide received bytes on lines now, for captures and log."""
         for line in tuple(self.undecided):
             line.settle()
 
@@ -108,7 +108,7 @@ TRACE = Trace()
 
 
 class StreamTrace:
-    """Shows one MBAP connection; ``carrier`` is what `socket_addresses_of` can tell its addresses from."""
+    """Trace of one MBAP connection; `socket_addresses_of` finds its addresses by ``carrier``."""
 
     __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
@@ -123,7 +123,7 @@ class StreamTrace:
         self._outgoing = MbapReceiver()
 
     def received(self, data: bytes) -> None:
-        """Show what came in."""
+        """Show received bytes."""
         if self._capture is not None:
             self._capture.received(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -134,7 +134,7 @@ class StreamTrace:
             self._show("<", frame, is_request=self._is_server)
 
     def sent(self, data: bytes) -> None:
-        """Show what went out."""
+        """Show sent bytes."""
         if self._capture is not None:
             self._capture.sent(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -145,7 +145,7 @@ class StreamTrace:
             self._show(">", frame, is_request=not self._is_server)
 
     def note(self, text: str) -> None:
-        """Show what the frames do not tell."""
+        """Show an event that the frames do not contain."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 

@@ -9,6 +9,7 @@ Knows numbers, names and a few functions; knows no point: whoever binds an expre
 3. An expression is short and flat: a bounded number of characters and levels, so it costs a bounded time. Whatever
    numbers come in, those in between are bounded too: powers are computed with fractions, rounding beyond `_MOST_DIGITS`
    is none, and whole numbers that come from outside have at most `WHOLE_BITS` bits.
+4. Written here, on the standard library's ``ast``: expressions come from files of others, and rule 3 must hold.
 """
 
 import ast

@@ -1,6 +1,6 @@
-"""What tests need: a server that misbehaves, connections in memory, a clock to move by hand, known devices and frames.
+"""Test helpers: a server with faults, connections in memory, a clock moved by hand, known devices and frames.
 
-Public, for the tests of programs that use the library too. Names are imported when they are used.
+Public, also for tests of programs that use the library. Names are imported when they are used.
 """
 
 from importlib import import_module

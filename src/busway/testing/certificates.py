@@ -1,4 +1,4 @@
-"""Certificates for tests: good ones, and one of each kind that has to be refused.
+"""Certificates for tests: valid ones, and one of each kind that must be refused.
 
 Knows what can be wrong with a certificate; knows no connection. Needs the package ``cryptography``.
 """
@@ -22,7 +22,7 @@ class CertificateFiles:
     """Files of one certificate.
 
     Attributes:
-        certificate, key, authority: paths; ``authority`` is whom its holder trusts.
+        certificate, key, authority: paths; ``authority`` is the one that its holder trusts.
         issued: the certificate itself.
     """
 
@@ -41,14 +41,14 @@ class CertificateFiles:
 
 
 class CertificateStore:
-    """A directory with an authority, a foreign authority, and what they sign.
+    """A directory with a trusted authority, a foreign authority, and certificates that they sign.
 
     Args:
         directory: where the files are written.
 
     Attributes:
-        authority: whom everybody trusts.
-        foreign: whom nobody knows.
+        authority: the authority that all programs trust.
+        foreign: the authority that no program trusts.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -66,21 +66,21 @@ class CertificateStore:
         days: float = 30.5,
         authority: Authority | None = None,
     ) -> CertificateFiles:
-        """A server's; of the trusted authority unless another is named."""
+        """A server certificate, by default of the trusted authority."""
         return self.write(name, (authority or self.authority).server(hosts, name=name, days=days))
 
     def client(
         self, name: str = "client", *, role: str | None = None, days: float = 30.5, authority: Authority | None = None
     ) -> CertificateFiles:
-        """A client's; of the trusted authority unless another is named."""
+        """A client certificate, by default of the trusted authority."""
         return self.write(name, (authority or self.authority).client(name, role=role, days=days))
 
     def expired_server(self) -> CertificateFiles:
-        """A server's whose time is over since yesterday."""
+        """A server certificate that expired yesterday."""
         return self.server("expired server", days=_EXPIRED_DAYS)
 
     def expired_client(self, *, role: str | None = None) -> CertificateFiles:
-        """A client's whose time is over since yesterday."""
+        """A client certificate that expired yesterday."""
         return self.client("expired client", role=role, days=_EXPIRED_DAYS)
 
     def self_signed(self, name: str = "self-signed", *, hosts: Sequence[str] = HOSTS) -> CertificateFiles:
@@ -88,15 +88,15 @@ class CertificateStore:
         return self.write(name, Authority.self_signed(name, hosts))
 
     def client_with_role_value(self, value: bytes, *, name: str = "odd role") -> CertificateFiles:
-        """A client's whose role extension holds these bytes."""
+        """A client certificate whose role extension holds these bytes."""
         return self.write(name, self.authority.client_with(name, [value]))
 
     def client_with_two_roles(self, first: bytes, second: bytes, *, name: str = "two roles") -> CertificateFiles:
-        """A client's in which the role extension stands twice."""
+        """A client certificate with two role extensions."""
         return self.write(name, self._two_roles(name, first, second))
 
     def client_without_purpose(self, name: str = "any purpose") -> CertificateFiles:
-        """A client's that does not say what it is for: it has no extended key usage."""
+        """A client certificate without extended key usage."""
         return self.write(name, self.authority.client_with(name, [], states_purpose=False))
 
     def revocation_list(

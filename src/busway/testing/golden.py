@@ -12,7 +12,7 @@ class GoldenExchange:
     """One request PDU and the reply PDU that answers it.
 
     Attributes:
-        name: what is asked.
+        name: name of the exchange.
         section: of MODBUS Application Protocol V1.1b3.
         request, reply: PDUs, function code first.
     """

@@ -1,6 +1,6 @@
 """A serial bus in real time, over pseudo-terminals: programs open its ports as they open real ones.
 
-Knows ptys, a thread and the clock; what passes on the line, and when, is `VirtualLine`'s to say. It knows no Modbus.
+Knows ptys, a thread and the clock; `VirtualLine` decides what is on the line at which time. It knows no Modbus.
 
 ::
 
@@ -8,14 +8,14 @@ Knows ptys, a thread and the clock; what passes on the line, and when, is `Virtu
         with BlockingSerialPort(line.paths[0], settings) as port:
             port.write(request)
 
-1. One thread owns the line and the ptys. Whatever other threads ask for is done by it, in between.
+1. One thread owns the line and the ptys. It does what other threads ask for, in between.
 2. Characters are handed over at the moment their last bit has passed. Where they are shorter than `GRANULARITY`,
    several are handed over together, as a UART with a buffer does; the last one of a transmission always in its time.
-3. A pty takes its time too, some 50 µs from a write until the other end has woken up, which no wire does. It is
+3. A pty takes some 50 µs from a write until the other end has woken up, which no wire does. That is
    measured when the line is made: transmissions begin, and characters are handed over, that much earlier. The quickest
    of several samples counts, so that no character arrives before its time.
-4. A pty has no parity bit and no stop bits: the line's baud and parity say how long a character takes, whatever the
-   programs set their ends to.
+4. A pty has no parity bit and no stop bits: the line's baud and parity set the length of a character, not the settings
+   of the programs.
 """
 
 import ctypes
@@ -83,7 +83,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """Something for the line's thread to do."""
+    """A job for the line's thread."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -92,7 +92,7 @@ class _Order:
 
 @dataclass(slots=True)
 class _Listener:
-    """Somebody who waits for the line to be quiet."""
+    """A caller that waits for the line to be quiet."""
 
     silence: float
     heard: threading.Event = field(default_factory=threading.Event)

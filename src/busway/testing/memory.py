@@ -23,14 +23,14 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """What becomes of segments on their way.
+    """Treatment of segments in transit.
 
     Args:
-        drop: 0…1, the part of them that gets lost.
-        delay: seconds that they take.
+        drop: probability, 0…1, that a segment is lost.
+        delay: seconds in transit.
         split: bytes of the pieces that they arrive in; 0 for whole ones.
-        merge: whether what is on its way at the same moment arrives as one.
-        seed: what chance is made from.
+        merge: whether segments in transit at the same moment arrive as one.
+        seed: seed of random choices.
     """
 
     drop: float = 0.0
@@ -89,11 +89,11 @@ class MemoryTransport(asyncio.Transport):
         return self._closing
 
     def pause_reading(self) -> None:
-        """Nothing more is to arrive here."""
+        """Stop delivering segments to this end."""
         self._reading = False
 
     def resume_reading(self) -> None:
-        """It may again."""
+        """Deliver segments to this end again."""
         self._reading = True
         if self._pair is not None:
             self._pair.something_left()
@@ -103,18 +103,18 @@ class MemoryTransport(asyncio.Transport):
         return self._reading and not self._closing
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Taken, and without effect: what is on its way is not limited."""
+        """Accepted without effect: bytes in transit are not limited."""
 
     def get_write_buffer_size(self) -> int:
         """Bytes on their way."""
         return sum(len(data) for _, data in self.in_transit)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Whom it serves."""
+        """Set the protocol of this end."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """Whom it serves."""
+        """The protocol of this end."""
         assert self._protocol is not None
         return self._protocol
 
@@ -149,7 +149,7 @@ class MemoryTransport(asyncio.Transport):
             protocol.data_received(data)
 
     def lose(self) -> bool:
-        """End, if that is not done yet; whether it was to be done."""
+        """End this side. Whether it had not ended before."""
         if self._lost:
             return False
         self._closing = self._lost = True
@@ -168,10 +168,10 @@ class MemoryPair:
 
     Args:
         first, second: the protocols at its ends.
-        forth: what becomes of segments from the first to the second.
-        back: the other way.
-        schedule: calls a function soon (``loop.call_soon``); None: nothing moves but by `deliver`.
-        extra: what ``get_extra_info`` of both transports gives.
+        forth: treatment of segments from the first to the second.
+        back: treatment of segments the other way.
+        schedule: calls a function soon (``loop.call_soon``); None: only `deliver` moves anything.
+        extra: result of ``get_extra_info`` of both transports.
 
     Attributes:
         first, second: the transports of the ends.
@@ -203,7 +203,7 @@ class MemoryPair:
         self._protocols[0].connection_made(self.first)
 
     def something_left(self) -> None:
-        """A transport has sent or closed: deliver soon, if there is a schedule."""
+        """Schedule a delivery after a transport has sent or closed, if there is a schedule."""
         if self._schedule is not None and not self._scheduled:
             self._scheduled = True
             self._schedule(self._deliver_scheduled)

@@ -1,6 +1,6 @@
 """A Modbus TCP server with faults, for tests of clients: the real server and a real device with faults between them.
 
-Knows an event loop and a clock; the faults and how they reach connections are in `busway.faults`.
+Knows an event loop and a clock; faults, and how they reach connections, are in `busway.faults`.
 
 ::
 
@@ -43,20 +43,20 @@ class FaultyServer:
     """A server with faults; an asynchronous context manager. Faults can be added and switched from any thread.
 
     Args:
-        device: answers whatever unit is asked; or devices by unit identifier, 0…255.
-        fault_profiles: names of fault profiles, or faults that were made from them.
-        seed: what chance is made from.
-        clock: what delays are measured by; the event loop's clock by default.
+        device: the device of every unit; or devices by unit identifier, 0…255.
+        fault_profiles: names of fault profiles, or faults.
+        seed: seed of random choices.
+        clock: clock of delays; the event loop's by default.
         host: address to listen on; the port is a free one.
         functions: the table of functions.
-        options: of the named fault profiles, each to those that have it.
+        options: of the named fault profiles, each for those that have it.
 
     Raises:
-        ConfigError: a name or an option that there is not.
+        ConfigError: an unknown name or option.
 
     Attributes:
-        faults: what goes wrong.
-        requests: the requests that came, the latest `REMEMBERED_REQUESTS`, in order.
+        faults: the faults.
+        requests: the requests received, the latest `REMEMBERED_REQUESTS`, in order.
     """
 
     def __init__(
@@ -108,14 +108,14 @@ class FaultyServer:
             functions: function codes, 1…127.
             addresses: items, 0-based; requests that touch one of them.
             probability: 0…1, the part of those requests that it strikes.
-            schedule: when.
+            schedule: when it is on.
             options: of the fault profile.
 
         Returns:
             The fault with its switch: ``on()``, ``off()``, ``struck``.
 
         Raises:
-            ConfigError: a name, an option or a choice that cannot be.
+            ConfigError: an unknown name or option, or an impossible selection.
         """
         (fault,) = _faults_of((fault_profile,), options)
         selection = Selection(units, functions, addresses, probability, schedule or Schedule())
@@ -251,7 +251,7 @@ class _ServerThread:
 
 
 def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """The faults of names; each option goes to the fault profiles that have it."""
+    """The named faults; each option goes to the fault profiles that have it."""
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:

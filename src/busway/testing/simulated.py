@@ -59,7 +59,7 @@ def simulated_device(
             type, order)`` say another type; a list goes on from its address. Exactly these items exist. Or the path of
             a simulation file (``.toml``), the path of a register map (``.csv``), or ``"device:meter"``. Values that a
             file keeps over restarts are neither taken up nor kept.
-        unit: the unit of values and of a map, 0…255; None for unit 1 that answers whatever unit is asked.
+        unit: the unit of values and of a map, 0…255; None for unit 1, which then answers for all units.
         url: where to listen; a free port of 127.0.0.1 by default. Files with listeners of their own listen here too.
         seed: of noise and chance; None for that of the file, or 0.
         speed: seconds of the device in one second.
@@ -213,7 +213,7 @@ class SimulatedDevice:
 
         with self._changed:
             if not self._changed.wait_for(is_written, timeout):
-                raise TimeoutError(f"nobody wrote {address} within {timeout:g} s")
+                raise TimeoutError(f"no client wrote {address} within {timeout:g} s")
         return self[address]
 
     def _was_read(self, access: "Access") -> None:
@@ -311,7 +311,7 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
 
 
 def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
-    """A device file with one unit. Without a number, the unit answers whatever it is asked."""
+    """A device file with one unit. Without a number, the unit answers for all units."""
     from ..apps.simulator.device_text import device_text
     from ..config.files.simulation import SimulatedUnitSection
 

@@ -1,12 +1,12 @@
-"""A serial bus as pure simulation: ports that talk, characters that take their time, and what goes wrong on wires.
+"""A simulated serial bus: ports that send, characters that take their time, and faults of wires.
 
-Knows character times and who hears whom; knows no clock, no thread and no device: every call is handed the time, so
-that hours on a line pass in seconds and every run is the same. `PacedLine` puts real ports around it.
+Knows character times and which port hears which; knows no clock, no thread and no device: every call is given the
+time, so that hours on a line pass in seconds and every run is the same. `PacedLine` puts real ports around it.
 
 1. A character is heard when its last bit has passed, by every other port; by its sender too where that has an echo.
-2. Two ports that talk at once spoil each other's characters, and neither hears while it talks (a driver that sends
+2. Two ports that send at once spoil each other's characters, and neither hears while it sends (a driver that sends
    has its receiver off), unless it has an echo.
-3. Times never run backwards. What is written at a time must be written before the line is advanced beyond it.
+3. Times never run backwards. A write must come before the line is advanced beyond its time.
 """
 
 import random
@@ -30,7 +30,7 @@ class LineByte:
 
     Attributes:
         time: when its last bit passed, in seconds.
-        port: who sent it, or `NOISE`.
+        port: its sender, or `NOISE`.
         value: as it was heard, 0…255.
         damaged: whether that differs from what was sent.
         heard_by: the ports that heard it.
@@ -48,7 +48,7 @@ class Transmission:
     """Characters of one port without a silence between them.
 
     Attributes:
-        port: who sent them, or `NOISE`.
+        port: their sender, or `NOISE`.
         begin, end: from the first start bit to the last stop bit, in seconds.
         data: as they were heard.
         damaged: how many of them differ from what was sent.
@@ -118,15 +118,15 @@ class VirtualLine:
         self._tolerance = self.character_time * 1e-6
 
     def deadline(self) -> float | None:
-        """When the next character will have passed; None while nobody talks."""
+        """When the next character will have passed; None while no port sends."""
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
-        """When the first of those who talk will have passed all they have to say; None while nobody talks."""
+        """When the first of the sending ports will have sent everything; None while no port sends."""
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
-        """When all that was written will have passed; None while nobody talks."""
+        """When everything written will have passed; None while no port sends."""
         return max((port.free_at for port in self._talkers if port.talking), default=None)
 
     def advance(self, until: float) -> list[LineByte]:
@@ -147,7 +147,7 @@ class VirtualLine:
         return passed
 
     def cut(self, *ports: int) -> None:
-        """Break the wire to these ports, or to all: what they say from now on, and what is said to them, is lost."""
+        """Cut the wire to these ports, or to all: characters from and to them are lost."""
         self._cut.update(ports or range(len(self.ports)))
 
     def mend(self, *ports: int) -> None:
@@ -295,7 +295,7 @@ class VirtualPort:
         return begin, end, value
 
     def hear(self, value: int, damaged: bool) -> None:
-        """A character has arrived."""
+        """Take a character that has arrived."""
         self._data.append(value)
         if damaged and self._line.settings.parity is not Parity.NONE:
             self._errors += 1

@@ -2,6 +2,8 @@
 
 Knows the grammar as far as it separates keys from values; judges nothing: the text has passed ``tomllib``.
 
+Written here, because every error of a file names its line and ``tomllib`` gives no positions.
+
 A path is a tuple of keys and, in arrays, indexes: ``("unit", 0, "point", 3, "type")``.
 """
 

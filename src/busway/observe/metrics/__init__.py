@@ -1,10 +1,10 @@
 """Metrics in the formats of Prometheus and OpenMetrics.
 
-`requests` counts, `handler` sees what is to be counted, `collector` turns what is counted into metrics, `endpoint`
-hands them to whoever scrapes. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.
+`requests` counts, `handler` sees the requests, `collector` turns counts into metrics, `endpoint` serves them to a
+scraper. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.
 
-1. Off costs nothing: no handler is wrapped, and nothing is counted that is not counted anyway.
-2. What a client can choose never makes more than a fixed number of time series: a request cannot fill the memory.
+1. Off costs nothing: no handler is wrapped, and only counters that exist anyway are counted.
+2. A client cannot create more than a fixed number of time series, so requests cannot fill the memory.
    Addresses of peers are no labels.
 """
 

@@ -1,11 +1,11 @@
 """Metrics over HTTP, for Prometheus to scrape: ``GET /metrics`` on an address of their own.
 
-Knows a source of a status and a collector over it; knows no server.
+Knows a source with a status and a collector over it; knows no server.
 
-1. A scrape asks the source in its own event loop, and waits no longer than `ASK_SECONDS`: where the loop is stuck, the
-   scrape says ``busway_up 0`` and still tells what was counted.
-2. The format is what the scraper asks for: OpenMetrics or the text format of Prometheus.
-3. Only reading: whoever reaches the address learns numbers, and can change nothing.
+1. A scrape asks the source in its own event loop, for at most `ASK_SECONDS`: where the loop is stuck, the
+   scrape says ``busway_up 0`` and still has the counts of requests.
+2. The scraper chooses the format: OpenMetrics or the text format of Prometheus.
+3. Read-only: a client that reaches the address sees numbers and can change nothing.
 """
 
 import asyncio
@@ -62,32 +62,32 @@ def start_metrics(
     classify: Classify | None = None,
     links: Callable[[], Iterable[Any]] | None = None,
 ) -> "MetricsEndpoint":
-    """Count the requests of a server or gateway from now on, and show the metrics over HTTP.
+    """Count the requests of a server or gateway from now on, and serve the metrics over HTTP.
 
-    Call it in the event loop in which the source will run, before it is started::
+    Call it in the event loop of the source, before the source is started::
 
         async with start_metrics(server, "127.0.0.1:9502"), server:
             ...
 
     Args:
-        source: what is metered.
-        where: address to listen on, ``127.0.0.1:9502``; port 0 takes a free one. Whoever reaches it can read.
-        classify: the class of whoever asks, a label of the requests; left out, what the source says of its devices.
-        links: gives the connections that this process has opened itself, if they are to be shown
+        source: the server or gateway.
+        where: address to listen on, ``127.0.0.1:9502``; port 0 takes a free one. Any client that reaches it can read.
+        classify: returns the class of a client, a label of the requests; by default the source decides.
+        links: returns the connections that this process has opened itself, if they are to be included
             (`busway.client.registry.local_connections`).
 
     Raises:
-        ConfigError: ``where`` is no address, ``prometheus-client`` is not installed, or the source runs already.
-        LinkDown: the address cannot be listened on.
+        ConfigError: ``where`` is not an address, ``prometheus-client`` is not installed, or the source runs already.
+        LinkDown: the address cannot be bound.
     """
     return MetricsEndpoint(source, where, classify=classify, links=links)
 
 
 class MetricsEndpoint:
-    """The metrics of one source, and where they are scraped. An asynchronous context manager that closes itself.
+    """The metrics of one source and their HTTP service. An asynchronous context manager that closes itself.
 
     Attributes:
-        url: where they are scraped.
+        url: URL to scrape.
         tally: the counts of requests.
     """
 
@@ -130,12 +130,12 @@ class MetricsEndpoint:
         return render(self._registry, request.headers.get("accept", ""))
 
     async def close(self) -> None:
-        """Be scraped no more; returns when socket and thread have gone. A second call does nothing."""
+        """Stop serving; returns when socket and threads have gone. A second call does nothing."""
         # In a thread: a scrape may just be waiting for this event loop.
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """The status, asked for in the source's event loop; None where that does not answer in time."""
+        """The status, from the source's event loop; None if that does not answer in time."""
 
         async def status() -> Any:
             return self._source.status()
@@ -175,16 +175,16 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
 
     try:
         encode, content_type = choose_encoder(accept)
-    except Exception:  # of a header that the library cannot read: it raises whatever it stumbles over
+    except Exception:  # of a header that the library cannot parse: it raises errors of many types
         encode, content_type = choose_encoder("")
     return HttpResponse(encode(registry), content_type)
 
 
 def refusals_of(handlers: Sequence[MeteredHandler]) -> Callable[[], Mapping[str, int]] | None:
-    """What gives the refusals by rule, if the handlers inside count them.
+    """A function that returns the refusals by rule; None if the handlers count none.
 
     Args:
-        handlers: of all listeners; more may come while it runs.
+        handlers: those of all listeners; more may come while it runs.
     """
     if not isinstance(handlers[0].inner, CountsRefusals):
         return None
@@ -204,7 +204,7 @@ def _classify(source: MetricsSource) -> Classify:
 
 
 def _wrap(source: MetricsSource, classify: Classify) -> list[MeteredHandler]:
-    """The counting handlers, all on one tally: a gateway has one per listener, and gets more when it is changed."""
+    """The counting handlers, all on one tally: a gateway has one per listener, and gets more on a reload."""
     made: list[MeteredHandler] = []
 
     def wrap(inner: Handler) -> Handler:

@@ -1,13 +1,13 @@
-"""A handler around a handler, which counts what is answered and how long it took.
+"""A handler that wraps another, and counts its answers and their durations.
 
-Knows outcomes; knows nothing of what the requests want, nor how counts are shown.
+Knows outcomes; knows nothing of the content of requests, nor of how counts are shown.
 
 1. Every request that the inner handler answers is counted once, when the answer is there: at once, by the compiled
-   path, or later. What a session answers without asking a handler (06 while all slots are taken, function 0) is
+   path, or later. Requests that a session answers without a handler (06 while all slots are taken, function 0) are
    counted by the server.
 2. The compiled path stays short: each compiled answer gets a closure around it that counts. Read plans are not offered,
-   since nothing sees them being used.
-3. It sees and hands on: no outcome is changed.
+   because their use would not be seen.
+3. It changes no outcome.
 """
 
 import time
@@ -29,10 +29,10 @@ _LINES: Final = ("rtu://", "ascii://")
 
 
 class ClassifyByMark:
-    """`PeerClass.PRIORITY` for devices that are marked; otherwise as `classify_by_listener`.
+    """`PeerClass.PRIORITY` for priority hosts; otherwise as `classify_by_listener`.
 
     Args:
-        is_priority: whether the host at a peer's address is marked at a listener; asked once for each peer.
+        is_priority: whether the host of a peer's address has priority at a listener; asked once for each peer.
     """
 
     def __init__(self, is_priority: Callable[[str, str], bool]) -> None:
@@ -57,12 +57,12 @@ def classify_by_listener(context: RequestContext) -> PeerClass:
 
 
 class MeteredHandler:
-    """Counts for another handler. Everything but the counting is the other's.
+    """A handler that counts for another one, and passes everything else through.
 
     Args:
-        inner: what answers.
-        tally: where it is counted; a new one for the inner handler's functions if left out.
-        classify: the class of whoever asks.
+        inner: the handler that answers.
+        tally: the counts; by default new ones for the inner handler's functions.
+        classify: returns the class of a client.
         clock: seconds, of which only differences count.
     """
 
@@ -156,7 +156,7 @@ class MeteredHandler:
 
 
 class MeteredUnitHolder(MeteredHandler):
-    """A `MeteredHandler` around a handler that says its units, which a serial line needs."""
+    """A `MeteredHandler` around a handler with a list of units, which a serial line needs."""
 
     @property
     def serial_units(self) -> Container[int]:
@@ -168,13 +168,13 @@ class MeteredUnitHolder(MeteredHandler):
 def metered(
     inner: Handler, tally: RequestTally | None = None, *, classify: Classify = classify_by_listener
 ) -> MeteredHandler:
-    """A `MeteredHandler` that can do on a serial line what the inner handler can."""
+    """A `MeteredHandler` that offers a serial line what the inner handler offers."""
     kind = MeteredUnitHolder if isinstance(inner, UnitHolder) else MeteredHandler
     return kind(inner, tally, classify=classify)
 
 
 class _Waiting:
-    """A request from the moment the handler is asked until it has been counted, once."""
+    """A request from the call of the handler until it has been counted, once."""
 
     __slots__ = ("_began", "_context", "_is_counted", "_metered", "_was_muted")
 

@@ -1,9 +1,9 @@
-"""Counts of answered requests, by who asked, unit, function and exception; and how long they took.
+"""Counts of answered requests, by class of client, unit, function and exception; and their durations.
 
 Knows numbers; knows no handler, no clock and nothing of how they are shown.
 
 1. Counted on one thread, the one that answers; read from any: a reading is never torn, at most one request late.
-2. The number of series is bounded by `MAX_SERIES`, whatever clients ask for: functions outside the table count as
+2. The number of series is bounded by `MAX_SERIES`, for any requests: functions outside the table count as
    ``other``, and units as ``other`` once there are too many series.
 """
 
@@ -26,7 +26,7 @@ _KNOWN_EXCEPTIONS: Final = frozenset(int(code) for code in ExceptionCode)
 
 
 class PeerClass(Enum):
-    """Who asks, as far as it is a label."""
+    """Class of a client, as a label."""
 
     PRIORITY = "priority"
     """An address of the pool of priority connections."""
@@ -51,7 +51,7 @@ class Series:
     """Requests with the same labels.
 
     Attributes:
-        count: how many were answered so.
+        count: number of answered requests.
     """
 
     __slots__ = ("count", "exception", "function", "peer_class", "unit")
@@ -65,10 +65,10 @@ class Series:
 
 
 class Durations:
-    """How long the answers of one function took.
+    """Durations of the answers of one function.
 
     Attributes:
-        counts: answers per bucket, not summed up; the last one holds what took longer than every bound.
+        counts: answers per bucket, not cumulative; the last one holds those above every bound.
         total: seconds of all of them.
     """
 
@@ -86,7 +86,7 @@ class Durations:
 
 
 class RequestTally:
-    """All the counts of one server.
+    """The counts of one server.
 
     Args:
         functions: codes of the functions that get a label of their own.
@@ -103,7 +103,7 @@ class RequestTally:
     # What is counted.
 
     def series(self, peer_class: PeerClass, unit: int, function: int, exception: int | None = None) -> Series:
-        """Where such requests are counted; whoever counts many keeps it."""
+        """The series of these labels; a caller that counts many requests may keep it."""
         unit_label = str(unit) if self._units else ""
         labels = (peer_class.value, unit_label, self._function(function), _exception(exception))
         found = self._series.get(labels)
@@ -123,7 +123,7 @@ class RequestTally:
         return found
 
     def unanswered(self, why: Unanswered) -> None:
-        """A request got no answer."""
+        """Count a request that got no answer."""
         self._unanswered[why] += 1
 
     # What is read, from any thread.
@@ -137,7 +137,7 @@ class RequestTally:
         return list(self._durations.copy().values())
 
     def unanswered_counts(self) -> dict[Unanswered, int]:
-        """How many requests got no answer, and why."""
+        """Numbers of requests without an answer, by reason."""
         return {why: self._unanswered[why] for why in Unanswered}
 
     def total(self) -> int:
