@@ -194,7 +194,7 @@ def test_verification_is_switched_off_by_a_loud_name_only(
     with served(store.self_signed()) as (url, _):
         assert READERS[via](f"{url}?{operator.query()}&verify=off-insecure") == [REGISTER]
         assert READERS[via](f"{url}?{operator.query()}&verify=off-insecure") == [REGISTER]
-        assert caplog.text.count("whoever answers there is believed to be the server (verify=off-insecure)") == 2
+        assert caplog.text.count("any host that answers there is taken for the server (verify=off-insecure)") == 2
         for text in ("off", "false", "none"):
             with pytest.raises(ConfigError, match="verify"):
                 READERS[via](f"{url}?{operator.query()}&verify={text}")

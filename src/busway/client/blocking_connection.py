@@ -61,7 +61,7 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Whether there is something to receive, or room for what waits, within ``seconds``; without the lock."""
+        """Wait without the lock. Returns whether bytes can be received or sent within ``seconds``."""
         return self._poll.wait(self.channel, seconds, bool(self.unsent))
 
     def close(self) -> None:

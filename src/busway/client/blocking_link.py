@@ -126,7 +126,7 @@ class BlockingLinkDriver:
                 self._let_go(now)
             may_have_ended = now - self.last_used > _IDLE_SECONDS and self._line is None
             if may_have_ended and self._connection is not None and not self.session.in_flight:
-                # Before the session has the call: what ends here has failed nobody.
+                # Before the session has the call: a connection that ends here fails no call.
                 self._look_at_idle_connection(self._connection, now)
             self._refuse_while_down(call, now)
             self.session.submit(call, now)

@@ -1,4 +1,4 @@
-"""The two ends of a connection of a link: what a link needs of it, and what it needs of the link.
+"""Interfaces of a blocking link's connection.
 
 Knows names and their meaning; knows no transport and no conversation.
 """
@@ -26,7 +26,7 @@ class Channel(Protocol):
         """The descriptor to wait at."""
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Take what has come; 0 where the peer closed. Raises `BlockingIOError` where nothing has, `OSError`."""
+        """Receive bytes; 0 if the peer closed. Raises `BlockingIOError` if there are none, and `OSError`."""
 
     def send(self, data: bytes, /) -> int:
         """Hand over as many bytes as can be taken. Raises `BlockingIOError`, `OSError`."""

@@ -31,7 +31,7 @@ class ExactPoll:
 
 
 class Poll:
-    """Waits at one socket: by ``poll`` where the system has it, which knows no limit of descriptors."""
+    """Waits at one socket; by ``poll`` if the system has it, because that has no limit of descriptors."""
 
     def __init__(self, connection: Channel) -> None:
         self._poll = select.poll() if hasattr(select, "poll") else None

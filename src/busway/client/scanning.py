@@ -1,7 +1,7 @@
 """Finding the units that answer on a line, or behind an address.
 
 1. Each unit is asked for one holding register. Whatever answers is there, also with an exception or a damaged reply; a
-   gateway that says 0A or 0B says that nobody is. Nothing is ever written.
+   gateway that answers 0A or 0B says that the unit is absent. Nothing is ever written.
 2. A line is listened to first, and nothing is sent where others talk: two masters disturb each other.
 3. The wait for a unit is learnt from the answers (`session.adaptive_timeout`). If one comes late, those who were given
    less time are asked again.
@@ -73,7 +73,7 @@ def scan(
         options: as in `connect`, except ``retries``: each unit is asked once.
 
     Raises:
-        ConfigError: an argument that cannot be, or somebody talks on the line. Nothing was sent.
+        ConfigError: an invalid argument, or there is traffic on the line. Nothing was sent.
         LinkDown: no connection.
     """
     endpoint = parse_endpoint(url)
@@ -86,7 +86,7 @@ def scan(
 
 
 def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
-    """The units of a scan, each once and ascending. Raises `ConfigError`; unit 0 is nobody's on a line."""
+    """The units of a scan, each once and ascending. Raises `ConfigError`; on a line unit 0 has no device."""
     is_line = endpoint.framing != "mbap"
     if units is None:
         return [*range(1, LAST_SERIAL_UNIT + 1), *([] if is_line else [TCP_DEVICE_UNIT])]
@@ -107,7 +107,7 @@ def refuse_busy_line(
     hint: str = "listen=None asks all the same",
     begun: Callable[[], None] = lambda: None,
 ) -> None:
-    """Listen to a line; raise `ConfigError` where somebody talks. Nothing was sent.
+    """Listen to a line; raise `ConfigError` if there is traffic. Nothing was sent.
 
     Args:
         endpoint: what is about to be scanned; over UDP, and where it is no line, nothing is listened to.
@@ -126,7 +126,7 @@ def refuse_busy_line(
             listening.hear(until)
         if listening.bytes_heard:
             raise ConfigError(
-                f"the line is busy: somebody talks on it, and would be disturbed; nothing was sent. {hint}",
+                f"the line is busy: there is traffic on it that would be disturbed; nothing was sent. {hint}",
                 key=endpoint.url,
             )
 
@@ -142,13 +142,13 @@ class UnitScan:
     """All units behind one endpoint with one setting. Made before anything is sent; `found` asks.
 
     Args:
-        endpoint: where.
-        units: whom.
+        endpoint: the line, or the server in front of the units.
+        units: the units to ask.
         longest: seconds that a unit is given at most.
         learn: whether the wait is shortened by what is learnt.
-        identify: whether those who answer are asked who they are.
+        identify: whether units that answer are asked for their identification.
         options: as in `connect`.
-        asking: told each unit before it is asked.
+        asking: called with each unit before it is asked.
 
     Attributes:
         line: what the port is set to; None over a network.
@@ -181,7 +181,7 @@ class UnitScan:
         self._link: BlockingLink = connect(endpoint, shared=False, **chosen)
 
     def found(self) -> Iterator[FoundUnit]:
-        """Those who answer, each as soon as it has. Raises `LinkDown`."""
+        """Yield each unit as soon as it answers. Raises `LinkDown`."""
         with self._link:
             self._link.connect()
             yield from self._ask(self._units)

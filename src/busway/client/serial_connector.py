@@ -180,7 +180,7 @@ class SerialStream:
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether it is closed."""
+        """Whether the connection is closed."""
         return self._connection is None
 
 
@@ -199,7 +199,7 @@ class SerialChannel:
         return self._port.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Take what has come. Raises `BlockingIOError` where nothing usable has, `LinkDown` (an `OSError`)."""
+        """Receive bytes. Raises `BlockingIOError` if nothing usable came, and `LinkDown` (an `OSError`)."""
         data, errors = self._port.read(0)
         overrun = bool(data) and self._overruns.more()
         if errors or overrun:

@@ -25,7 +25,7 @@ CALL_DEFAULTS: Final = tuple(name for name, one in declared(ClientParameters).it
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """What a link has besides where the framing is that of a serial line.
+    """Additional settings of a link with the framing of a serial line.
 
     Attributes:
         conversation: turnaround, gaps, drain.
@@ -44,7 +44,7 @@ class LineSettings:
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Everything that `busway.open` and `busway.connect` were told.
+    """All settings of a link, as given to `busway.open` and `busway.connect`.
 
     Attributes:
         endpoint: where the link leads.

@@ -113,7 +113,7 @@ class TlsConnector:
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
         """Add the date of the refused certificate to a failure, if a second connection shows it (rule 4)."""
         try:
-            layer = await self._agree(timeless_context(self._security), _nobody)
+            layer = await self._agree(timeless_context(self._security), _silent_protocol)
         except (OSError, ValueError):
             return failure
         certificate = layer.get_extra_info("ssl_object").getpeercert()
@@ -156,8 +156,8 @@ class TlsConnector:
     def _context_now(self) -> ssl.SSLContext:
         if self._security.verify is Verify.OFF_INSECURE:
             _log.warning(
-                "%s: whoever answers there is believed to be the server (verify=off-insecure): "
-                "anybody on the way can read and change what is said",
+                "%s: any host that answers there is taken for the server (verify=off-insecure): "
+                "anyone on the way can read and change the traffic",
                 self._endpoint.url,
             )
         context = self._context.current()
@@ -181,12 +181,12 @@ class TlsConnector:
         return link_down(error, endpoint=self._endpoint.url)
 
 
-def _nobody() -> "asyncio.BufferedProtocol":
+def _silent_protocol() -> "asyncio.BufferedProtocol":
     """A protocol that ignores all events, for a connection that carries no data."""
     import asyncio
 
-    class Nobody(asyncio.BufferedProtocol):
+    class Silent(asyncio.BufferedProtocol):
         def get_buffer(self, sizehint: int) -> bytearray:
             return bytearray(1024)
 
-    return Nobody()
+    return Silent()

@@ -97,7 +97,7 @@ class AsciiReceiver:
         reply_window: float = REPLY_WINDOW,
         echo: Echo = Echo.OFF,
     ) -> None:
-        """A receiver that has seen nothing yet; see the class and the module for the arguments.
+        """Make a receiver that has seen nothing yet; the class and the module describe the arguments.
 
         Raises:
             ValueError: a delimiter outside 0…127 or a timeout that is not above 0.
@@ -134,7 +134,7 @@ class AsciiReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """The frame in progress, if the time between two characters has run out."""
+        """Discard and return the frame in progress if the time between two characters has run out."""
         found: list[Received] = []
         released = self.echo.tick(now)
         if released:
@@ -153,20 +153,20 @@ class AsciiReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """A master's request went to ``unit``; the reply to ``function`` is due."""
+        """Expect the reply of ``unit`` to ``function``."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """No reply is due any more."""
+        """Expect no reply any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """These characters of ours are on the line until ``ends``: to be taken out if they echo."""
+        """Note that our frame is on the line until ``ends``; its echo is removed."""
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is Role.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """The port marks a parity or framing error, or lost characters: the frame in progress is discarded (S14).
+        """Handle a parity or framing error, or lost characters: the frame in progress is discarded (S14).
 
         A mark between frames is reported too, as a damaged chunk of no characters.
         """
@@ -186,7 +186,7 @@ class AsciiReceiver:
         return found
 
     def clear_at(self) -> float:
-        """The earliest time at which a frame may be sent: when the last character of anybody has ended."""
+        """The earliest time at which a frame may be sent: when the last character on the line has ended."""
         return max(self._last, self._sent_until)
 
     # From characters to frames.
@@ -203,7 +203,7 @@ class AsciiReceiver:
             at += len(part) + 1
 
     def _colon(self, time: float, found: list[Received]) -> None:
-        """A colon at ``time``: a frame begins, and one in progress is lost with what it held."""
+        """Begin a frame at a colon at ``time``; a frame in progress is lost."""
         if self.state is AsciiState.WAITING_FOR_DELIMITER and self.delimiter == COLON:
             self._complete(time + self.timing.character, found)
             return
@@ -219,7 +219,7 @@ class AsciiReceiver:
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
-        """Characters without a colon, within a frame."""
+        """Process characters without a colon, within a frame."""
         if self.state is AsciiState.LISTENER_CONTEXT:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
@@ -269,7 +269,7 @@ class AsciiReceiver:
         return self.conversation.guess(content[0], content[1], now)
 
     def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
-        """The frame in progress is none; what follows is skipped until the next colon."""
+        """Discard the frame in progress; bytes are skipped until the next colon."""
         in_frame = self.state is not AsciiState.IDLE
         raw = b":" + bytes(self._text) if in_frame else b""
         began = self._began if in_frame else ended
@@ -282,7 +282,7 @@ class AsciiReceiver:
         self._text.clear()
 
     def _report_interrupted(self, ended: float, found: list[Received]) -> None:
-        """Frames that a colon cut off, ahead of the good one that it began."""
+        """Report frames that a colon cut off, before the good frame that it began."""
         if self._interrupted_size:
             raw = bytes(self._interrupted[:ASCII_ADU_LIMIT])
             found.append(Damaged(raw, Damage.RESTARTED, self._interrupted_size, self._interrupted_began, ended))

@@ -1,4 +1,4 @@
-"""When each byte of a stream was on the line, as far as the reads tell.
+"""Times at which the bytes of a stream were on the line, as far as the reads tell.
 
 Knows places in a stream and times; knows no bytes. What was read at once is taken as sent without gaps.
 """
@@ -13,7 +13,7 @@ NEVER: Final = float("-inf")
 
 @dataclass(frozen=True, slots=True)
 class _Burst:
-    """Bytes that were read at once: the place of the first one in the stream, when it began, and seconds for each."""
+    """Bytes of one read: place of the first in the stream, its time, and seconds per byte."""
 
     place: int
     began: float
@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """The reads of a stream whose beginning is forgotten bit by bit. Places count from what is remembered."""
+    """The reads of a stream, the oldest forgotten as it is consumed. Places count from the first byte kept."""
 
     __slots__ = ("_bursts", "_forgotten")
 
@@ -34,7 +34,7 @@ class Bursts:
 
     @property
     def latest(self) -> float:
-        """When the first byte of the latest read began."""
+        """The time at which the first byte of the latest read began."""
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
@@ -47,13 +47,13 @@ class Bursts:
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 
     def began(self, place: int) -> float:
-        """When the byte at ``place`` began on the line, in seconds."""
+        """The time in seconds at which the byte at ``place`` began."""
         place += self._forgotten
         burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each
 
     def ended(self, place: int) -> float:
-        """When the byte before ``place`` ended on the line, in seconds."""
+        """The time in seconds at which the byte before ``place`` ended."""
         place += self._forgotten
         burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each

@@ -29,7 +29,7 @@ _REPLY_FIRST = (Direction.REPLY, Direction.REQUEST)
 
 
 class Role(Enum):
-    """Whose receiver it is."""
+    """Role of the receiver's owner on the line."""
 
     MASTER = "master"
     SERVER = "server"
@@ -47,12 +47,12 @@ class Due:
     until: float = float("inf")
 
     def answers(self, unit: int, code: int, now: float) -> bool:
-        """Whether a frame that begins so at ``now`` may be this reply."""
+        """Whether a frame with this beginning, at ``now``, may be this reply."""
         return unit == self.unit and code & 0x7F == self.function and now <= self.until
 
 
 class Conversation:
-    """Follows the frames of one line.
+    """Follows the frames of one line to tell requests from replies.
 
     Attributes:
         role: whose receiver it is.
@@ -75,7 +75,7 @@ class Conversation:
             return _REPLY_ONLY
         if self.role is Role.MASTER:
             due = self.due
-            # Nobody answers for unit 0; a zero ahead of a reply must not pass for an address.
+            # No unit answers a broadcast; a zero ahead of a reply must not pass for an address.
             return _REPLY_FIRST if unit != BROADCAST_UNIT or (due and due.unit == unit) else _REQUEST_ONLY
         if unit == BROADCAST_UNIT or self.is_own(unit):
             return _REQUEST_ONLY
@@ -95,7 +95,7 @@ class Conversation:
         return self.role is Role.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
-        """Take note of a frame that ended at ``now``."""
+        """Note a frame that ended at ``now``."""
         if self.role is Role.MASTER:
             return
         if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):

@@ -39,7 +39,7 @@ _WORD_TABLE: Final = array("H", (high ^ low for high in _HIGH for low in _LOW))
 
 
 def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
-    """The CRC of ``data``, 0…65535; with ``state`` (what an earlier call gave) it goes on from there.
+    """The CRC of ``data``, 0…65535; ``state`` is the result for the bytes before it.
 
     0 for a whole frame with its CRC behind it (Serial Line V1.02 §6.2.2).
     """
@@ -57,13 +57,13 @@ def crc_bytes(data: bytes | bytearray) -> bytes:
 
 
 def running_states(data: Iterable[int], state: int = 0) -> list[int]:
-    """The register after each byte of ``data``, beginning at ``state``: as many as there are bytes."""
+    """The CRC register after each byte of ``data``, starting from ``state``."""
     table = BYTE_TABLE
     return [state := state >> 8 ^ table[(state ^ byte) & 0xFF] for byte in data]
 
 
 class SpanCheck:
-    """For one length: whether the span between two running states is a frame whose CRC fits, in one comparison.
+    """Check for frames of one length: whether the CRC fits between two running states, in one comparison.
 
     ``check.low[before & 0xFF] ^ check.high[before >> 8] == after``, where ``before`` is the running state ahead of the
     span and ``after`` the one behind it. (The preset is folded into the tables.)
@@ -89,7 +89,7 @@ def span_check(length: int) -> SpanCheck:
 
 @cache
 def _images(length: int) -> list[int]:
-    """Where each single bit of the register stands after ``length`` zero bytes."""
+    """The register after ``length`` zero bytes, for each single bit."""
     if length == 0:
         return [1 << bit for bit in range(16)]
     if length > 1:
@@ -107,7 +107,7 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """The image of each value 0…255, from those of its bits."""
+    """The image of each value 0…255, combined from the images of its bits."""
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

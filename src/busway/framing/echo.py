@@ -20,7 +20,7 @@ ECHO_WINDOW: Final = 0.050
 
 
 class Echo(Word):
-    """Whether the own characters come back. AUTOMATIC leaves it to be found out from the first exchange."""
+    """Whether the line echoes our characters. AUTOMATIC finds out from the first exchange."""
 
     OFF = "off"
     ON = "on"
@@ -53,18 +53,18 @@ class EchoFilter:
         return bool(self._held)
 
     def deadline(self) -> float | None:
-        """When `tick` lets a part of a copy go; None if none is held."""
+        """The time at which `tick` releases held bytes; None if there are none."""
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
-        """A frame of ours is on the line until ``ends``; ``may_be_reply``: the answer may look the same."""
+        """Note that our frame is on the line until ``ends``; ``may_be_reply``: the answer may look the same."""
         if self.mode is Echo.OFF:
             return
         self._awaited, self._held, self._until = raw, b"", ends + self.window
         self._may_be_reply = may_be_reply
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """``data`` without the copy, preceded by what was held and is no copy after all."""
+        """Remove the echo from ``data``. Held bytes that turn out to be no echo come first."""
         awaited = self._awaited
         if not awaited:
             return data
@@ -85,12 +85,12 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """A part of a copy that stayed a part; empty if there is none or it is still early."""
+        """Release held bytes if the rest of the echo does not come; empty if it is still early."""
         deadline = self.deadline()
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)
 
     def release(self) -> bytes:
-        """All that is held: no more bytes come, so it was not the echo."""
+        """Release all held bytes: no more come, so they were no echo."""
         if not self._held:
             self._awaited = b""
             return b""

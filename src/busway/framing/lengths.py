@@ -41,7 +41,7 @@ def lengths_of(functions: FunctionTable) -> "FrameLengths":
 
 
 class FrameLengths:
-    """How long the frames of a `FunctionTable` are, by direction.
+    """Lengths of the frames of a `FunctionTable`, by direction.
 
     Attributes:
         requests, replies: the flattened rule of each byte 0…255 in the place of the function code.
@@ -82,7 +82,7 @@ class FrameLengths:
 
 
 class AskedLengths:
-    """What the table says of the functions whose length one look does not tell, for one direction.
+    """Lengths that depend on more than one byte, asked from the table for each frame of one direction.
 
     Attributes:
         answers: what it said lately, by the first three bytes of the PDU.
@@ -131,7 +131,7 @@ def _around(length: int) -> int:
 
 
 def shape_of(rule: int) -> tuple[int, int] | None:
-    """A rule as (place of the byte count or 0, bytes besides what it counts).
+    """Convert a rule to (place of the byte count or 0, bytes that it does not count).
 
     (0, 0) where the table has to be asked; None where the function is unknown.
     """
@@ -143,7 +143,7 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """The rule of one code, found by asking the table about messages of which more and more is shown."""
+    """Find the rule of one code by asking the table with longer and longer beginnings of a message."""
     if code & 0x7F == 0:
         return 0
     known = code in functions

@@ -5,5 +5,5 @@ Knows bytes; knows no characters. The two's complement of the sum of all bytes, 
 
 
 def lrc(data: bytes | bytearray) -> int:
-    """The LRC of the binary content, 0…255; 0 for a content with its LRC behind it."""
+    """The LRC of the binary content, 0…255; 0 for a content that is followed by its LRC."""
     return -sum(data) & 0xFF

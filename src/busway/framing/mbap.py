@@ -27,7 +27,7 @@ HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
 
 
 class FrameKind(Enum):
-    """What a receiver found."""
+    """Kinds of what a receiver finds."""
 
     FRAME = "frame"
     FOREIGN_PROTOCOL = "foreign protocol"
@@ -69,7 +69,7 @@ class StreamBuffer:
         self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """What was kept, followed by the first ``size`` bytes of ``buffer``, and its length in bytes."""
+        """The kept bytes followed by the first ``size`` bytes of ``buffer``, and their length."""
         if not self.kept:
             return buffer, size
         whole = self.kept + bytes(buffer[:size])
@@ -82,7 +82,7 @@ class StreamBuffer:
 
 
 class MbapReceiver:
-    """A stream of bytes in, frames out. After a ``BROKEN`` frame it gives nothing any more."""
+    """Receiver of MBAP frames from a stream. After a ``BROKEN`` frame it returns nothing more."""
 
     __slots__ = ("_buffer", "broken")
 
@@ -96,7 +96,7 @@ class MbapReceiver:
         return len(self._buffer.kept)
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
-        """All frames that ``data`` completes, in order. ``now`` makes no difference: the length alone decides."""
+        """Return all frames that ``data`` completes, in order. ``now`` is ignored: only the length counts."""
         frames: list[MbapFrame] = []
         if self.broken:
             return frames

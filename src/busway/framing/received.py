@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 
 
 class Direction(Enum):
-    """Which way a frame travels."""
+    """Direction of a frame: request or reply."""
 
     REQUEST = "request"
     REPLY = "reply"

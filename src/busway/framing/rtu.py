@@ -13,7 +13,7 @@ Knows bytes and the times at which they were read; knows no port, no request tab
    holds there too. `StrictRtuReceiver` (``rtu_strict``) keeps to the letter.
 4. What may still become a frame has precedence over what was found inside it. A decision against that precedence
    waits for t3.5 of silence if the outer frame cannot be one, otherwise for ``gap_limit``. It costs nothing: before
-   t3.5 has passed, nobody may send.
+   t3.5 has passed, no station may send.
 5. A master and an observer look for the next frame inside a damaged chunk; a master only for the reply that is due.
    A server never does: it takes up again at a silence of t3.5, and until it is in step it believes a frame only if
    it stands between two such silences.

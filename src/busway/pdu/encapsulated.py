@@ -50,7 +50,7 @@ class IdentificationObject:
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """The object at ``at``."""
+        """Decode the object at ``at``."""
         if at + 2 > len(data) or at + 2 + data[at + 1] > len(data):
             raise ValueError("the object is cut off")
         end = at + 2 + data[at + 1]
@@ -70,7 +70,7 @@ class ReadDeviceIdentification(Request):
     object_id: int = u8(default=0)
 
     class Reply(ReplyMessage):
-        """Objects; ``more_follows`` is FF where another request from ``next_object`` on is needed."""
+        """Objects; ``more_follows`` is FF if another request from ``next_object`` on is needed."""
 
         level: int = u8(BASIC, INDIVIDUAL)
         conformity: int = u8()

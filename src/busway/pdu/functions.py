@@ -2,7 +2,7 @@
 
 Knows the list; the classes know everything else.
 
-1. A table is immutable and handed to whoever needs it; there is no global registry. `STANDARD` holds the functions of
+1. A table is immutable and passed to its users; there is no global registry. `STANDARD` holds the functions of
    the specification, ``STANDARD.with_functions(Mine)`` a new table with one more.
 2. A function that is not in the table decodes to `OpaqueRequest` and `OpaqueReply`, bytes kept, so that a gateway
    forwards what it does not understand.

@@ -1,4 +1,4 @@
-"""Messages that are not of one function: exceptions, and what the table of functions does not know.
+"""Messages that belong to no single function: exceptions, and requests and replies of unknown functions.
 
 Knows their bytes; knows no function.
 """
@@ -43,7 +43,7 @@ class OpaqueReply(SelfCoded):
 
 
 class OpaqueRequest(Request):
-    """A request whose function is not in the table: carried as bytes, so that it can be forwarded unread.
+    """A request whose function is not in the table: carried as bytes, so that it can be forwarded undecoded.
 
     Nothing is known of it, so it counts as a write.
     """
@@ -64,7 +64,7 @@ class OpaqueRequest(Request):
 
 @dataclass(frozen=True, slots=True)
 class MalformedRequest:
-    """A request of a known function that breaks one of its rules; what a server answers with ``code``."""
+    """A request of a known function that breaks one of its rules; a server answers with ``code``."""
 
     function: int
     kind: type[Request]

@@ -1,4 +1,4 @@
-"""What a received message that breaks a rule of its function is: an error with the exception code it earns."""
+"""The error for a received message that breaks a rule of its function, with the exception code to answer."""
 
 from ..codes import ExceptionCode
 

@@ -93,7 +93,7 @@ Reply_co = TypeVar("Reply_co", bound="Message", covariant=True)
 
 @dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
 class Message(metaclass=_MessageType):
-    """Base of requests and replies. See the module for what a subclass declares."""
+    """Base of requests and replies; the module describes what a subclass declares."""
 
     code: ClassVar[int]
     """Function code, 1…127."""
@@ -111,7 +111,7 @@ class Message(metaclass=_MessageType):
     layout: ClassVar[Layout]
 
     def validate(self) -> str | None:
-        """A rule across fields: what is wrong, or None. Subclasses that have such a rule override it."""
+        """Check a rule across fields. Returns what is wrong, or None. Subclasses with such a rule override it."""
         return None
 
     def encode(self) -> bytes:
@@ -188,7 +188,7 @@ class ReplyMessage(Message):
 
 
 class Request(Message):
-    """A request, with all that its function declares.
+    """Base of requests: fields, limits, reply and execution of a function.
 
     Class attributes that a function sets:
         Reply: class of its positive answer.
@@ -218,7 +218,7 @@ class Request(Message):
 
         @property
         def memo(self) -> Any:
-            """What a session derived from this request for the next time (`remember`); any session, so any type."""
+            """What a session derived from this request (`remember`); of any type, because of any session."""
 
         @property
         def wire(self) -> bytes:
@@ -238,11 +238,11 @@ class Request(Message):
         return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
-        """Execute on a device and give the reply. Raises `Refusal` with the exception code of a failure."""
+        """Execute the request on a device and return the reply. A failure raises `Refusal` with its exception code."""
         raise TypeError(f"{type(self).__name__} does not say what it does to a device")
 
     def spans(self) -> tuple[Span, ...]:
-        """The ranges it touches: what is written before what is read."""
+        """The ranges that the request touches: those written before those read."""
         found = []
         for touch, writes in ((self.writes, True), (self.reads, False)):
             if touch is not None:
@@ -251,7 +251,7 @@ class Request(Message):
         return tuple(found)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        """Length of the expected reply PDU in bytes, and the bytes that it starts with: what a client compares.
+        """The length of the expected reply PDU, and its first bytes, for clients to compare.
 
         A length of `UNKNOWN_LENGTH` says that only ``check_reply`` can tell.
         """
@@ -262,7 +262,7 @@ class Request(Message):
         return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
 
     def prepare(self) -> bytes:
-        """Encode once and keep what a client compares; gives the PDU. A request that is sent again costs nothing."""
+        """Encode once, and keep what a client compares. Returns the PDU. A request that is sent again costs nothing."""
         wire = self.encode()
         size, prefix = self.reply_shape()
         _set_wire(self, wire)
@@ -271,7 +271,7 @@ class Request(Message):
         return wire
 
     def remember(self, memo: object) -> None:
-        """Keep what a session derived from this request; it finds it in ``memo``."""
+        """Keep what a session derived from this request in ``memo``."""
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
@@ -288,16 +288,16 @@ class Request(Message):
         return reply
 
     def check_reply(self, reply: Any) -> str | None:
-        """What does not fit between this request and a decoded reply of its class, or None."""
+        """Compare this request with a decoded reply of its class. Returns what does not fit, or None."""
         return None
 
 
 class TypedRequest(Protocol[Reply_co]):
-    """A request as far as type checkers need one: `Unit.execute` gives an instance of its ``Reply``."""
+    """The type of a request for type checkers: `Unit.execute` returns an instance of its ``Reply``."""
 
     @property
     def Reply(self) -> type[Reply_co]:  # noqa: N802
-        """The class of its positive answer."""
+        """The class of the positive answer."""
 
     def encode(self) -> bytes:
         """The PDU, function code first."""
@@ -316,7 +316,7 @@ _set_memo = Request.__dict__["memo"].__set__
 
 
 def _taker_of(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
-    """The short way to a reply that is a byte count and data, from its data alone: 0.2 µs, where ``decode`` takes 1.0.
+    """Make the function that builds a reply of a byte count and data from its data alone: 0.2 µs; ``decode`` takes 1.0.
 
     It is right only where length and first bytes were compared with what the request expects.
     """

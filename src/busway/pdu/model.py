@@ -33,7 +33,7 @@ class Diagnostics(Protocol):
     """Communication state of the unit that a request is for (functions 08, 11, 12)."""
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Do sub-function ``sub_code`` of 08 and give the data of its reply. `Refusal` 01 where it is not offered."""
+        """Execute a sub-function of 08 and return the data of its reply. `Refusal` 01 if it is not offered."""
 
     def event_counter(self) -> tuple[int, int]:
         """Status word (0 or FFFF while a program command runs) and number of successful messages."""
@@ -62,7 +62,7 @@ class Tables(Protocol):
     """The four tables (Application Protocol V1.1b3 §4.3)."""
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """`Refusal` 02 unless all the items exist, and may be written if ``writes``.
+        """Raise `Refusal` 02 unless all the items exist, and may be written if ``writes``.
 
         With a ``context``, hooks that may veto a read are called too: function 23 has to know before it writes.
         """
@@ -81,7 +81,7 @@ class Records(Protocol):
         """``count`` registers of a file from ``record`` on."""
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """Replace records of a file; with ``dry`` only find out whether it would be refused."""
+        """Replace records of a file; with ``dry`` only check whether that would be refused."""
 
     def read_fifo(self, address: int, context: Context) -> bytes:
         """The registers of the queue at ``address``, oldest first, without removing them."""
@@ -100,7 +100,7 @@ class Identity(Protocol):
         """The identification objects by number, 0x00…0xFF."""
 
     def canopen(self, data: bytes) -> bytes:
-        """The answer to a CANopen general reference; `Refusal` 01 where there is none."""
+        """The answer to a CANopen general reference; `Refusal` 01 if there is none."""
 
 
 class DataModel(Tables, Records, Identity, Protocol):

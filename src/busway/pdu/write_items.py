@@ -260,7 +260,7 @@ class ReadWriteMultipleRegisters(Request):
 
 
 def pack_registers(values: Iterable[int]) -> bytes:
-    """Numbers 0…65535 as big-endian registers; `InvalidRequest` names the first that is none."""
+    """Numbers 0…65535 as big-endian registers; `InvalidRequest` names the first invalid one."""
     if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
         values = listed(values, "registers")
     try:

@@ -11,7 +11,7 @@ V1.02 appendix A).
 4. 01 answers before it restarts, except in listen-only mode, where it restarts without an answer. So it is done when
    the outcome of its request is reported, by `answered` or `kept_silent`. In listen-only mode nothing else is done.
 5. On a network listener the sub-functions that change something (01, 03, 04, 0A, 14) are refused with 01 unless
-   ``changes_allowed``: one packet could mute a server for everybody.
+   ``changes_allowed``: one packet could mute a server for all clients.
 6. The ASCII delimiter is the port's: sub-function 03 changes it for all units of the line.
 """
 

@@ -1,12 +1,11 @@
-"""Who takes connections from a listening socket: one who waits in a `EpollSet`, or the event loop's own server.
+"""Acceptors take connections from a listening socket: through an `EpollSet`, or by the event loop's own server.
 
 Knows sockets that listen, and how their connections begin; knows no Modbus.
 
-1. So many new connections in a turn of the loop at most: those who are connected have their turn as well.
-2. Where the system has nothing left for another connection (file handles, memory), it goes on to say that somebody
-   waits. Nobody is accepted for a second then, and those who are connected notice nothing.
-3. A connection is accepted in one call, from the socket to its protocol: there is no moment in which it is in nobody's
-   hands.
+1. A limited number of new connections in a turn of the loop: open connections have their turn as well.
+2. If the system lacks resources for another connection (file handles, memory), it still reports waiting clients. Then
+   nothing is accepted for a second; open connections are not affected.
+3. A connection is accepted in one call, from the socket to its protocol, so it always has an owner that closes it.
 """
 
 import asyncio
@@ -20,7 +19,7 @@ from .epoll.watcher import READABLE, EpollSet
 
 ACCEPTED_PER_TURN: Final = 64
 PAUSE_SECONDS: Final = 1.0
-"""Until somebody may have given back what was missing; as asyncio waits."""
+"""Seconds until accepting is tried again, as in asyncio: by then resources may be free."""
 
 Protocols = Callable[[], asyncio.BaseProtocol]
 
@@ -29,10 +28,10 @@ class Acceptor(Protocol):
     """Takes connections from one listening socket, and owns it."""
 
     def accept_no_more(self) -> None:
-        """Take no new connection; the socket stays bound."""
+        """Stop accepting; the socket stays bound."""
 
     def close(self) -> None:
-        """Close the socket. Connections that were accepted stay."""
+        """Close the listening socket. Accepted connections stay open."""
 
 
 async def accept_from(
@@ -44,7 +43,7 @@ async def accept_from(
     backlog: int,
     failed: Callable[[OSError], None],
 ) -> Acceptor:
-    """Listen, and give each new connection a transport and a protocol.
+    """Start listening: each new connection gets a transport and a protocol. Returns the acceptor.
 
     Args:
         listening: bound and non-blocking; the acceptor's own when this has returned.
@@ -52,7 +51,7 @@ async def accept_from(
         loop: the event loop.
         epoll_set: where acceptor and connections wait; None leaves both to the loop.
         backlog: connections that the system may hold until they are accepted.
-        failed: is told why somebody who waits cannot be accepted; without a epoll set the loop says it in its own way.
+        failed: called with the error if a waiting client cannot be accepted; without an epoll set the loop logs it.
 
     Raises:
         OSError: it cannot listen, or not be watched.
@@ -63,7 +62,7 @@ async def accept_from(
 
 
 class EpollAcceptor:
-    """Accepts in a epoll set; arguments as of `accept_from`. Raises `OSError`."""
+    """Accepts connections through an epoll set; arguments as of `accept_from`. Raises `OSError`."""
 
     def __init__(
         self,
@@ -85,13 +84,13 @@ class EpollAcceptor:
         self._watch()
 
     def ready(self, events: int) -> None:
-        """Somebody waits."""
+        """Handle readiness of the listening socket: accept the clients that wait."""
         for _ in range(ACCEPTED_PER_TURN):
             if not (self._is_watched and self._accept()):
                 return
 
     def _accept(self) -> bool:
-        """Take one; whether another may wait."""
+        """Accept one connection. Returns whether another client may wait."""
         try:
             connection, peer = self._listening.accept()
         except (BlockingIOError, InterruptedError):
@@ -117,14 +116,14 @@ class EpollAcceptor:
         return True
 
     def accept_no_more(self) -> None:
-        """Take no new connection."""
+        """Stop accepting."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         self._unwatch()
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the listening socket."""
         self.accept_no_more()
         self._listening.close()
 
@@ -161,12 +160,12 @@ class LoopAcceptor:
         """Take no new connection. Those that are being accepted arrive within a few turns of the loop.
 
         asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
-        nobody's hands, until the garbage collection finds it.
+        without an owner, until the garbage collection finds it.
         """
         for bound in self._server.sockets:
             with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness
                 self._loop.remove_reader(bound.fileno())
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the listening socket."""
         self._server.close()

@@ -33,7 +33,7 @@ async def open_stream(
     interface: str | None,
     prepare: Callable[[socket.socket], None],
 ) -> asyncio.Transport:
-    """A connected transport.
+    """Connect, and return the transport.
 
     Args:
         protocol: makes its protocol, an `asyncio.BufferedProtocol`.
@@ -77,7 +77,7 @@ def _epoll_set_of(loop: asyncio.AbstractEventLoop) -> EpollSet:
 
 
 async def _connected(host: str, port: int, local_address: str | None, interface: str | None) -> socket.socket:
-    """A connected, non-blocking socket. Raises `OSError`."""
+    """Connect, and return the non-blocking socket. Raises `OSError`."""
     loop = asyncio.get_running_loop()
     try:
         found: Found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
@@ -100,14 +100,14 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
 
 
 def _with_zone(address: Any) -> Any:  # of whatever family
-    """An address that every loop takes: uvloop leaves out the zone of a link-local one unless its host names it."""
+    """Write the zone of a link-local address into its host: uvloop ignores it otherwise."""
     if len(address) == 4 and address[3]:
         return f"{address[0]}%{address[3]}", address[1]
     return address
 
 
 def dial_through(interface: str, host: str, port: int, local_address: str | None, timeout: float) -> socket.socket:
-    """A connected, blocking socket on an interface. Raises `OSError`."""
+    """Connect through an interface, and return the blocking socket. Raises `OSError`."""
     attempts = _Attempts(interface, local_address)
     for connection, address in attempts.towards(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)):
         try:
@@ -125,7 +125,7 @@ def dial_through(interface: str, host: str, port: int, local_address: str | None
 
 
 class _Attempts:
-    """Sockets to try one after the other.
+    """Connection attempts to the addresses of a peer, one after the other.
 
     Attributes:
         problem: why the last one failed.
@@ -137,7 +137,7 @@ class _Attempts:
         self.problem = OSError("the host has no address")
 
     def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
-        """A socket for each address of the peer, on the interface and not yet connected."""
+        """Yield an unconnected socket on the interface for each address of the peer."""
         for family, kind, protocol, _, address in found:
             try:
                 connection = socket.socket(family, kind, protocol)

@@ -36,7 +36,7 @@ class Interface:
 
 
 def interfaces_with(host: str) -> tuple[Interface, ...]:
-    """The interfaces that have the numeric address ``host``; all of its kind for ``0.0.0.0`` and ``::``."""
+    """The interfaces with the numeric address ``host``; for ``0.0.0.0`` and ``::`` all of that family."""
     if sys.platform != "linux":
         return ()
     found = _ipv6_interfaces() if ":" in host else _ipv4_interfaces()
@@ -47,7 +47,7 @@ def interfaces_with(host: str) -> tuple[Interface, ...]:
 def _ipv4_interfaces() -> list[Interface]:
     gateways = _gateways()
     found = []
-    # Without a descriptor left, as where too many connect, there is nothing to show; whoever asks goes on.
+    # Without a descriptor left, as where too many connect, there is nothing to show; the caller goes on.
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):  # one that has no such address

@@ -1,11 +1,11 @@
-"""Sockets to listen on: bound, of one address family each, on a named interface if wished.
+"""Sockets to listen on: bound, one for each address family, on a named interface if one is given.
 
 Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them: the server says what it
 could not open.
 
 1. An empty host is every address, of IPv4 and of IPv6, and both have the same port. A family that the system does not
    have is left out.
-2. An IPv6 socket takes IPv6 alone: a client has one name, by whichever way it comes.
+2. An IPv6 socket takes IPv6 alone: so a client has one address, however it connects.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ _TRIES: Final = 16
 def bound_sockets(
     addresses: Iterable[tuple[Any, ...]], *, interface: str | None = None
 ) -> list[socket.socket]:  # Any: as getaddrinfo gives them
-    """A bound socket for each address.
+    """Bind a socket for each address.
 
     Args:
         addresses: as ``getaddrinfo`` gives them, for one kind of socket and one port.

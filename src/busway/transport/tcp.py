@@ -16,7 +16,7 @@ from .serial.waiting import wait_ready
 
 
 def configure(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the parameters on a connected socket; what the system does not have is left out."""
+    """Set the parameters on a connected socket; options that the system lacks are left out."""
     if connection.family not in (socket.AF_INET, socket.AF_INET6):
         return
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, parameters.no_delay)
@@ -42,7 +42,7 @@ def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None
 
 
 def discard_on_close(connection: Any) -> None:
-    """Let closing reset the connection: what the system still holds for a peer that takes nothing never leaves.
+    """Make closing reset the connection, so that bytes the peer has not taken never leave.
 
     Args:
         connection: a socket, what a transport gives for one, or None.
@@ -63,7 +63,7 @@ def takes_bytes(connection: Any) -> bool:
 
 
 def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transport gives for one
-    """Whether the other end has closed a connection, or its half of it, and nothing it sent is left to be read.
+    """Whether the peer has closed the connection or its sending side, and nothing is left to read.
 
     Looks, and takes nothing. False where the system does not tell: it is Linux that does.
     """
@@ -106,7 +106,7 @@ _REASONS = {
 
 
 def network_reason(error: BaseException) -> str:
-    """What a network error says, for an operator."""
+    """The text of a network error, for an operator."""
     if isinstance(error, socket.gaierror):
         return f"the host name cannot be resolved ({error.strerror})"
     if isinstance(error, TimeoutError) and not getattr(error, "errno", None):
@@ -118,7 +118,7 @@ def network_reason(error: BaseException) -> str:
 
 
 def link_down(error: BaseException, *, endpoint: str, sent: bool = False) -> LinkDown:
-    """Our error for a network error, which stays its cause."""
+    """The `LinkDown` for a network error, which becomes its cause."""
     down = LinkDown(f"no connection: {network_reason(error)}", sent=sent, endpoint=endpoint)
     down.__cause__ = error
     return down

@@ -1,9 +1,9 @@
 """UDP: datagrams in, datagrams out, under asyncio and without it.
 
-Knows sockets; knows no Modbus. Whoever uses it says which datagrams are whole; what is not is dropped and counted.
+Knows sockets; knows no Modbus. The user of a socket says which datagrams are whole; others are dropped and counted.
 
-1. A datagram that is lost is lost: whoever waits for an answer has a timeout.
-2. That nobody listens at the other end (ICMP) ends nothing: the next datagram may be answered, and anybody can send
+1. A lost datagram is not sent again: callers that wait for an answer have a timeout.
+2. An ICMP error (no listener at the other end) ends nothing: the next datagram may be answered, and any host can send
    such a message.
 3. A client takes datagrams from the address it sends to alone.
 """
@@ -22,7 +22,7 @@ MAX_DATAGRAM = 2048
 
 
 class DatagramConnection(asyncio.DatagramProtocol):
-    """A client's end under asyncio, with the methods of a stream transport. Made by `open_datagram`.
+    """A client's UDP socket under asyncio, with the methods of a stream transport. Made by `open_datagram`.
 
     Attributes:
         dropped: datagrams that were not whole.
@@ -37,18 +37,18 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It is open."""
+        """The socket is open."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """A datagram has come."""
+        """Process a received datagram."""
         if self._whole(data):
             self._received(data)
         else:
             self.dropped += 1
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens at the other end, for now (rule 2)."""
+        """Ignore an error such as a refused port (rule 2)."""
 
     # What a link calls.
 
@@ -58,12 +58,12 @@ class DatagramConnection(asyncio.DatagramProtocol):
             self._transport.sendto(data)
 
     def close(self) -> None:
-        """Close it."""
+        """Close the socket."""
         if self._transport is not None:
             self._transport.close()
 
     def abort(self) -> None:
-        """Close it at once."""
+        """Close the socket at once."""
         if self._transport is not None:
             self._transport.abort()
 
@@ -73,11 +73,11 @@ class DatagramConnection(asyncio.DatagramProtocol):
         return 0 if transport is None else int(transport.get_write_buffer_size())
 
     def get_extra_info(self, name: str) -> Any:  # Any: as the transport has it
-        """What the transport knows of itself, as its socket."""
+        """Information about the transport, such as its socket."""
         return None if self._transport is None else self._transport.get_extra_info(name)
 
     def is_closing(self) -> bool:
-        """Whether it is closed."""
+        """Whether the socket is closed."""
         return self._transport is None or self._transport.is_closing()
 
 
@@ -90,7 +90,7 @@ async def open_datagram(
     whole: Callable[[bytes], bool],
     received: Callable[[bytes], None],
 ) -> DatagramConnection:
-    """A client's end towards ``host:port``; ``whole`` judges each datagram, ``received`` gets those that are.
+    """Open a client's UDP socket to ``host:port``; ``received`` gets the datagrams that ``whole`` accepts.
 
     Raises:
         LinkDown: the name cannot be resolved, or no socket be had. Nothing was sent.
@@ -110,7 +110,7 @@ async def open_datagram(
 
 
 class BlockingDatagramSocket:
-    """A client's end for blocking programs, with the methods of a stream socket.
+    """A client's UDP socket for blocking programs, with the methods of a stream socket.
 
     Attributes:
         dropped: datagrams that were not whole.
@@ -119,7 +119,7 @@ class BlockingDatagramSocket:
     def __init__(
         self, host: str, port: int, parameters: SocketParameters, *, endpoint: str, whole: Callable[[bytes], bool]
     ) -> None:
-        """Open it; arguments and errors as of `open_datagram`."""
+        """Open the socket; arguments and errors as of `open_datagram`."""
         self._whole = whole
         self.dropped: int = 0
         try:
@@ -138,11 +138,11 @@ class BlockingDatagramSocket:
             raise link_down(error, endpoint=endpoint) from error
 
     def fileno(self) -> int:
-        """The descriptor to wait at."""
+        """The descriptor, to wait for readiness."""
         return self._socket.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Take the next whole datagram. Raises `BlockingIOError` where there is none."""
+        """Receive the next whole datagram. Raises `BlockingIOError` if there is none."""
         while True:
             try:
                 data = self._socket.recv(MAX_DATAGRAM)
@@ -164,5 +164,5 @@ class BlockingDatagramSocket:
         return len(data)
 
     def close(self) -> None:
-        """Close it."""
+        """Close the socket."""
         self._socket.close()

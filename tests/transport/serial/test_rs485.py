@@ -39,7 +39,7 @@ def kernel_driver(*, longest_delay_ms: int = 100, flags_kept: int = 0xFFFF) -> F
 
 def test_nothing_is_asked_where_nobody_here_switches() -> None:
     driver = FakeDriver()
-    assert settle_direction(3, SerialSettings(), driver) is DriverDirection.NOBODY
+    assert settle_direction(3, SerialSettings(), driver) is DriverDirection.NONE
     assert driver.asked == []
 
 

@@ -1,1 +1,1 @@
-"""All connections of a server in one epoll set. Delete this folder and the transports of the event loop serve."""
+"""One epoll object for all connections of an event loop. Without this folder the loop's own transports are used."""

@@ -1,14 +1,14 @@
-"""A connected stream socket in a `EpollSet`, with the face and the manners of a transport of asyncio.
+"""A transport for a stream socket in an `EpollSet`; it behaves as those of asyncio do.
 
 Knows sockets and `asyncio.BufferedProtocol`; knows no Modbus.
 
-1. What asyncio says about its transports holds here: `connection_lost` is called once, after everything else and never
+1. The rules of asyncio's transports hold here: `connection_lost` is called once, after everything else and never
    from within a call of the protocol's own; a protocol that raises is reported to the loop's exception handler, and
    loses its connection alone.
-2. As long as nothing waits to be sent, a write is one system call. What the system does not take is kept, and
+2. While nothing waits to be sent, a write is one system call. Bytes that the system does not take are kept, and
    `WRITABLE` is watched for until it has gone.
-3. A descriptor that nothing is wanted of is not watched at all: the system would go on to say that its peer has gone.
-4. The end of what the peer sends is told once, whatever is paused and resumed behind it.
+3. A descriptor without wanted events is not watched at all: the system would report again and again that its peer left.
+4. The end of the peer's stream is reported once, whatever is paused and resumed after it.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ class EpollStream(asyncio.Transport):
     Args:
         epoll_set: where it waits.
         connection: connected and non-blocking; from now on the transport's own.
-        protocol: whom it serves. One that receives is an `asyncio.BufferedProtocol`.
+        protocol: gets the events; an `asyncio.BufferedProtocol` if it receives.
         peer: the address of the other end.
     """
 
@@ -97,7 +97,7 @@ class EpollStream(asyncio.Transport):
     # What the epoll set calls.
 
     def ready(self, events: int) -> None:
-        """The socket is ready to be read or to be written to, or has come to its end."""
+        """Handle readiness of the socket: read, write, or its end."""
         if events != READABLE and self._events & WRITABLE:
             self._send_rest()
         if not self._events & READABLE or events == WRITABLE:
@@ -126,7 +126,7 @@ class EpollStream(asyncio.Transport):
             self._fail(RuntimeError("get_buffer() returned an empty buffer"), "nowhere to receive into")
 
     def _end(self) -> None:
-        """The peer sends no more: close, unless the protocol has something left to say."""
+        """Handle the end of the peer's stream: close, unless the protocol still has something to send."""
         self._ended = True
         try:
             stays = self._protocol.eof_received()
@@ -143,7 +143,7 @@ class EpollStream(asyncio.Transport):
     # Sending.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes, after those that wait. After the connection has ended they are dropped.
+        """Send bytes after those that wait. After the connection has ended they are dropped.
 
         Raises:
             TypeError: these are no bytes.
@@ -163,7 +163,7 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Where a write is more than one system call, or none."""
+        """Write when the plain way is not possible: something waits, or the connection is closing."""
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
         if self._finished:
@@ -221,7 +221,7 @@ class EpollStream(asyncio.Transport):
             self._shut_down_sending()
 
     def can_write_eof(self) -> bool:
-        """That it can be said."""
+        """True: the sending direction can be closed by itself."""
         return True
 
     def _shut_down_sending(self) -> None:
@@ -233,11 +233,11 @@ class EpollStream(asyncio.Transport):
         return len(self._unsent) if self._unsent else 0
 
     def get_write_buffer_limits(self) -> tuple[int, int]:
-        """Bytes: how few let the protocol go on, and how many ask it to pause."""
+        """The low and the high limit of the write buffer, in bytes."""
         return self._low, self._high
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Bytes that may wait until the protocol is asked to pause, and that may still wait when it may go on.
+        """Set the limits of the write buffer in bytes: above ``high`` the protocol pauses, at ``low`` it goes on.
 
         Raises:
             ValueError: not high ≥ low ≥ 0.
@@ -257,7 +257,7 @@ class EpollStream(asyncio.Transport):
             self._call("pause_writing")
 
     def _call(self, name: str) -> None:
-        """Call a method of the protocol that only advises; the connection goes on whatever it raises."""
+        """Call an advisory method of the protocol; an exception is reported and does not end the connection."""
         try:
             getattr(self._protocol, name)()
         except (SystemExit, KeyboardInterrupt):
@@ -268,17 +268,17 @@ class EpollStream(asyncio.Transport):
     # Reading and the protocol.
 
     def is_reading(self) -> bool:
-        """Whether the protocol may be given bytes."""
+        """Whether reading is not paused."""
         return not (self._paused or self._closing)
 
     def pause_reading(self) -> None:
-        """Give the protocol nothing more, for now."""
+        """Stop reading until `resume_reading`."""
         if not (self._closing or self._paused):
             self._paused = True
             self._watch()
 
     def resume_reading(self) -> None:
-        """Give it bytes again."""
+        """Read again."""
         if not self._closing and self._paused:
             self._paused = False
             try:
@@ -287,11 +287,11 @@ class EpollStream(asyncio.Transport):
                 self._force_close(error)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Serve another protocol from now on."""
+        """Pass events to another protocol from now on."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """Whom it serves."""
+        """The protocol that gets the events."""
         protocol: asyncio.BaseProtocol = self._protocol
         return protocol
 
@@ -308,7 +308,7 @@ class EpollStream(asyncio.Transport):
         return default
 
     def _watch(self) -> None:
-        """Wait for what is wanted now. Raises `OSError` only where nothing was."""
+        """Update the watched events. Raises `OSError` only if the socket was not watched before."""
         wanted = 0
         if not (self._lost or self._closing or self._paused or self._ended):
             wanted = READABLE
@@ -330,11 +330,11 @@ class EpollStream(asyncio.Transport):
     # The end.
 
     def is_closing(self) -> bool:
-        """Whether it is closed, or about to be."""
+        """Whether the connection is closed, or about to be."""
         return self._closing
 
     def close(self) -> None:
-        """Read no more, and close after what waits has gone out."""
+        """Stop reading, and close after the waiting bytes are sent."""
         if not self._closing:
             self._closing = True
             if self._unsent:
@@ -343,11 +343,11 @@ class EpollStream(asyncio.Transport):
                 self._lose_soon(None)
 
     def abort(self) -> None:
-        """Close at once; what waits is dropped."""
+        """Close at once; waiting bytes are dropped."""
         self._force_close(None)
 
     def _fail(self, error: BaseException, what: str) -> None:
-        """Close for an error; one of the network is nothing to report, the protocol is told."""
+        """Close because of an error; network errors are passed to the protocol, others reported to the loop too."""
         if not isinstance(error, OSError):
             self._report(error, f"Fatal error: {what}")
         self._force_close(error)
@@ -369,7 +369,7 @@ class EpollStream(asyncio.Transport):
         self._epoll_set.loop.call_soon(self._lose, error)
 
     def _lose(self, error: BaseException | None) -> None:
-        """Tell the protocol, and close the socket: in a turn of the loop of its own (rule 3 of `EpollSet`)."""
+        """Call `connection_lost` and close the socket, in a later turn of the loop (rule 3 of `EpollSet`)."""
         connection, protocol = self._socket, self._protocol
         assert connection is not None  # once
         try:

@@ -1,18 +1,18 @@
 """Many sockets, one epoll object, one callback of the event loop.
 
-Knows file descriptors and who waits at them; knows no bytes, no protocol and no Modbus.
+Knows file descriptors and their watchers; knows no bytes, no protocol and no Modbus.
 
 An event loop pays for every socket that is ready: a key to look up, a handle to queue, a context to run it in. Here all
-sockets stand in one epoll object, and only that one is watched by the loop. When it is ready, one callback asks it who
-is, and calls each of them: 1.4 µs of CPU for a transaction with 16 connections and 16 requests in flight each, where
-the transports of asyncio take 1.9 µs.
+sockets are in one epoll object, and the loop watches only that one. When it is ready, one callback asks it for the
+ready sockets and calls their watchers. A transaction, with 16 connections and 16 requests in flight on each, takes
+1.4 µs of CPU; with the transports of asyncio 1.9 µs.
 
-1. One look in a turn of the loop, and so many members in a look at most: timers and everybody else have their turn
-   however many are ready. Who was left out comes first in the next look, as the system keeps the order.
-2. Level-triggered: whoever does not take what is there is called again.
-3. Who has gone while others of the same look were called is not called. Members close their descriptors in a later turn
-   of the loop, never inside a look, so that a number cannot mean somebody else by then.
-4. The epoll object exists while anybody is watched, and no longer: nobody has to close it.
+1. One look in a turn of the loop, with a limited number of watchers: timers and other callbacks have their turn however
+   many sockets are ready. Those left out come first in the next look, because the system keeps the order.
+2. Level-triggered: a watcher that leaves something is called again.
+3. A watcher that was removed during a look is not called. Watchers close their descriptors in a later turn of the loop,
+   never inside a look, so that a number cannot be reused by then.
+4. The epoll object exists only while something is watched, so it need not be closed.
 """
 
 import asyncio
@@ -29,21 +29,21 @@ MEMBERS_OF_A_LOOK: Final = 64
 
 
 _MAKERS: Final = frozenset({"asyncio.base_events", "uvloop.loop"})
-"""Where the loops say how connections are made whose descriptors can be watched like any other."""
+"""Modules of event loops whose connections have descriptors that epoll can watch."""
 
 
 class Watcher(Protocol):
-    """Who waits at a descriptor."""
+    """Called when its descriptor is ready."""
 
     def ready(self, events: int, /) -> None:
-        """Something can be done: of `READABLE` and `WRITABLE`, or other bits where the connection has ended.
+        """Handle ``events``: `READABLE`, `WRITABLE`, or other bits if the connection has ended.
 
         Must raise nothing but what ends the program.
         """
 
 
 class EpollSet:
-    """Those who wait together, on one event loop.
+    """The descriptors that one event loop watches through one epoll object.
 
     Args:
         loop: one that `can_watch`.
@@ -74,15 +74,15 @@ class EpollSet:
         self._watched[descriptor] = member
 
     def watch_for(self, descriptor: int, events: int) -> None:
-        """Let other events count for one who is watched; there is at least one."""
+        """Change the events of a watched descriptor; at least one."""
         assert self._epoll is not None  # since it is watched
         self._epoll.modify(descriptor, events)
 
     def forget(self, descriptor: int) -> None:
-        """Call its member no more, before the descriptor is closed."""
+        """Stop watching a descriptor; call it before the descriptor is closed."""
         assert self._epoll is not None  # since it is watched
         del self._watched[descriptor]
-        with contextlib.suppress(OSError):  # somebody else has closed it, and the system has forgotten it already
+        with contextlib.suppress(OSError):  # it was closed elsewhere, and the system has forgotten it already
             self._epoll.unregister(descriptor)
         self._close_if_empty()
 
@@ -102,7 +102,7 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Some are ready: call them."""
+        """Call the watchers of the ready descriptors."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched
@@ -113,7 +113,7 @@ class EpollSet:
 
 
 def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
-    """A epoll set for ``loop``; None where it can have none, and its own transports are to be used."""
+    """The epoll set of ``loop``; None if the loop cannot watch one, so that its own transports are used."""
     return EpollSet(loop) if can_watch(loop) else None
 
 

@@ -6,7 +6,7 @@ character has left (`emission`), how descriptors are waited for (`waiting`), wha
 lost port is tried again (`reopen`), and the two ways to use one (`device`): `connection` under asyncio, `blocking`
 without it.
 
-`serialx` opens the ports. It is imported when the first one is opened, so that whoever uses none does not wait for it.
+`serialx` opens the ports. It is imported when the first one is opened, so that programs without one do not wait for it.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""One timer of an event loop that is not a millisecond late.
+"""A timer of an event loop that is exact to less than a millisecond.
 
 Knows the event loop, and Linux' timers as descriptors; knows no port.
 
@@ -31,7 +31,7 @@ _SLOWLY: Final = 1 / 16
 
 
 class Alarm:
-    """Rings once at a time; setting it again moves it. For the event loop that is running when it is made.
+    """A timer of the running event loop; setting it again moves it.
 
     Attributes:
         exact: whether it is exact to microseconds.
@@ -60,7 +60,7 @@ class Alarm:
         self._handle = self._loop.call_later(max(when - time.monotonic(), 0.0), self._late)
 
     def cancel(self) -> None:
-        """Do not ring."""
+        """Cancel the setting."""
         if self._descriptor is not None:
             _set_timer(self._descriptor, _NEVER)
         elif self._handle is not None:
@@ -68,7 +68,7 @@ class Alarm:
             self._handle = None
 
     def close(self) -> None:
-        """Give the timer back; it never rings again. May be called twice."""
+        """Close the timer; it never rings again. May be called twice."""
         self.cancel()
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
@@ -77,7 +77,7 @@ class Alarm:
             os.close(descriptor)
 
     def __del__(self) -> None:
-        # Whoever forgot to close it, as a loop that was closed under a link does, loses no descriptor.
+        # An alarm that was never closed, because its loop was closed first, keeps no descriptor.
         if getattr(self, "_descriptor", None) is not None:
             self.close()
 
@@ -102,7 +102,7 @@ _Times = ctypes.c_long * 4  # seconds and nanoseconds of the interval, and of th
 
 
 def _new_timer() -> int | None:
-    """A timer's descriptor, not set; None where the system has no such thing."""
+    """Make the descriptor of a timer, not set; None if the system has none."""
     if _libc is None or not hasattr(_libc, "timerfd_create"):
         return None
     descriptor: int = _libc.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)

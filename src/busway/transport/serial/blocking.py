@@ -87,7 +87,7 @@ class BlockingSerialPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether it was not closed."""
+        """Whether the port is open."""
         return self._serial is not None
 
     @property
@@ -96,14 +96,14 @@ class BlockingSerialPort:
         return self._device.emission.until
 
     def fileno(self) -> int:
-        """The descriptor to wait at. Raises `LinkDown` where the port is closed or the system has none for ports."""
+        """The descriptor, to wait for readiness. Raises `LinkDown` if the port is closed or has none on this system."""
         self._opened()
         if self._descriptor is None:
             raise LinkDown(f"{self.path} has no descriptor to wait at on this system")
         return self._descriptor
 
     def still_sending(self) -> float | None:
-        """Whether the system still holds characters: when the last one leaves at the earliest (``time.monotonic``).
+        """The earliest time at which the last written character can have left (``time.monotonic``).
 
         None where all have left. Raises `LinkDown`.
         """
@@ -148,7 +148,7 @@ class BlockingSerialPort:
         return received.data, received.errors
 
     def write(self, data: bytes) -> float:
-        """Hand bytes over for sending.
+        """Write bytes.
 
         Returns when the port has them, which is before they have left the line; with RTS switched by hand it returns
         after they have, since RTS must be put back.
@@ -213,7 +213,7 @@ class BlockingSerialPort:
             raise port_lost(error, port=self.path, sent=True) from error
 
     def counters(self) -> LineCounters | None:
-        """What the port's driver has counted; None where it keeps no counters. Raises `LinkDown`."""
+        """The counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
         self._opened()
         try:
             return self._device.counters()
@@ -221,7 +221,7 @@ class BlockingSerialPort:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Give the port back. May be called twice."""
+        """Close the port. May be called twice."""
         opened, self._serial = self._serial, None
         if opened is None:
             return

@@ -1,11 +1,11 @@
-"""A serial port under asyncio: bytes are handed to a callback as they come, and written when they are given.
+"""A serial port under asyncio: received bytes go to a callback.
 
 Knows asyncio and `serialx`; knows no Modbus.
 
 1. Received bytes go to one callback, together with how many of them the port marked as damaged.
 2. ``write`` returns when the last character will have left: silences on the line are measured from there.
-3. A port that vanishes is told once, to ``lost``; its descriptor is closed then. Waiting for it is for whoever
-   opened it (`open_when_there`).
+3. A port that vanishes is reported once, to ``lost``; its descriptor is closed then. Its user may wait for it
+   (`open_when_there`).
 """
 
 import asyncio
@@ -108,7 +108,7 @@ class SerialConnection:
 
     @property
     def is_open(self) -> bool:
-        """Whether it can be written to."""
+        """Whether the port is open."""
         return self._device is not None
 
     @property
@@ -119,7 +119,7 @@ class SerialConnection:
         return self._device.emission.until
 
     def write(self, data: bytes) -> float:
-        """Hand bytes over for sending.
+        """Write bytes.
 
         Returns:
             When the last character will have left (``time.monotonic``), by arithmetic; with RTS switched by hand the
@@ -139,7 +139,7 @@ class SerialConnection:
         return device.emission.written(len(data), now)
 
     def held(self) -> int:
-        """Characters that were written and have not left, as far as the system tells. Raises `LinkDown`."""
+        """Number of written characters that have not left, as far as the system tells. Raises `LinkDown`."""
         transport, device = self._opened()
         waiting = transport.get_write_buffer_size()
         if self._sender is not None:
@@ -150,7 +150,7 @@ class SerialConnection:
             raise port_lost(error, port=self.path, sent=True) from error
 
     def still_sending(self) -> float | None:
-        """Whether the system still holds characters: when the last one leaves at the earliest (``time.monotonic``).
+        """The earliest time at which the last written character can have left (``time.monotonic``).
 
         None where all have left. Raises `LinkDown`.
         """
@@ -159,7 +159,7 @@ class SerialConnection:
         return device.emission.still_held(held, time.monotonic()) if held else None
 
     async def drain(self) -> float:
-        """Wait until the last character has left; gives when it did (``time.monotonic``).
+        """Wait until the last character has left. Returns the time of that (``time.monotonic``).
 
         Raises:
             LinkDown: the port vanished meanwhile; the bytes may have gone out.
@@ -175,7 +175,7 @@ class SerialConnection:
             await asyncio.sleep(max(device.emission.until - now, 0.0))
 
     def counters(self) -> LineCounters | None:
-        """What the port's driver has counted; None where it keeps no counters. Raises `LinkDown`."""
+        """The counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
         _, device = self._opened()
         try:
             return device.counters()
@@ -183,7 +183,7 @@ class SerialConnection:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Give the port back; what has not left yet is dropped. May be called twice."""
+        """Close the port; bytes that have not left are dropped. May be called twice."""
         self._told = True
         if self._sender is not None:
             self._sender.stop()
@@ -233,7 +233,7 @@ class SerialConnection:
             self._lost(port_lost(error, port=self.path))
 
     def _gone(self, error: OSError) -> None:
-        """The driver says that the port is gone before a read did."""
+        """Handle the driver's report that the port is gone."""
         if self._told:
             return
         self.close()
@@ -241,7 +241,7 @@ class SerialConnection:
 
 
 class _Events(asyncio.Protocol):
-    """What asyncio calls; kept off the names of `SerialConnection`."""
+    """The asyncio protocol of a port, apart from the methods of `SerialConnection`."""
 
     def __init__(self, connection: SerialConnection) -> None:
         self._connection = connection
@@ -257,7 +257,7 @@ class _Events(asyncio.Protocol):
 
 
 class _SenderByRts:
-    """Keeps RTS up while there is something to send: delay, bytes, their time, delay."""
+    """Raises RTS for each frame: delay, bytes, their time, delay."""
 
     def __init__(
         self,
@@ -278,7 +278,7 @@ class _SenderByRts:
 
     @property
     def waiting(self) -> int:
-        """Bytes that wait for the delay before sending."""
+        """Number of bytes that wait for the delay before sending."""
         return len(self._outbox)
 
     def write(self, data: bytes, path: str) -> float:
@@ -303,7 +303,7 @@ class _SenderByRts:
         return self._device.emission.written(len(data), now + delay)
 
     def _send(self) -> None:
-        """The delay before sending is over."""
+        """Send: the delay before it is over."""
         data = bytes(self._outbox)
         self._outbox.clear()
         try:

@@ -1,4 +1,4 @@
-"""What the port's driver has counted since the system started (``struct serial_icounter_struct``).
+"""Counters of a port's driver since the system started (``struct serial_icounter_struct``).
 
 Knows the numbers; what they mean for a conversation is for others.
 """
@@ -20,7 +20,7 @@ class LineCounters:
     Attributes:
         received, sent: characters.
         framing_errors, parity_errors: characters whose stop or parity bit was wrong.
-        overruns: characters lost in the port because nobody fetched them in time.
+        overruns: characters lost in the port because they were not fetched in time.
         buffer_overruns: characters lost because the system's buffer was full.
         breaks: times that the line stood at zero for longer than a character.
     """
@@ -34,7 +34,7 @@ class LineCounters:
     breaks: int = 0
 
     def since(self, earlier: "LineCounters") -> "LineCounters":
-        """What was counted after ``earlier``."""
+        """The difference from ``earlier`` counters."""
         return LineCounters(
             received=self.received - earlier.received,
             sent=self.sent - earlier.sent,
@@ -47,7 +47,7 @@ class LineCounters:
 
 
 def read_counters(descriptor: int, ioctl: Ioctl = system_ioctl) -> LineCounters | None:
-    """The counters of an open port; None where its driver keeps none (many USB adapters, pseudo-terminals)."""
+    """The counters of an open port; None if its driver keeps none (many USB adapters, pseudo-terminals)."""
     buffer = bytearray(_LAYOUT.size)
     if not asked(ioctl, descriptor, TIOCGICOUNT, buffer):
         return None

@@ -1,4 +1,4 @@
-"""An open port beside its bytes: set up once, asked while it is open, given back at the end.
+"""An open serial port apart from its bytes: settings, damage marks, counters, direction, release.
 
 Knows what must be done to every port, whichever way it is used; `connection` and `blocking` move the bytes. Where
 ports have no descriptors (Windows) `serialx` does all there is, and the rest reports that it is not offered.
@@ -22,7 +22,7 @@ _PARITY_LETTERS = {Parity.NONE: "N", Parity.EVEN: "E", Parity.ODD: "O"}
 
 
 def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dict[str, Any]:
-    """The arguments by which `serialx` opens a port with these settings.
+    """The arguments of `serialx` for a port with these settings.
 
     The values are of whatever types its keywords take. A pseudo-terminal refuses parity and 7 data bits: there they
     only say how long a character takes.
@@ -47,12 +47,12 @@ def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dic
 
 
 def descriptor_of(opened: "BaseSerial") -> int | None:
-    """The descriptor of an open port; None where ports have none."""
+    """The descriptor of an open port; None on systems whose ports have none."""
     return opened.fileno() if os.name == "posix" else None
 
 
 class OpenDevice:
-    """What an open port is beside its bytes.
+    """State of an open port apart from its bytes.
 
     Attributes:
         direction: who switches the direction of the driver.
@@ -67,7 +67,7 @@ class OpenDevice:
         self._settings = settings
         self._ioctl = ioctl
         self._marks: MarkDecoder | None = None
-        self.direction: DriverDirection = DriverDirection.NOBODY
+        self.direction: DriverDirection = DriverDirection.NONE
         self.emission: CharacterClock = CharacterClock(settings.character_time)
         if descriptor is None:
             return
@@ -79,15 +79,15 @@ class OpenDevice:
             self._marks = MarkDecoder()
 
     def unmarked(self, data: bytes) -> Received:
-        """The bytes that were received, and how many of them were damaged."""
+        """Received bytes without damage marks, and how many were damaged."""
         return self._marks.feed(data) if self._marks is not None else Received(data, 0)
 
     def held(self) -> int:
-        """Characters that the system still holds, as far as it tells. Raises `OSError` when the port is gone."""
+        """Number of characters that the system says it still holds. Raises `OSError` if the port is gone."""
         return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
 
     def counters(self) -> LineCounters | None:
-        """What the driver has counted; None where it keeps no counters. Raises `OSError` when the port is gone."""
+        """The counters of the driver; None if it keeps none. Raises `OSError` when the port is gone."""
         return None if self._descriptor is None else read_counters(self._descriptor, self._ioctl)
 
     def turn_to_sending(self) -> None:
@@ -101,11 +101,11 @@ class OpenDevice:
             set_rts(self._descriptor, self._settings.rts_after_send, self._ioctl)
 
     def release(self) -> None:
-        """To be called before the descriptor is closed; afterwards nothing is asked of it."""
+        """Restore the port; call it before the descriptor is closed."""
         if self._descriptor is not None and self._settings.exclusive:
             admit_others(self._descriptor, self._ioctl)
         self.forget()
 
     def forget(self) -> None:
-        """The descriptor is closed already; its number may soon be another file's."""
+        """Forget the descriptor: it is closed, and its number may soon be another file's."""
         self._descriptor = None

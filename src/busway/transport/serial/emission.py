@@ -1,4 +1,4 @@
-"""When the last character has left the port.
+"""Computes when the last written character has left the port.
 
 Knows character times and what the system still holds; knows no clock: ``now`` is handed in.
 
@@ -14,7 +14,7 @@ TRANSMITTER_EMPTY = 0x01
 
 
 class CharacterClock:
-    """The characters on their way out of one port.
+    """Clock of the characters that leave one port.
 
     Attributes:
         until: when the last one has left, in the clock of ``now``.
@@ -27,19 +27,19 @@ class CharacterClock:
         self.until: float = 0.0
 
     def written(self, count: int, now: float) -> float:
-        """``count`` characters were handed over; gives when the last of them will have left."""
+        """Note that ``count`` characters were written. Returns when the last of them will have left."""
         self.until = max(self.until, now) + count * self._character_time
         return self.until
 
     def still_held(self, count: int, now: float) -> float:
-        """The system still holds ``count`` characters; gives when the last of them can have left at the earliest."""
+        """Note that the system still holds ``count`` characters. Returns when the last leaves at the earliest."""
         if count:
             self.until = max(self.until, now + count * self._character_time)
         return self.until
 
 
 def characters_held(descriptor: int, ioctl: Ioctl = system_ioctl) -> int:
-    """Characters that were written and have not left, as far as the driver tells.
+    """Number of written characters that have not left, as far as the driver tells.
 
     The buffer's count leaves out the character that is being sent; where the driver tells whether its transmitter is
     empty, that one counts too.

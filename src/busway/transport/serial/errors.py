@@ -1,8 +1,8 @@
-"""What goes wrong with ports becomes our errors here, and nowhere else.
+"""Translates errors of serial ports into the errors of busway.
 
 Knows the errors of the system and of `serialx`; knows no Modbus.
 
-1. What may be different later (not there, taken, unplugged) is `LinkDown`; what stays so until somebody changes a
+1. What may be different later (not there, taken, unplugged) is `LinkDown`; what stays so until the user changes a
    setting is `ConfigError`.
 """
 
@@ -26,7 +26,7 @@ _IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTS
 
 
 def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDown | ConfigError:
-    """Our error for one that came while a port was opened; the foreign one stays its cause. No byte was sent.
+    """The error for a failure to open a port; the system's error becomes its cause. No byte was sent.
 
     Args:
         error: what was raised.
@@ -49,7 +49,7 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
 
 
 def port_lost(error: BaseException | None, *, port: str, sent: bool = False) -> LinkDown:
-    """Our error for a port that vanished while it was open.
+    """The error for a port that vanished while it was open.
 
     Args:
         error: what was raised; None where a read merely ended.

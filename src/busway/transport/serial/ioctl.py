@@ -11,18 +11,18 @@ Ioctl = Callable[[int, int, bytearray], None]
 """Descriptor, request, buffer. Raises `OSError` where the driver refuses."""
 
 NOT_OFFERED = frozenset({errno.ENOTTY, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM, errno.EACCES})
-"""Answers by which a driver says that it has no such thing, or not for this user."""
+"""Error numbers of a driver that lacks a feature, or denies it to this user."""
 
 
 def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
-    """Ask the system."""
-    import fcntl  # where ports have no descriptors there is no such module, and nobody gets here
+    """Call ioctl."""
+    import fcntl  # where ports have no descriptors there is no such module, and this is not reached
 
     fcntl.ioctl(descriptor, request, buffer)
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Ask; False where the driver does not offer it. Other failures, as of a port that is gone, are raised."""
+    """Make a call. Returns False if the driver does not offer it; other failures, such as a lost port, are raised."""
     try:
         ioctl(descriptor, request, buffer)
     except OSError as error:
@@ -33,7 +33,7 @@ def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> boo
 
 
 def asked_integer(ioctl: Ioctl, descriptor: int, request: int, value: int = 0) -> int | None:
-    """Ask with an integer and give the one that comes back; None where the driver does not offer it."""
+    """Make a call with an integer, and return the integer it gives; None if the driver does not offer it."""
     buffer = bytearray(struct.pack("i", value))
     if not asked(ioctl, descriptor, request, buffer):
         return None

@@ -1,4 +1,4 @@
-"""One program per port: refusing it to others, and naming who has it.
+"""One program per port: locks it against others, and names the program that holds it.
 
 Knows the lock that `serialx` takes on an open port (``flock``), the system's own refusal (``TIOCEXCL``) and where
 Linux lists who holds what; knows no Modbus. Elsewhere the lock works and the holder stays unnamed.
@@ -38,12 +38,12 @@ class Holder:
 
 
 def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Let the system refuse the port to whoever opens it from now on, lock or no lock."""
+    """Make the system refuse to open the port again, with or without a lock."""
     asked(ioctl, descriptor, TIOCEXCL, bytearray())
 
 
 def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Take the refusal back: it would outlive us while any other descriptor of the port is open."""
+    """Undo `refuse_others`: the refusal would last as long as any other descriptor of the port is open."""
     try:
         asked(ioctl, descriptor, TIOCNXCL, bytearray())
     except OSError:
@@ -51,7 +51,7 @@ def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
 
 
 def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
-    """Who holds the port at ``path``: who locked it, or else who has it open. None where that cannot be seen."""
+    """The program that has locked the port at ``path``, or else has it open. None if that cannot be seen."""
     if not processes.is_dir():
         return None
     try:

@@ -3,7 +3,7 @@
 Knows the marks of termios: ``FF 00 x`` is a character x with a parity or framing error, ``FF 00 00`` also a break,
 ``FF FF`` one good FF. Knows no port: switching the marks on works on the attributes that termios gives.
 
-1. A damaged character stays in the data, as it was received: a frame keeps its length, and whoever frames the bytes
+1. A damaged character stays in the data, as it was received: a frame keeps its length, and what frames the bytes
    decides (Serial Line V1.02 §2.5.1: the frame is discarded).
 2. A mark may be split between two reads, at any place.
 """
@@ -39,7 +39,7 @@ class MarkDecoder:
         self._within = _Within.DATA
 
     def feed(self, stream: bytes) -> Received:
-        """The data in the next bytes of the stream. It may be empty, when a mark has only begun."""
+        """Decode the next bytes of the stream. The data may be empty if a mark has only begun."""
         if self._within is _Within.DATA and MARK not in stream:
             return Received(stream, 0)
         data = bytearray()
@@ -70,7 +70,7 @@ class MarkDecoder:
 
 def switch_marks_on(descriptor: int) -> None:
     """Ask the system to check each character and mark damaged ones. Raises `OSError`."""
-    import termios  # where ports have no descriptors there is no such module, and nobody gets here
+    import termios  # where ports have no descriptors there is no such module, and this is not reached
 
     try:
         attributes = termios.tcgetattr(descriptor)

@@ -1,10 +1,10 @@
-"""How a port is opened, beside what its line is set to; and which ports this process has open.
+"""Options of opening a port, apart from its line settings; and the ports that this process has open.
 
 Knows names of ports; opens none and knows no Modbus.
 
 1. A port belongs to one user in a process: two event loops, or an event loop and a thread, would take each other's
-   bytes. The system's own lock does not help where somebody switched it off.
-2. A claim ends with `Claim.release`, or with whoever held it.
+   bytes. The system's own lock does not help where it is switched off.
+2. A claim ends with `Claim.release`, or with its holder.
 """
 
 import os
@@ -23,7 +23,7 @@ def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
 
 
 class Claim:
-    """One port of this process, held by one user. Keep it as long as the port is used."""
+    """The claim of one user on a port of this process. Keep it as long as the port is used."""
 
     __slots__ = ("__weakref__", "port", "user")
 
@@ -50,7 +50,7 @@ class Claim:
             _claims[self.port] = self
 
     def release(self) -> None:
-        """Give the port up. May be called twice."""
+        """Give up the claim. May be called twice."""
         with _lock:
             if _claims.get(self.port) is self:
                 del _claims[self.port]
@@ -61,5 +61,5 @@ _claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary
 
 
 def _key(port: str) -> str:
-    """One name for all the links that lead to a device."""
+    """One name for a device, whatever symbolic links lead to it."""
     return os.path.realpath(port) if port.startswith("/") and os.path.exists(port) else port

@@ -1,7 +1,7 @@
-"""Whether a port has lost characters since somebody last looked.
+"""Tells whether a port has lost characters since the last look.
 
 Knows the driver's counters; what a loss means for a frame is for others. A port whose driver counts nothing has lost
-nothing as far as anybody can tell, and is not asked again.
+nothing that can be seen, and is not asked again.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ class Overruns:
     __slots__ = ("_counters", "_lost")
 
     def __init__(self, counters: Callable[[], LineCounters | None]) -> None:
-        """Begin with what was lost until now. ``counters`` reads them, and may raise `LinkDown`."""
+        """Start from the present count. ``counters`` reads them, and may raise `LinkDown`."""
         self._counters = counters
         self._lost = self._read()
 

@@ -1,4 +1,4 @@
-"""Which port is meant: a path, a name under ``by-id``, or a USB identity.
+"""Finds serial ports by path, by name under ``by-id``, or by USB identity.
 
 Knows how ports are named and listed; opens none and knows no Modbus. A name is looked up each time a port is opened, so
 a USB adapter is found again under whatever path it comes back.

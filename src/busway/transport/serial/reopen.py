@@ -1,4 +1,4 @@
-"""When a port that is not there is tried again.
+"""Opens a port that may not be there yet, with pauses between the attempts.
 
 Knows how often; the waiting itself is handed in, so that an event loop, a thread and a test each wait in their way.
 
@@ -40,14 +40,14 @@ class ReopenPolicy:
             raise ConfigError(f"must be at least 1, not {self.attempts}", key="attempts")
 
     def pause(self, failures: int) -> float | None:
-        """Seconds to wait after so many failures in a row (from 1); None when it is enough."""
+        """Seconds to wait after so many failures in a row (from 1); None to give up."""
         if self.attempts is not None and failures >= self.attempts:
             return None
         return min(self.first * 2.0 ** min(failures - 1, 32), self.most)
 
 
 def _ignore(_error: LinkDown, _pause: float) -> None:
-    """Nobody wants to know."""
+    """Ignore the news."""
 
 
 async def open_when_there(

@@ -28,21 +28,21 @@ _LAYOUT = struct.Struct("III20x")
 
 
 class DriverDirection(Enum):
-    """Who switches, once the port is open."""
+    """What switches the direction of an open port."""
 
-    NOBODY = "nobody"
+    NONE = "none"
     KERNEL = "kernel"
     RTS = "rts"
 
 
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
-    """Set up the direction control that the settings ask for, and tell which it became.
+    """Set up the direction control of the settings. Returns what switches.
 
     Raises:
         ConfigError: the kernel's mode is asked for and this port does not have it.
     """
     if settings.rs485 is Rs485.OFF:
-        return DriverDirection.NOBODY
+        return DriverDirection.NONE
     if settings.rs485 is not Rs485.RTS and _kernel_mode(descriptor, settings, ioctl):
         return DriverDirection.KERNEL
     if settings.rs485 is Rs485.KERNEL:
@@ -84,5 +84,5 @@ def _kernel_mode(descriptor: int, settings: SerialSettings, ioctl: Ioctl) -> boo
 
 
 def set_rts(descriptor: int, level: bool, ioctl: Ioctl = system_ioctl) -> bool:
-    """Raise or lower RTS; False where the port has no such wire (a pseudo-terminal)."""
+    """Raise or lower RTS. Returns False if the port has no such wire (a pseudo-terminal)."""
     return asked_integer(ioctl, descriptor, TIOCMBIS if level else TIOCMBIC, TIOCM_RTS) is not None

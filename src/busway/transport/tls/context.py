@@ -1,4 +1,4 @@
-"""From parameters to an ``ssl`` context: files are read here, and what is wrong with one is said with its name.
+"""Makes ``ssl`` contexts from parameters: reads the files, and names a file that is wrong.
 
 Knows files and OpenSSL; knows no connection.
 
@@ -37,7 +37,7 @@ _LOOK_SECONDS: Final = 1.0
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """A context for listeners. Raises `ConfigError` that names the file and what is wrong with it."""
+    """The context of a listener. Raises `ConfigError` that names the file and what is wrong with it."""
     parameters.check_server()
     context = _context(ssl.PROTOCOL_TLS_SERVER, parameters)
     context.verify_mode = ssl.CERT_REQUIRED
@@ -46,7 +46,7 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def client_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """A context for connections to servers. Raises `ConfigError` that names the file and what is wrong with it."""
+    """The context of connections to servers. Raises `ConfigError` that names the file and what is wrong with it."""
     parameters.check_client()
     context = _context(ssl.PROTOCOL_TLS_CLIENT, parameters)
     if parameters.verify is Verify.OFF_INSECURE:
@@ -71,7 +71,7 @@ def _context(protocol: int, parameters: TlsParameters) -> ssl.SSLContext:
     # OpenSSL has suites without encryption at its lowest level only.
     context.set_ciphers(":".join([*parameters.suites, f"@SECLEVEL={0 if unencrypted else 2}"]))
     if unencrypted:
-        _log.warning("%s: what is said over such a connection can be read by everybody", ", ".join(unencrypted))
+        _log.warning("%s: anyone on the way can read what such a connection carries", ", ".join(unencrypted))
     if parameters.curve is not Curve.ANY:
         # Of both sides and, by OpenSSL 3, for TLS 1.3 too: it sets the list of groups to this one.
         context.set_ecdh_curve(_OPENSSL_NAME[parameters.curve])
@@ -117,11 +117,11 @@ def _load_own(context: ssl.SSLContext, parameters: TlsParameters, certificate: s
 
 
 class _NoPasswordError(Exception):
-    """A key is encrypted and nobody named a password; OpenSSL would ask at the terminal."""
+    """A key is encrypted and no password was given; OpenSSL would ask at the terminal."""
 
 
 class _Password:
-    """Reads the password when it is wanted."""
+    """Reads the password when OpenSSL asks for it."""
 
     def __init__(self, file: str | None) -> None:
         self._file = file
@@ -190,7 +190,7 @@ def _system_words(error: OSError | ValueError) -> str:
 
 
 class WatchedContext:
-    """The context of a listener or connector, made anew when its files change.
+    """The context of a listener or connector; it is renewed when its files change.
 
     Args:
         parameters: which files.
@@ -246,7 +246,7 @@ class WatchedContext:
         _log.info("%s: certificates read anew", self.name)
 
     def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """What tells whether a file has changed: time and size of each; a file that is not there has none."""
+        """Time and size of each file, to notice changes; a missing file has none."""
         chosen = self.parameters
         own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
         names = [one for one in own if one is not None]

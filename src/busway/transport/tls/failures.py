@@ -1,4 +1,4 @@
-"""Why a secure connection did not come about, or ended: in words for an operator, and as a kind that can be counted.
+"""Reasons for which a secure connection failed or ended: as text for an operator, and as a kind for counters.
 
 Knows the errors of ``ssl`` and the alerts of TLS (RFC 8446 §6); knows no connection.
 
@@ -14,7 +14,7 @@ from typing import Final
 
 
 class FailureKind(Enum):
-    """What failures are counted by; the value is the name in a status."""
+    """Kinds of failures, for counters; the value is the name in a status."""
 
     EXPIRED = "expired"
     NOT_YET_VALID = "not yet valid"
@@ -40,7 +40,7 @@ class FailureKind(Enum):
 
 
 class TlsFailure(ConnectionError):
-    """A secure connection failed for a reason of TLS; the text says which, without a subject that is the peer.
+    """A secure connection failed in TLS; the text says why, and does not name the peer.
 
     Attributes:
         kind: what it is counted as.
@@ -52,7 +52,7 @@ class TlsFailure(ConnectionError):
 
 
 def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
-    """Our failure for an error of ``ssl``, which becomes its cause; ``server_side`` says which side we are."""
+    """The `TlsFailure` for an error of ``ssl``, which becomes its cause; ``server_side`` says which side we are."""
     kind, sentence = _verdict(error, "client" if server_side else "server")
     failure = TlsFailure(kind, sentence)
     failure.__cause__ = error
@@ -60,7 +60,7 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """A failure of time with the date, from the certificate as ``ssl`` gives it; ``now`` is seconds since 1970."""
+    """Add the date to a failure of validity, from the certificate that ``ssl`` gives; ``now`` is seconds since 1970."""
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:
         sentence = f"the server's certificate has expired on {date_of(ends)}"
@@ -73,7 +73,7 @@ def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) ->
 
 
 def date_of(moment: float) -> str:
-    """``2027-03-01 12:00 UTC`` of seconds since 1970."""
+    """Format seconds since 1970 as ``2027-03-01 12:00 UTC``."""
     return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(moment))
 
 

@@ -12,7 +12,7 @@ Knows transports and a `TlsStream`; knows no Modbus, and no certificate.
 2. The layer has no task; one timer watches the handshake, and the moments after a refusal.
 3. A handshake that fails is answered with its alert. The connection stays for a moment after that: closed at once,
    with bytes of the peer still unread, the system would reset it, and the peer would never see why.
-4. Whoever opened the layer hears exactly one of ``established`` and ``failed``; after ``established`` the protocol
+4. The owner of the layer gets exactly one of ``established`` and ``failed``; after ``established`` the protocol
    above hears ``connection_lost``, with the `TlsFailure` where TLS ended it.
 """
 
@@ -31,7 +31,7 @@ LINGER_SECONDS: Final = 1.0
 
 
 class TlsState(Enum):
-    """How far a layer is."""
+    """State of a layer."""
 
     HANDSHAKE = "handshake"
     UP = "up"
@@ -91,17 +91,17 @@ class TlsLayer(asyncio.BufferedProtocol):
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The connection below stands: begin."""
+        """The connection below is open: begin the handshake."""
         self._below = transport
         self._timer = self._loop.call_later(self._timeout, self._too_slow)
         self._shake_hands()
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        """Where the event loop receives into."""
+        """The buffer that the event loop receives into."""
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Records, or parts of them, have come."""
+        """Process received records, or parts of them."""
         if self.state is TlsState.HANDSHAKE:
             self._stream.feed(self._records[:nbytes])
             self._shake_hands()
@@ -110,13 +110,13 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def eof_received(self) -> bool:
-        """The peer sends no more; some do not say so in TLS."""
+        """Handle the end of the peer's stream; some peers do not announce it in TLS."""
         if self.state is TlsState.UP:
             return self._tell_end()
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The connection below has ended, whoever ended it."""
+        """Handle the end of the connection below."""
         state, self.state = self.state, TlsState.CLOSED
         self._stop_timer()
         if state is TlsState.HANDSHAKE:
@@ -129,12 +129,12 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._gone(self)
 
     def pause_writing(self) -> None:
-        """The peer takes no more for now."""
+        """Stop sending: the peer takes nothing for now."""
         if self._above is not None:
             self._above.pause_writing()
 
     def resume_writing(self) -> None:
-        """It takes more again."""
+        """Send again."""
         if self._above is not None:
             self._above.resume_writing()
 
@@ -161,7 +161,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def refuse(self, failure: TlsFailure) -> None:
-        """End a handshake that came to nothing, or one whose outcome is not wanted; the alert goes out."""
+        """End a failed or unwanted handshake; the alert is still sent."""
         if self.state is not TlsState.HANDSHAKE:
             return
         self.state = TlsState.REFUSED
@@ -186,7 +186,7 @@ class TlsLayer(asyncio.BufferedProtocol):
     # Plain bytes up.
 
     def _deliver(self) -> None:
-        """Hand up what can be read, then send what that has written."""
+        """Pass decrypted bytes to the protocol above, then send what it has written."""
         self._collecting = True
         try:
             while self._above is not None and not self._reading_paused:
@@ -209,7 +209,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._flush()
 
     def _tell_end(self) -> bool:
-        """The peer has ended; close, unless replies are still to go out."""
+        """Tell the protocol that the peer has ended; close unless replies are still to be sent."""
         if not self._ended_told and self._above is not None:
             self._ended_told = True
             if not self._above.eof_received():
@@ -220,7 +220,7 @@ class TlsLayer(asyncio.BufferedProtocol):
     # What the protocol above calls: the transport.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send plain bytes."""
+        """Encrypt and send bytes."""
         if self.state is not TlsState.UP or self._below.is_closing():
             return
         try:
@@ -238,7 +238,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._below.write(records)
 
     def close(self) -> None:
-        """Say that nothing more comes, and close after what is written has gone out."""
+        """Announce the end, and close after the written bytes are sent."""
         if self.state is TlsState.UP and not self._below.is_closing():
             self._stream.finish()
             self._flush()
@@ -252,16 +252,16 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._below.abort()
 
     def is_closing(self) -> bool:
-        """Whether it is closed, or about to be."""
+        """Whether the connection is closed, or about to be."""
         return self.state in (TlsState.CLOSED, TlsState.REFUSED) or self._below is None or self._below.is_closing()
 
     def pause_reading(self) -> None:
-        """Hand nothing up for now, and receive nothing."""
+        """Stop receiving, and pass nothing up."""
         self._reading_paused = True
         self._below.pause_reading()
 
     def resume_reading(self) -> None:
-        """Go on."""
+        """Receive again."""
         if self._reading_paused and not self._below.is_closing():
             self._reading_paused = False
             if self._stream.may_hold_more:
@@ -277,7 +277,7 @@ class TlsLayer(asyncio.BufferedProtocol):
                 self._below.resume_reading()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Bytes that may wait to be sent before the protocol above is asked to pause."""
+        """Set the limits of bytes that wait to be sent, above which the protocol above pauses."""
         self._below.set_write_buffer_limits(high, low)
 
     def get_write_buffer_size(self) -> int:
@@ -286,7 +286,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return size
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """What the connection below knows, and ``ssl_object``."""
+        """Information of the connection below, and ``ssl_object``."""
         if name == "ssl_object":
             return self._stream.ssl_object
         return self._below.get_extra_info(name, default) if self._below is not None else default

@@ -3,7 +3,7 @@
 Knows the extension and its encoding; knows no right that a role has.
 
 1. The whole string is the role. What is not exactly one UTF8String, down to the last byte, is no role.
-2. A certificate in which an extension stands twice is refused: nobody can tell which of them counts.
+2. A certificate in which an extension stands twice is refused: which of them counts is undefined.
 3. No role is None, never an empty text.
 """
 
@@ -20,7 +20,7 @@ _LONG_LENGTH: Final = 0x80
 
 @dataclass(frozen=True, slots=True)
 class RoleReading:
-    """What a certificate says about the role.
+    """The role that a certificate gives.
 
     Attributes:
         role: the role; None without one.
@@ -32,7 +32,7 @@ class RoleReading:
 
 
 def require_cryptography(purpose: str) -> None:
-    """Raises `MissingExtra` that says what to install, where the package is missing."""
+    """Raise `MissingExtra`, which says what to install, if the package is missing."""
     try:
         import cryptography.x509  # noqa: F401
     except ImportError:
@@ -40,7 +40,7 @@ def require_cryptography(purpose: str) -> None:
 
 
 def role_of_certificate(certificate: bytes) -> RoleReading:
-    """The role in a certificate in DER.
+    """Read the role from a certificate in DER.
 
     Raises:
         TlsFailure: the certificate has an extension twice, or cannot be read.
@@ -65,7 +65,7 @@ def role_of_certificate(certificate: bytes) -> RoleReading:
 
 
 def decode_role(value: bytes) -> RoleReading:
-    """The role in the value of the extension."""
+    """Decode the role from the value of the extension."""
     if len(value) < 2:
         return RoleReading(reason="the extension is empty")
     if value[0] != _UTF8_STRING:
@@ -88,7 +88,7 @@ def decode_role(value: bytes) -> RoleReading:
 
 
 def encode_role(role: str) -> bytes:
-    """The value of the extension for a role of 1…65535 bytes in UTF-8. Raises `ConfigError`."""
+    """Encode the value of the extension for a role of 1…65535 bytes in UTF-8. Raises `ConfigError`."""
     text = role.encode("utf-8")
     if not 1 <= len(text) <= 0xFFFF:
         raise ConfigError("a role has 1…65535 bytes", key="role")

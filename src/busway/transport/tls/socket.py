@@ -1,4 +1,4 @@
-"""TLS over one blocking connection, with the face of a non-blocking socket.
+"""TLS over one blocking connection, with the interface of a non-blocking socket.
 
 Knows a socket and a `TlsStream`; knows no Modbus.
 
@@ -75,11 +75,11 @@ class TlsSocket:
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
-        """What ``ssl`` knows of the conversation."""
+        """The ``ssl`` object of the conversation."""
         return self._stream.ssl_object
 
     def fileno(self) -> int:
-        """The descriptor to wait at."""
+        """The descriptor, to wait for readiness."""
         return self._socket.fileno()
 
     def get_extra_info(self, name: str) -> object:
@@ -87,7 +87,7 @@ class TlsSocket:
         return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Take the plain bytes that have come, into at least `RECEIVE_SIZE` bytes; 0 where the server ended.
+        """Receive decrypted bytes into at least `RECEIVE_SIZE` bytes; 0 if the server has ended.
 
         Raises:
             BlockingIOError: none have come.
@@ -113,7 +113,7 @@ class TlsSocket:
         return plain
 
     def send(self, data: bytes, /) -> int:
-        """Hand over plain bytes; how many have gone out.
+        """Encrypt and send bytes. Returns how many were taken.
 
         Where `BlockingIOError` was raised, the next call begins with the same bytes.
 
@@ -130,7 +130,7 @@ class TlsSocket:
         return self._encrypted
 
     def close(self) -> None:
-        """Say the end, if it can be said at once, and close; a thread that waits at it wakes up."""
+        """Announce the end if possible at once, and close; a waiting thread wakes up."""
         with contextlib.suppress(OSError):
             if self._unsent:
                 discard_on_close(self._socket)

@@ -36,15 +36,15 @@ class TlsStream:
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
-        """What ``ssl`` knows of the conversation: version, suite, certificate."""
+        """The ``ssl`` object of the conversation: version, suite, certificate."""
         return self._ssl
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Bytes have come from the peer."""
+        """Take bytes from the peer."""
         self._incoming.write(data)
 
     def handshake(self) -> bool:
-        """Go on as far as possible; whether both sides have agreed. Raises `TlsFailure`."""
+        """Continue the handshake. Returns whether it is complete. Raises `TlsFailure`."""
         try:
             self._ssl.do_handshake()
         except ssl.SSLWantReadError:
@@ -56,7 +56,7 @@ class TlsStream:
         return True
 
     def read_into(self, room: memoryview) -> int:
-        """Plain bytes into ``room``, as many as there are and fit; their number. Raises `TlsFailure`."""
+        """Decrypt into ``room`` as much as there is and fits. Returns the number of bytes. Raises `TlsFailure`."""
         if self._failure is not None:
             raise self._failure
         size = 0
@@ -83,11 +83,11 @@ class TlsStream:
 
     @property
     def may_hold_more(self) -> bool:
-        """Whether plain bytes may be left that did not fit."""
+        """Whether decrypted bytes may be left that did not fit."""
         return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Plain bytes for the peer. Raises `TlsFailure`."""
+        """Encrypt bytes for the peer. Raises `TlsFailure`."""
         rest = memoryview(data)
         try:
             while rest:
@@ -96,7 +96,7 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """What a connection that ended without a failure of TLS ended with; ``error`` is the network's.
+        """Why a connection ended that had no failure of TLS; ``error`` is the network's.
 
         Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
         believes itself connected. Only that nothing was ever heard tells that from other ends.
@@ -109,11 +109,11 @@ class TlsStream:
         return failure
 
     def outgoing(self) -> bytes:
-        """What is to be sent to the peer now; empty where nothing is."""
+        """The encrypted bytes to send to the peer now; may be empty."""
         return self._outgoing.read() if self._outgoing.pending else b""
 
     def finish(self) -> None:
-        """Say that nothing more is sent (close_notify); without it the session could not be resumed."""
+        """Announce that nothing more is sent (close_notify); without it the session could not be resumed."""
         try:
             self._ssl.unwrap()
         except (ssl.SSLError, ValueError):

@@ -47,7 +47,7 @@ class Issued:
         return b"".join(one.public_bytes(Encoding.PEM) for one in (self.certificate, *self.chain))
 
     def key_pem(self, password: bytes | None = None) -> bytes:
-        """The private key in PEM, encrypted where there is a password."""
+        """The private key in PEM, encrypted if there is a password."""
         from cryptography.hazmat.primitives import serialization
 
         encryption = (
@@ -56,7 +56,7 @@ class Issued:
         return self.key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
 
     def write(self, certificate: Path, key: Path, *, password: bytes | None = None) -> None:
-        """Write both files, in place of old ones; the key first, readable by its owner alone. Raises `ConfigError`."""
+        """Write or replace both files; the key first, readable by its owner only. Raises `ConfigError`."""
         write_private(key, self.key_pem(password))
         try:
             certificate.write_bytes(self.certificate_pem())
@@ -76,18 +76,18 @@ class Authority:
 
     @classmethod
     def create(cls, name: str = "busway test authority", *, days: float = 3650.0) -> "Authority":
-        """A new one, signed by itself; valid for ``days``. Raises `ConfigError` without ``cryptography``."""
+        """Make a self-signed authority, valid for ``days``. Raises `ConfigError` without ``cryptography``."""
         require_cryptography("making certificates")
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
     def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
-        """An authority below this one."""
+        """Make an authority below this one."""
         return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
 
     def server(
         self, hosts: Sequence[str], *, name: str | None = None, days: float = 825.0, starts_in: float = 0.0
     ) -> Issued:
-        """A certificate for a server that is reached by ``hosts``, names and addresses."""
+        """Make a certificate for a server with these ``hosts``, names and addresses."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -101,7 +101,7 @@ class Authority:
         return _build(subject, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def client(self, name: str, *, role: str | None = None, days: float = 825.0, starts_in: float = 0.0) -> Issued:
-        """A certificate for a client, with or without a role."""
+        """Make a certificate for a client, with or without a role."""
         return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
 
     def client_with(
@@ -153,7 +153,7 @@ class Authority:
 
     @staticmethod
     def self_signed(name: str, hosts: Sequence[str], *, days: float = 825.0) -> Issued:
-        """A certificate that is signed by itself and is no authority, for servers and clients."""
+        """Make a self-signed certificate that is no authority, for servers and clients."""
         from cryptography import x509
 
         require_cryptography("making certificates")
@@ -168,7 +168,7 @@ def _build(
     starts_in: float = 0.0,
     extensions: "Sequence[x509.ExtensionType]",
 ) -> Issued:
-    """Sign; by itself where there is no issuer. ``days`` from now, negative for what has expired."""
+    """Sign a certificate; without an issuer by itself. Valid for ``days`` from now; negative: it has expired."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -243,9 +243,9 @@ def _host_name(host: str) -> "x509.GeneralName":
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Write a file that its owner alone can read, in place of an old one. Raises `ConfigError`."""
+    """Replace a file by one that only its owner can read. Raises `ConfigError`."""
     try:
-        path.unlink(missing_ok=True)  # an old file would keep its mode, and whoever holds it open
+        path.unlink(missing_ok=True)  # an old file would keep its mode, and its readers
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, KEY_MODE)
         with os.fdopen(handle, "wb") as file:
             file.write(data)

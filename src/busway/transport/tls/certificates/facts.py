@@ -21,7 +21,7 @@ DAY: Final = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class CertificateFacts:
-    """One certificate.
+    """What one certificate says.
 
     Attributes:
         subject, issuer: names, as ``CN=plc-7,O=Acme``.
@@ -50,11 +50,11 @@ class CertificateFacts:
     fingerprint: str
 
     def days_left(self, now: float | None = None) -> float:
-        """Days until it expires; negative behind that. ``now`` is seconds since 1970, None the present."""
+        """Days until it expires; negative after that. ``now`` is seconds since 1970, None the present."""
         return (self.not_after - (time.time() if now is None else now)) / DAY
 
     def validity(self, now: float | None = None) -> str:
-        """Empty while it is valid and for 30 days more; otherwise what there is to say."""
+        """A warning about expiry: empty while the certificate is valid for more than 30 days."""
         moment = time.time() if now is None else now
         if moment < self.not_before:
             return f"is not valid before {date_of(self.not_before)}"
@@ -89,7 +89,7 @@ def facts_of_file(name: str) -> list[CertificateFacts]:
 
 
 def facts_of_der(data: bytes) -> CertificateFacts:
-    """What a certificate in DER says. Raises `ValueError` where it is none."""
+    """The facts of a certificate in DER. Raises `ValueError` if it is none."""
     from cryptography import x509
 
     return _facts(x509.load_der_x509_certificate(data))
