@@ -4,7 +4,7 @@ import pytest
 
 from busway.framing.echo import Echo
 from busway.framing.timing import Parity
-from busway.transport.serial import settings
+from busway.options import ports
 
 
 def test_a_word_is_taken_in_capitals_too_and_another_is_not() -> None:
@@ -15,5 +15,5 @@ def test_a_word_is_taken_in_capitals_too_and_another_is_not() -> None:
 
 
 def test_parity_and_echo_of_a_port_are_those_of_the_framing() -> None:
-    assert settings.Parity is Parity
-    assert settings.Echo is Echo
+    assert ports.Parity is Parity
+    assert ports.Echo is Echo
