@@ -33,8 +33,9 @@ PROMPT = 0.03
 """Seconds that a unit in good health takes."""
 LATENCY = 0.001
 """Seconds of a network from end to end."""
-LONGEST_CALL = 300.0
-"""Seconds after which a call that has not ended hangs."""
+LONGEST_CALL = 1000.0
+"""Seconds after which a call that has not ended hangs. A read is repeated once for each reply that the unit owes, which
+may be 256 and more; one that takes nearly twice the timeout for each needs 500 s for them."""
 TURNS_AT_ONE_MOMENT = 200
 """So many steps without time passing are a master that spins."""
 
