@@ -33,7 +33,8 @@ _NOT_LATE: Final = 60 * 1_000_000_000
 """Nanoseconds before the begin of a segment that its samples may have: a slow transaction, a slow commit."""
 _CHUNK: Final = 50_000
 """Rows that are fetched at once."""
-_ROW_GROUP: Final = 256 * 1024
+_ROW_GROUP: Final = 64 * 1024
+"""Rows that are read at least where one point is asked for."""
 
 
 def can_seal() -> bool:

@@ -1,0 +1,33 @@
+"""The tables of the page about sinks are sinks."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from busway.apps.collector.sinks.options import make_sink
+
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "send-samples-on.md").read_text("utf-8")
+TABLES = [
+    table for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL) for table in tomllib.loads(block)["sink"]
+]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table["url"])
+def test_each_table_makes_a_sink(table: dict[str, Any], tmp_path: Path) -> None:
+    for package in ("aiomqtt", "asyncpg", "httpx", "nats"):
+        pytest.importorskip(package)
+    secret = tmp_path / "secret"
+    secret.write_text("x")
+    secret.chmod(0o600)
+    values = {name: str(secret) if name.endswith("_file") else value for name, value in table.items()}
+    sink, options = make_sink(values["name"], values)
+    assert sink is not None
+    assert options.points
+
+
+def test_there_is_one_for_each_kind() -> None:
+    schemes = {table["url"].partition(":")[0] for table in TABLES}
+    assert schemes == {"mqtt", "mqtts", "postgresql", "influxdb+http", "influxdb+https", "nats", "file"}
