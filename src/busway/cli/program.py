@@ -42,6 +42,7 @@ COMMANDS = {
     "status": "Show how a running server or gateway does.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
+    "points": "Make device files of what other programs have.",
     "config": "Check and explain configuration files.",
     "policy": "Say what a policy permits.",
     "certs": "Make certificates for tests, or show what some say.",

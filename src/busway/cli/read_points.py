@@ -138,15 +138,25 @@ class PointReader:
     def read(self) -> list[PointRecord]:
         """One round: a record for each point that is wanted and exists, in the order of the file."""
         self.code = ExitCode.DONE
-        counting = {name for point in self._stored for name, _ in point.exists}
+        counting = self._counting()
         records = self._read([point for point in self._stored if point.name in counting])
+        records |= self._derived(Derivation([self._all[name] for name in counting if self._all[name].formula]), records)
         rest = [point for point in self._stored if point.name not in counting and _exists(point, records)]
         records |= self._read(rest)
-        derived = self._derivation.apply({name: each.reading for name, each in records.items()}, time.monotonic())
-        for name, reading in derived.items():
-            raw = records[name].raw if name in records else b""
-            records[name] = PointRecord(self._all[name], reading, raw)
+        records |= self._derived(self._derivation, records)
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
+
+    def _counting(self) -> set[str]:
+        """The points that say how many members groups have, and those that these are computed from."""
+        names = {name for point in self._stored for name, _ in point.exists}
+        return {point.name for point in self._with_inputs([self._all[name] for name in names])}
+
+    def _derived(self, derivation: Derivation, records: Mapping[str, PointRecord]) -> dict[str, PointRecord]:
+        found = derivation.apply({name: each.reading for name, each in records.items()}, time.monotonic())
+        return {
+            name: PointRecord(self._all[name], reading, records[name].raw if name in records else b"")
+            for name, reading in found.items()
+        }
 
     def _read(self, points: Sequence[Point]) -> dict[str, PointRecord]:
         from ..apps.collector.cost import network_cost

@@ -549,6 +549,8 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
     needed = [((*each.path, "scale_from"), each.section.scale_from) for each in placed if each.section.scale_from]
     needed += [((*path[:-2], "count_from"), name) for name, path in counts.items()]
     for path, name in needed:
+        if path[-1] == "count_from" and name in there and there[name].is_computed:
+            continue
         point = there.get(name)
         if point is None:
             yield path, f"there is no point {shown(name)}"

@@ -1,0 +1,65 @@
+"""Which importer reads a file.
+
+Knows names of formats and how files of each look from outside.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from ...config.reading import read_text
+from ...errors import ConfigError
+from ..simulator.register_map import read_register_map
+from .home_assistant import read_home_assistant
+from .imported import ImportedDevice
+from .modpoll import is_modpoll, read_modpoll
+from .sunspec import FIRST_MODEL, read_sunspec
+from .telegraf import read_telegraf
+
+FORMATS: Final = {
+    "csv": "a register map in CSV, as manuals have it",
+    "telegraf": "inputs.modbus of Telegraf, TOML",
+    "home-assistant": "modbus: of Home Assistant, YAML",
+    "modpoll": "the CSV of modpoll",
+    "sunspec": "a SunSpec model, JSON",
+}
+_ENDINGS: Final = {
+    ".toml": "telegraf", ".conf": "telegraf", ".yaml": "home-assistant", ".yml": "home-assistant", ".json": "sunspec",
+    ".csv": "csv", ".txt": "csv", ".tsv": "csv",
+}  # fmt: skip
+
+
+def import_file(
+    path: str, *, format: str | None = None, address: int = FIRST_MODEL, counts: Mapping[str, int] | None = None
+) -> ImportedDevice:
+    """What a file of another program says of a device.
+
+    Args:
+        path: the file.
+        format: one of `FORMATS`; None to tell by its name and first lines.
+        address: of SunSpec models: offset of the register ``ID``.
+        counts: of SunSpec models: places of groups, by name.
+
+    Raises:
+        ConfigError: it cannot be read, or is not of that format.
+    """
+    if format is not None and format not in FORMATS:
+        raise ConfigError(f"there is no such format, but {', '.join(FORMATS)}", key=format)
+    chosen = format or _ENDINGS.get(path[path.rfind(".") :].lower() if "." in path else "")
+    if chosen is None:
+        raise ConfigError("its name says no format; --from says which: " + ", ".join(FORMATS), file=path)
+    if chosen == "csv":
+        if format is None and is_modpoll(read_text(path)):
+            return read_modpoll(read_text(path), path)
+        return _register_map(path)
+    text = read_text(path)
+    if chosen == "sunspec":
+        return read_sunspec(text, path, first=address, counts=counts)
+    readers = {"telegraf": read_telegraf, "home-assistant": read_home_assistant, "modpoll": read_modpoll}
+    return readers[chosen](text, path)
+
+
+def _register_map(path: str) -> ImportedDevice:
+    found = ImportedDevice()
+    for point in read_register_map(path):
+        found.add(1, {key: getattr(point, key) for key in sorted(point.model_fields_set)}, point.name)
+    return found

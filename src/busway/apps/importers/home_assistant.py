@@ -1,0 +1,138 @@
+"""Home Assistant's ``modbus:`` → points.
+
+Knows the keys of its sensors, binary sensors and switches. Other entities (climates, covers, fans, lights) are more
+than points and are reported. Addresses count from 0.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from ...values.refusal import shown
+from .imported import ImportedDevice
+from .plain_yaml import Place, YamlDocument, parse_yaml
+
+_TABLES: Final = {"holding": "holding", "input": "input", "coil": "coil", "discrete_input": "discrete"}
+_SWAPS: Final = {None: None, "none": None, "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
+_OF_HUB: Final = {"name", "type", "host", "port", "sensors", "binary_sensors", "switches"}
+_USED: Final = {
+    "name", "address", "input_type", "data_type", "scale", "offset", "unit_of_measurement", "swap", "count",
+    "structure", "slave", "device_address", "nan_value", "scan_interval", "unique_id", "device_class", "state_class",
+    "precision", "write_type", "command_on", "command_off", "verify", "virtual_count", "slave_count",
+}  # fmt: skip
+_META: Final = ("unique_id", "device_class", "state_class", "precision", "scan_interval")
+
+
+def read_home_assistant(text: str, name: str) -> ImportedDevice:
+    """The points of a configuration. Raises `ConfigError` where its YAML is not understood."""
+    document = parse_yaml(text, name)
+    data, root = document.data, ()
+    found = ImportedDevice()
+    place: Place = root
+    if isinstance(data, dict) and "modbus" in data:
+        for key in data.keys() - {"modbus"}:
+            found.omit(f"line {document.line((key,))}", key, "is not Modbus")
+        data, place = data["modbus"], ("modbus",)
+    for at, hub in enumerate(data if isinstance(data, list) else [data]):
+        if isinstance(hub, dict):
+            _hub(hub, (*place, at) if isinstance(data, list) else place, document, found)
+    return found
+
+
+def _hub(hub: Mapping[str, Any], place: Place, document: YamlDocument, found: ImportedDevice) -> None:
+    if "host" in hub:
+        found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {hub['host']}:{hub.get('port', 502)}")
+    for key in hub.keys() - _OF_HUB:
+        is_list = isinstance(hub[key], list)
+        why = "is more than a point: write its registers as points" if is_list else "is an option of the link"
+        found.omit(f"line {document.line((*place, key))}", key, why)
+    for key, make in (("sensors", _sensor), ("binary_sensors", _binary_sensor), ("switches", _switch)):
+        for at, entity in _entities(hub.get(key)):
+            here = (*place, key, at)
+            where = f"line {document.line(here)}"
+            name = str(entity.get("name", f"{key}_{at + 1}"))
+            for other in entity.keys() - _USED:
+                found.omit(f"line {document.line((*here, other))}", f"{name}.{other}", "is Home Assistant's own")
+            if not isinstance(entity.get("address"), int):
+                found.omit(where, name, f"has no address: {shown(entity.get('address'))}")
+                continue
+            keys: dict[str, Any] = {"name": name, "unit_of_measure": entity.get("unit_of_measurement")}
+            keys["meta"] = {each: entity[each] for each in _META if entity.get(each) is not None} or None
+            for made in make(entity, keys, where, found):
+                found.add(_unit(entity), made, where)
+
+
+def _sensor(
+    entity: Mapping[str, Any], keys: dict[str, Any], where: str, found: ImportedDevice
+) -> Iterator[dict[str, Any]]:
+    table = _TABLES.get(str(entity.get("input_type", "holding")), "")
+    kind, count = str(entity.get("data_type", "int16")), entity.get("count", 1)
+    if kind == "string":
+        kind = f"string:{2 * int(count)}"
+    elif kind == "custom":
+        structure = str(entity.get("structure", ""))
+        kind = f"custom:{structure if structure[:1] in '<>' else '>' + structure}"
+    swap = entity.get("swap")
+    if swap not in _SWAPS:
+        found.omit(where, f"{keys['name']}.swap", f"is no swap that there is: {shown(swap)}")
+    numbers = not kind.startswith(("string", "custom"))
+    scale, offset = entity.get("scale", 1), entity.get("offset", 0)
+    if not numbers and (scale != 1 or offset):
+        found.omit(where, f"{keys['name']}.scale", f"{kind} is no number")
+    keys |= {"type": kind, "order": _SWAPS.get(swap)}
+    if numbers:
+        keys |= {"scale": None if scale == 1 else float(scale), "offset": None if not offset else float(offset)}
+        keys["invalid"] = None if entity.get("nan_value") is None else [_number(entity["nan_value"])]
+    several = entity.get("virtual_count", entity.get("slave_count", 0)) or 0
+    size = {"16": 1, "32": 2, "64": 4}.get(kind[-2:], 0)
+    if several and not size:
+        found.omit(where, f"{keys['name']}.virtual_count", "is not carried over for this type")
+        several = 0
+    for place in range(several + 1):
+        name = keys["name"] if not place else f"{keys['name']}_{place}"
+        yield {**keys, "name": name, "address": f"{table}:{entity['address'] + place * size}"}
+
+
+def _binary_sensor(
+    entity: Mapping[str, Any], keys: dict[str, Any], where: str, found: ImportedDevice
+) -> Iterator[dict[str, Any]]:
+    table = _TABLES.get(str(entity.get("input_type", "coil")), "")
+    for place in range((entity.get("virtual_count", entity.get("slave_count", 0)) or 0) + 1):
+        name = keys["name"] if not place else f"{keys['name']}_{place}"
+        address = f"{table}:{entity['address']}"
+        if table in ("holding", "input"):
+            address = f"{table}:{entity['address'] + place // 16}.{place % 16}"
+        elif place:
+            address = f"{table}:{entity['address'] + place}"
+        yield {**keys, "name": name, "address": address, "unit_of_measure": None}
+
+
+def _switch(
+    entity: Mapping[str, Any], keys: dict[str, Any], where: str, found: ImportedDevice
+) -> Iterator[dict[str, Any]]:
+    table = _TABLES.get(str(entity.get("write_type", "holding")), "")
+    address = f"{table}:{entity['address']}"
+    write: dict[str, Any] = {}
+    verify = entity.get("verify", False)
+    if isinstance(verify, dict) or verify is None:
+        place = dict(verify or {})
+        own = _TABLES.get(str(place.get("input_type", entity.get("write_type", "holding"))), table)
+        at = place.get("address", entity["address"])
+        write["verify"] = "read-back" if (own, at) == (table, entity["address"]) else f"{own}:{at}"
+        for key in place.keys() - {"input_type", "address"}:
+            found.omit(where, f"{keys['name']}.verify.{key}", "what is read back is the value itself")
+    if table == "holding":
+        write |= {"on": int(entity.get("command_on", 1)), "off": int(entity.get("command_off", 0))}
+    yield {**keys, "address": address, "write": write or None}
+
+
+def _unit(entity: Mapping[str, Any]) -> int:
+    unit = entity.get("slave", entity.get("device_address", 1))
+    return unit if isinstance(unit, int) else 1
+
+
+def _number(value: Any) -> Any:
+    return int(value, 16) if isinstance(value, str) else value
+
+
+def _entities(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))

@@ -1,0 +1,139 @@
+"""What an importer finds, put together into units, checked, and written as a device file.
+
+Knows the schema of device files and reports; knows no format of others.
+
+1. Nothing is dropped in silence: each key, point or section that is not carried over is a line of the report, with
+   where it stood and why.
+2. A point that cannot be is left out and reported; the others are kept. Points that share registers are allowed to.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from ...config.files.schema import faults_of
+from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
+from ...errors import ConfigError
+from ..simulator.device_text import device_text
+
+
+@dataclass(frozen=True, slots=True)
+class Omission:
+    """Something that was not carried over.
+
+    Attributes:
+        where: line of the source, or path in it; empty for all of it.
+        what: the point, key or section.
+        why: as a sentence without a subject.
+    """
+
+    where: str
+    what: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}: {self.why}" if self.where else f"{self.what}: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedPoint:
+    """A point as an importer understood it: the keys of a device file, and where it stood."""
+
+    keys: dict[str, Any]  # what TOML has
+    where: str = ""
+
+
+@dataclass(slots=True)
+class ImportedDevice:
+    """What an importer finds in a file.
+
+    Attributes:
+        points: by the number of their unit, each with where it stood.
+        groups: ``[[unit.group]]`` of each unit, as a device file has them.
+        remarks: comment lines for the head of the device file.
+        omissions: what was not carried over.
+    """
+
+    points: dict[int, list[ImportedPoint]] = field(default_factory=dict)
+    groups: dict[int, list[dict[str, Any]]] = field(default_factory=dict)  # Any: what TOML has
+    remarks: list[str] = field(default_factory=list)
+    omissions: list[Omission] = field(default_factory=list)
+
+    def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
+        """A point of a unit. Keys whose value is None are left out."""
+        kept = {key: value for key, value in keys.items() if value is not None}
+        self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
+
+    def omit(self, where: str, what: str, why: str) -> None:
+        """Report something that is not carried over."""
+        self.omissions.append(Omission(where, what, why))
+
+    def sections(self) -> list[SimulatedUnitSection]:
+        """The units, checked; points that cannot be are reported and left out.
+
+        Raises:
+            ConfigError: no point is left.
+        """
+        found = [self._unit(number) for number in sorted({*self.points, *self.groups})]
+        if not any(section.point or section.group for section in found):
+            why = f": {self.omissions[0]}" if self.omissions else ""
+            raise ConfigError(f"there is no point in it that could be carried over{why}")
+        return found
+
+    def _unit(self, number: int) -> SimulatedUnitSection:
+        kept: list[ImportedPoint] = []
+        names: set[str] = set()
+        for point in self.points.get(number, []):
+            keys = {**point.keys, "name": _once(str(point.keys.get("name", "")), names)}
+            try:
+                SimulatedPointSection.model_validate(keys)
+            except ValidationError as error:
+                why = "; ".join(dict.fromkeys(sentence for _, sentence in _faults(error, SimulatedPointSection)))
+                self.omit(point.where, keys["name"] or "a point without a name", why)
+                continue
+            names.add(keys["name"])
+            kept.append(ImportedPoint(keys, point.where))
+        return self._together(number, kept)
+
+    def _together(self, number: int, kept: list[ImportedPoint]) -> SimulatedUnitSection:
+        """The unit; what is wrong with its points together is reported, and the points concerned are left out."""
+        groups = self.groups.get(number, [])
+        while True:
+            data = {"unit": number, "point": [each.keys for each in kept]} | ({"group": groups} if groups else {})
+            try:
+                return SimulatedUnitSection.model_validate(data)
+            except ValidationError as error:
+                faults = _faults(error, SimulatedUnitSection)
+            wrong = {path[1]: sentence for path, sentence in faults if path[:1] == ("point",) and len(path) > 1}
+            if not wrong:
+                raise ConfigError("; ".join(sentence for _, sentence in faults))
+            for place, sentence in wrong.items():
+                if "is taken by" in sentence:
+                    kept[place].keys["overlaps"] = True
+                else:
+                    self.omit(kept[place].where, kept[place].keys["name"], sentence)
+            kept = [each for at, each in enumerate(kept) if at not in wrong or "is taken by" in wrong[at]]
+
+    def text(self, source: str) -> str:
+        """The device file, with the report in its first lines."""
+        units = self.sections()
+        remarks = [f"Converted from {source} by busway points convert.", *self.remarks]
+        if self.omissions:
+            remarks += ["", "Not carried over:", *(f"  {each}" for each in self.omissions)]
+        return device_text(units, remarks=remarks, compact=True)
+
+
+def _once(name: str, taken: set[str]) -> str:
+    """The name, with a number behind it where it is taken."""
+    if name not in taken:
+        return name
+    number = 2
+    while f"{name}_{number}" in taken:
+        number += 1
+    return f"{name}_{number}"
+
+
+def _faults(error: ValidationError, section: type[Any]) -> list[tuple[Any, str]]:  # Any: keys and places
+    return [fault for each in error.errors() for fault in faults_of(each, section)]

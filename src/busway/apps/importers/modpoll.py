@@ -1,0 +1,88 @@
+"""The CSV of modpoll (lines ``device``, ``poll`` and ``ref``) → points.
+
+Knows modpoll's columns and types. Its addresses are offsets on the wire. A byte order and a word order are written as
+``BE_LE``.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from typing import Final
+
+from ...values.refusal import shown
+from .imported import ImportedDevice
+
+_TABLES: Final = {
+    "coil": "coil",
+    "discrete_input": "discrete",
+    "input_register": "input",
+    "holding_register": "holding",
+}
+_ORDERS: Final = {"BE_BE": "ABCD", "LE_BE": "BADC", "BE_LE": "CDAB", "LE_LE": "DCBA"}
+_NUMBER: Final = re.compile(r"(u?int|float)(16|32|64)")
+_STRING: Final = re.compile(r"string(\d+)")
+_BOOLS: Final = re.compile(r"bool(8|16)?")
+
+
+def is_modpoll(text: str) -> bool:
+    """Whether a CSV looks like modpoll's: its lines begin with ``device``, ``poll`` and ``ref``."""
+    heads = [line.partition(",")[0].strip().lower() for line in text.splitlines()]
+    return "poll" in heads and "ref" in heads
+
+
+def read_modpoll(text: str, name: str) -> ImportedDevice:
+    """The points of a modpoll configuration."""
+    found = ImportedDevice()
+    unit, table, order = 1, "", "ABCD"
+    rows = csv.reader(io.StringIO(text))
+    for row in rows:
+        cells = [cell.strip() for cell in row]
+        where = f"line {rows.line_num}"
+        kind = cells[0].lower() if cells else ""
+        if not kind or kind.startswith("#"):
+            continue
+        if kind == "device" and len(cells) > 2 and cells[2].isdecimal():
+            unit = int(cells[2])
+            found.remarks.append(f"Unit {unit} is modpoll's device {cells[1]}.")
+        elif kind == "poll" and len(cells) > 3:
+            table = _TABLES.get(cells[1].lower(), "")
+            order = _ORDERS.get(cells[4].upper() if len(cells) > 4 and cells[4] else "BE_BE", "")
+            if not table or not order:
+                found.omit(where, ",".join(cells), "is no table and order that modpoll has")
+                table = ""
+            found.omit(where, ",".join(cells), "which reads are made is planned, and not written down")
+        elif kind == "ref":
+            _reference(cells, where, unit, table, order, found)
+        else:
+            found.omit(where, ",".join(cells), "is no line of modpoll that is known")
+    return found
+
+
+def _reference(cells: Sequence[str], where: str, unit: int, table: str, order: str, found: ImportedDevice) -> None:
+    name, address, kind, access, measure, scale = [*cells[1:7], "", "", "", "", "", ""][:6]
+    if not table or not address.isdecimal():
+        found.omit(where, name or "a point", f"has no table or no address: {shown(','.join(cells))}")
+        return
+    keys: dict[str, object] = {"name": name, "address": f"{table}:{address}", "unit_of_measure": measure or None}
+    first, bools = int(address), _BOOLS.fullmatch(kind.lower())
+    if bools or table in ("coil", "discrete"):
+        count = int(bools[1] or 1) if bools else 1
+        for place in range(count):
+            bit = f"{table}:{first + place}" if table in ("coil", "discrete") else f"{table}:{first}.{place}"
+            found.add(unit, {**keys, "name": name if count == 1 else f"{name}.{place}", "address": bit}, where)
+        return
+    number, text = _NUMBER.fullmatch(kind.lower()), _STRING.fullmatch(kind.lower())
+    if number is None and text is None:
+        found.omit(where, name, f"has a type that there is not: {shown(kind)}")
+        return
+    keys["type"] = f"string:{text[1]}" if text else kind.lower()
+    keys["order"] = None if order == "ABCD" else order
+    if number and scale:
+        try:
+            keys["scale"] = float(scale)
+        except ValueError:
+            found.omit(where, f"{name}.scale", f"is no number: {shown(scale)}")
+    if table == "holding" and access.lower() == "r":
+        keys["access"] = "read"
+    found.add(unit, keys, where)

@@ -1,0 +1,205 @@
+"""SunSpec models in JSON → points and groups.
+
+Knows the types of the SunSpec Device Information Model Specification and what each has for "not implemented".
+
+1. A model begins with its registers ``ID`` and ``L``; where these stand in a device is not said by the model.
+2. A group whose count is the name of a point, or 0 (as many as ``L`` has room for), is read as often as the device
+   says, if nothing stands behind it. Otherwise what follows would move with the count: then the count has to be given.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+from ...errors import ConfigError
+from ...values.refusal import shown
+from .imported import ImportedDevice
+
+FIRST_MODEL: Final = 40002
+"""Offset of the first model where the map begins at 40000, behind the marker "SunS"."""
+MOST: Final = 20
+"""Places of a group whose number the device says."""
+
+_ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
+    "int16": ("int16", 0x8000),
+    "uint16": ("uint16", 0xFFFF),
+    "count": ("uint16", 0xFFFF),
+    "acc16": ("uint16", None),
+    "enum16": ("uint16", 0xFFFF),
+    "bitfield16": ("uint16", 0xFFFF),
+    "sunssf": ("int16", 0x8000),
+    "int32": ("int32", 0x80000000),
+    "uint32": ("uint32", 0xFFFFFFFF),
+    "acc32": ("uint32", None),
+    "enum32": ("uint32", 0xFFFFFFFF),
+    "bitfield32": ("uint32", 0xFFFFFFFF),
+    "int64": ("int64", 0x8000000000000000),
+    "uint64": ("uint64", 0xFFFFFFFFFFFFFFFF),
+    "acc64": ("uint64", None),
+    "bitfield64": ("uint64", 0xFFFFFFFFFFFFFFFF),
+    "float32": ("float32", None),
+    "float64": ("float64", None),
+    "ipaddr": ("ipv4", None),
+    "ipv6addr": ("ipv6", None),
+    "eui48": ("eui64", None),
+}
+"""Types: what they are here, and the number that stands for "not implemented"; floats have NaN for it."""
+_UNITS: Final = {"C": "°C", "Secs": "s", "Pct": "%", "Degrees": "°", "deg": "°", "VAr": "var", "Var": "var"}
+_SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comments")
+
+
+def read_sunspec(
+    text: str, name: str, *, first: int = FIRST_MODEL, counts: Mapping[str, int] | None = None
+) -> ImportedDevice:
+    """The points of a model.
+
+    Args:
+        text: the model.
+        name: of the file, for the sentences.
+        first: offset of its register ``ID``.
+        counts: how many places a group has, by its name or that of its count.
+
+    Raises:
+        ConfigError: it is no model, or the number of places of a group has to be given.
+    """
+    try:
+        model = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"is no JSON: {error}", file=name) from None
+    group = model.get("group") if isinstance(model, dict) else None
+    if not isinstance(group, dict) or not isinstance(group.get("points"), list):
+        raise ConfigError("is no SunSpec model: it has no group with points", file=name)
+    found = ImportedDevice()
+    found.remarks += [
+        f"SunSpec model {model.get('id', '?')}, {group.get('label', group.get('name', ''))}.",
+        f"Its register ID is assumed at offset {first}; --address says where a device has it.",
+    ]
+    _Model(found, name, dict(counts or {})).take(group, first)
+    found.omit("", ", ".join(_SAYING_NOTHING), "say nothing about values")
+    return found
+
+
+class _Model:
+    """Lays a model out from its first register on."""
+
+    def __init__(self, found: ImportedDevice, name: str, counts: dict[str, int]) -> None:
+        self._found = found
+        self._name = name
+        self._counts = counts
+
+    def take(self, group: Mapping[str, Any], first: int) -> None:
+        """The points of the model, and its groups."""
+        points, at = self._points(group, first, ())
+        for keys in points:
+            self._found.add(1, keys, keys["name"])
+        names = [keys["name"] for keys in points]
+        groups, _ = self._groups(group, at, names, first, is_last=True)
+        if groups:
+            self._found.groups[1] = groups
+
+    def _groups(
+        self, group: Mapping[str, Any], at: int, around: Sequence[str], first: int, *, is_last: bool
+    ) -> tuple[list[dict[str, Any]], int]:
+        inner = group.get("groups", [])
+        sections = []
+        for place, each in enumerate(inner):
+            section, at = self._group(each, at, around, first, is_last=is_last and place == len(inner) - 1)
+            sections.append(section)
+        return sections, at
+
+    def _group(
+        self, group: Mapping[str, Any], at: int, around: Sequence[str], first: int, *, is_last: bool
+    ) -> tuple[dict[str, Any], int]:
+        name, declared = str(group.get("name", "group")), group.get("count", 1)
+        given = self._counts.get(name, self._counts.get(str(declared)))
+        count = given if given is not None else declared if isinstance(declared, int) and declared > 0 else None
+        if count is None and not is_last:
+            raise ConfigError(
+                f"group {name} has as many places as {declared or 'L'} says, and what follows moves with it:"
+                f" say how many, --count {declared or name}=N",
+                file=self._name,
+            )
+        points, end = self._points(group, at, around)
+        known = [*(keys["name"] for keys in points), *around]
+        groups, end = self._groups(group, end, known, first, is_last=is_last and count == 1)
+        section: dict[str, Any] = {"name": name}
+        if count != 1 or given is not None:
+            section |= {"count": count or MOST, "stride": end - at}
+        if count is None:
+            section["count_from"] = declared or self._count_by_length(name, at, end - at, first)
+        section["point"] = points
+        if groups:
+            section["group"] = groups
+        return section, at + (count or MOST) * (end - at)
+
+    def _count_by_length(self, name: str, at: int, size: int, first: int) -> str:
+        """A computed point that says how many places ``L`` has room for."""
+        counting = f"{name}_count"
+        self._found.add(1, {"name": counting, "formula": f"(L - {at - first - 2}) // {size}"}, name)
+        return counting
+
+    def _points(self, group: Mapping[str, Any], at: int, around: Sequence[str]) -> tuple[list[dict[str, Any]], int]:
+        points: list[dict[str, Any]] = []
+        there = {str(each.get("name")) for each in group.get("points", [])} | set(around)
+        for each in group.get("points", []):
+            size = int(each.get("size", 1))
+            keys = self._point(each, at, there)
+            if keys is not None:
+                points.append(keys)
+            at += size
+        return points, at
+
+    def _point(self, point: Mapping[str, Any], at: int, there: set[str]) -> dict[str, Any] | None:
+        name, kind, size = str(point.get("name", "")), str(point.get("type", "")), int(point.get("size", 1))
+        if kind == "pad":
+            return None
+        keys: dict[str, Any] = {"name": name, "address": f"holding:{at}"}
+        if kind == "string":
+            keys["type"] = f"string:{2 * size}"
+        elif kind in _ABSENT:
+            keys["type"], absent = _ABSENT[kind]
+            symbols = dict(_symbols(point, name, self._found))
+            if kind.startswith("enum") and symbols:
+                keys["enumeration"] = symbols
+            elif kind.startswith("bitfield") and symbols:
+                keys["flags"] = symbols
+            if absent is not None and absent not in symbols.values():
+                keys["invalid"] = [absent]
+        else:
+            self._found.omit(name, name, f"has a type that there is not: {shown(kind)}")
+            return None
+        if kind.startswith("acc"):
+            keys["rollover"] = True
+        keys |= self._scale(point, name, there)
+        units = str(point.get("units", ""))
+        said = point.get("desc", point.get("label", ""))
+        if units:
+            keys["unit_of_measure"] = _UNITS.get(units, units)
+        if said:
+            keys["description"] = str(said)
+        if point.get("access") != "RW":
+            keys["access"] = "read"
+        return keys
+
+    def _scale(self, point: Mapping[str, Any], name: str, there: set[str]) -> dict[str, Any]:
+        factor = point.get("sf")
+        if factor is None or (isinstance(factor, int) and not factor):
+            return {}
+        if isinstance(factor, int):
+            return {"scale": float(f"1e{factor}")}
+        if factor not in there:
+            self._found.omit(name, f"{name}.sf", f"names a point that there is not: {shown(factor)}")
+            return {}
+        return {"scale_from": factor}
+
+
+def _symbols(point: Mapping[str, Any], name: str, found: ImportedDevice) -> Iterator[tuple[str, int]]:
+    """Names and numbers; a number that has two names keeps the first."""
+    seen: set[int] = set()
+    for each in point.get("symbols", []):
+        value = each.get("value")
+        if not isinstance(value, int) or value in seen:
+            found.omit(name, f"{name}.{each.get('name')}", f"names {shown(value)}, which has a name already")
+            continue
+        seen.add(value)
+        yield str(each.get("name")), value

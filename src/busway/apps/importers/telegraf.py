@@ -1,0 +1,120 @@
+"""Telegraf's ``[[inputs.modbus]]`` (its three styles: register, request, metric) → points.
+
+Knows Telegraf's keys and types. Its addresses count from 0.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from ...config.files.schema import Source, read_source
+from ...values.refusal import shown
+from .imported import ImportedDevice
+
+_TABLES: Final = {
+    "coil": "coil", "discrete": "discrete", "holding": "holding", "input": "input",
+    "coils": "coil", "discrete_inputs": "discrete", "holding_registers": "holding", "input_registers": "input",
+}  # fmt: skip
+_TYPES: Final = {
+    "INT8L": "int8:low", "INT8H": "int8:high", "UINT8L": "uint8:low", "UINT8H": "uint8:high",
+    "FLOAT16-IEEE": "float16", "FLOAT32-IEEE": "float32", "FLOAT64-IEEE": "float64",
+    "FLOAT16": "float16", "FLOAT64": "float64",
+    **{name.upper(): name for name in ("int16", "uint16", "int32", "uint32", "int64", "uint64")},
+}  # fmt: skip
+_SCALED: Final = {"FIXED": "int", "UFIXED": "uint", "FLOAT32": "uint"}
+"""Types of the register style whose size follows from the number of addresses; FLOAT32 is an old name of UFIXED."""
+_KNOWN: Final = {
+    "name", "slave_id", "controller", "configuration_type", "coils", "discrete_inputs", "holding_registers",
+    "input_registers", "request", "metric", "timeout", "interval",
+}  # fmt: skip
+_FIELD_KEYS: Final = {
+    "name", "address", "type", "data_type", "byte_order", "scale", "bit", "length", "register", "omit", "measurement",
+    "output",
+}  # fmt: skip
+
+
+def read_telegraf(text: str, name: str) -> ImportedDevice:
+    """The points of a Telegraf configuration. Raises `FileError` if it is no TOML."""
+    source = read_source(text, name)
+    found = ImportedDevice()
+    inputs = source.data.get("inputs")
+    plugins = inputs.get("modbus", []) if isinstance(inputs, dict) else []
+    for index, plugin in enumerate(plugins if isinstance(plugins, list) else []):
+        if isinstance(plugin, dict):
+            _plugin(plugin, ("inputs", "modbus", index), source, found)
+    return found
+
+
+def _plugin(plugin: Mapping[str, Any], path: tuple[Any, ...], source: Source, found: ImportedDevice) -> None:
+    if "controller" in plugin:
+        found.remarks.append(f"Telegraf's controller: {plugin['controller']}")
+    for key in plugin.keys() - _KNOWN:
+        found.omit(_line(source, (*path, key)), key, "an option of Telegraf's connection, not of the device")
+    unit = plugin.get("slave_id", 1)
+    for key in ("coils", "discrete_inputs", "holding_registers", "input_registers"):
+        for at, field in _tables(plugin.get(key)):
+            _field(field, _TABLES[key], unit, "", (*path, key, at), source, found)
+    for style in ("request", "metric"):
+        for at, section in _tables(plugin.get(style)):
+            for key in section.keys() - {"slave_id", "byte_order", "register", "measurement", "fields"}:
+                found.omit(_line(source, (*path, style, at, key)), key, "is Telegraf's own")
+            table = _TABLES.get(str(section.get("register", "holding")), "")
+            for place, field in _tables(section.get("fields")):
+                own = _TABLES.get(str(field.get("register", "")), table)
+                where = (*path, style, at, "fields", place)
+                _field(
+                    field, own, section.get("slave_id", unit), str(section.get("byte_order", "")), where, source, found
+                )
+
+
+def _field(
+    field: Mapping[str, Any], table: str, unit: int, order: str, path: tuple[Any, ...], source: Source,
+    found: ImportedDevice,
+) -> None:  # fmt: skip
+    where, name = _line(source, path), str(field.get("name", ""))
+    if field.get("omit"):
+        found.omit(where, name or "a field", "is omitted by Telegraf too: only registers between others")
+        return
+    for key in field.keys() - _FIELD_KEYS:
+        found.omit(where, f"{name}.{key}", "is Telegraf's own")
+    addresses = field.get("address")
+    first = addresses[0] if isinstance(addresses, list) and addresses else addresses
+    if not isinstance(first, int) or not table:
+        found.omit(where, name or "a field", f"has no address or register that is known: {shown(dict(field))}")
+        return
+    keys: dict[str, Any] = {"name": name or f"{table}_{first}", "address": f"{table}:{first}"}
+    if table in ("holding", "input"):
+        kind = str(field.get("data_type", field.get("type", "UINT16")))
+        form = _type(kind, len(addresses) if isinstance(addresses, list) else 0, field.get("length"))
+        if kind == "BIT" or "bit" in field:
+            keys["address"] += f".{field.get('bit', 0)}"
+        elif form is None:
+            found.omit(where, name, f"has a type that there is not: {shown(kind)}")
+            return
+        else:
+            keys |= {"type": form, "order": str(field.get("byte_order", order)) or None}
+            if field.get("scale", 1.0) != 1.0:
+                keys["scale"] = float(field["scale"])
+    if field.get("output"):
+        found.omit(where, f"{name}.output", "the type in the database is chosen by the sink")
+    measurement = field.get("measurement")
+    if measurement:
+        keys["meta"] = {"measurement": measurement}
+    found.add(int(unit), keys, where)
+
+
+def _type(kind: str, registers: int, length: object) -> str | None:
+    if kind in _TYPES:
+        return _TYPES[kind]
+    if kind in _SCALED and registers in (1, 2, 4):
+        return f"{_SCALED[kind]}{16 * registers}"
+    if kind == "STRING":
+        return f"string:{2 * (length if isinstance(length, int) else max(registers, 1))}"
+    return None
+
+
+def _tables(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
+
+
+def _line(source: Source, path: tuple[Any, ...]) -> str:
+    return f"line {source.problem(path, '').line}"

@@ -1,0 +1,69 @@
+"""``busway points``: device files made of what other programs have.
+
+1. The device file goes to stdout or into a file; what could not be carried over goes to stderr, a line each, and into
+   the head of the file.
+2. A file that is there is not written over, unless that is asked for.
+"""
+
+import os
+
+import typer
+
+from ..errors import ConfigError
+from .arguments import whole_number
+from .exits import ExitCode
+from .output import say
+
+EXAMPLES = """\b
+Examples:
+  busway points convert telegraf.toml --out meter.toml
+  busway points convert configuration.yaml
+  busway points convert model_160.json --address 40070 > inverter.toml
+  busway points convert model_705.json --count NCrv=3 --count NPt=4
+"""
+
+
+def points(
+    action: str = typer.Argument(..., metavar="ACTION", help="convert."),
+    file: str | None = typer.Argument(None, metavar="FILE", help="What another program has: TOML, YAML, CSV, JSON."),
+    kind: str | None = typer.Option(
+        None, "--from", metavar="FORMAT", help="csv, telegraf, home-assistant, modpoll, sunspec; else by the name."
+    ),
+    out: str | None = typer.Option(
+        None, "--out", metavar="FILE", help="Where the device file goes, instead of stdout."
+    ),
+    force: bool = typer.Option(False, "--force", help="With --out: write over a file that is there."),
+    address: str = typer.Option("40002", "--address", metavar="N", help="SunSpec: offset of the model's register ID."),
+    count: list[str] = typer.Option([], "--count", metavar="NAME=N", help="SunSpec: places of a group; several times."),
+) -> int:
+    """Make device files of what other programs have."""
+    from ..apps.importers.formats import import_file
+
+    if action != "convert":
+        raise ConfigError(f"must be convert, not {action!r}", key="ACTION")
+    if file is None:
+        raise ConfigError("convert needs a file", key="FILE")
+    if out is not None and os.path.exists(out) and not force:
+        raise ConfigError("is there already; --force writes over it", key=f"--out {out}")
+    found = import_file(
+        file, format=kind, address=whole_number(address, "--address", 0, 65_535), counts=dict(map(_count, count))
+    )
+    text = found.text(os.path.basename(file))
+    for omission in found.omissions:
+        say(f"not carried over: {omission}")
+    if out is None:
+        print(text, end="")
+    else:
+        try:
+            with open(out, "w", encoding="utf-8") as target:
+                target.write(text)
+        except OSError as error:
+            raise ConfigError(f"can not be written: {error.strerror}", key=f"--out {out}") from error
+    return ExitCode.DONE
+
+
+def _count(text: str) -> tuple[str, int]:
+    name, equals, number = text.partition("=")
+    if not equals or not name:
+        raise ConfigError(f"must be written NAME=N, not {text!r}", key="--count")
+    return name, whole_number(number, f"--count {name}", 1, 10_000)

@@ -1,0 +1,349 @@
+"""Descriptions of other programs → points: what each key becomes, and that nothing is dropped in silence."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from busway.apps.importers.formats import import_file
+from busway.apps.importers.home_assistant import read_home_assistant
+from busway.apps.importers.imported import ImportedDevice
+from busway.apps.importers.modpoll import read_modpoll
+from busway.apps.importers.plain_yaml import parse_yaml
+from busway.apps.importers.sunspec import read_sunspec
+from busway.apps.importers.telegraf import read_telegraf
+from busway.config.files.device import parse_device_file
+from busway.errors import ConfigError
+from busway.points import Point
+
+TELEGRAF = """
+[agent]
+interval = "10s"
+
+[[inputs.modbus]]
+name = "pump"
+slave_id = 3
+controller = "tcp://10.0.0.7:502"
+busy_retries = 2
+holding_registers = [
+  { name = "level", byte_order = "CDAB", data_type = "FLOAT32-IEEE", scale = 1.0, address = [0, 1] },
+  { name = "temp", byte_order = "AB", data_type = "FIXED", scale = 0.1, address = [8] },
+  { name = "big", byte_order = "ABCD", data_type = "UFIXED", scale = 0.01, address = [10, 11] },
+  { name = "odd", byte_order = "AB", data_type = "FLOAT31", address = [20] },
+]
+coils = [{ name = "run", address = [4] }]
+
+  [[inputs.modbus.request]]
+  slave_id = 4
+  byte_order = "DCBA"
+  register = "input"
+  optimization = "shrink"
+  fields = [
+    { address = 1, name = "power", type = "INT32", scale = 0.5, output = "FLOAT64" },
+    { address = 3, name = "low", type = "INT8L" },
+    { address = 4, name = "gap", type = "INT16", omit = true },
+    { address = 5, name = "flag", type = "BIT", bit = 3 },
+    { address = 6, name = "text", type = "STRING", length = 4 },
+  ]
+"""
+
+HOME_ASSISTANT = """
+# configuration.yaml
+homeassistant:
+  name: Home
+modbus:
+  - name: hub1   # the gateway
+    type: tcp
+    host: 10.0.0.7
+    port: 502
+    message_wait_milliseconds: 30
+    sensors:
+      - name: "Outside # north"
+        unit_of_measurement: °C
+        slave: 2
+        address: 100
+        input_type: input
+        data_type: int16
+        scale: 0.1
+        offset: -4
+        precision: 1
+        nan_value: 0x8000
+        state_class: measurement
+      - name: Energy
+        address: 0x10
+        data_type: float32
+        swap: word
+        min_value: 0
+      - name: Row
+        address: 30
+        data_type: uint32
+        virtual_count: 2
+      - name: Both
+        address: 40
+        data_type: custom
+        count: 4
+        structure: ">hHl"
+    binary_sensors:
+    - name: Door
+      address: 7
+      input_type: discrete_input
+    - name: Bits
+      address: 50
+      input_type: holding
+      slave_count: 17
+    switches:
+      - name: Fan
+        address: 13
+        write_type: holding
+        command_on: 255
+        command_off: 0
+        verify:
+          input_type: input
+          address: 14
+          state_on: 255
+    climates:
+      - name: Room
+        address: 1
+"""
+
+MODPOLL = """device,meter,5,,
+poll,holding_register,100,10,BE_LE
+ref,power,100,int32,r,W,0.1
+ref,setpoint,102,float32,rw,°C
+ref,name,104,string6,r
+ref,status,107,bool16,r
+ref,odd,108,int24,r
+poll,coil,0,8,BE_BE
+ref,relay,3,bool,rw
+"""
+
+MODEL = {
+    "id": 64001,
+    "group": {
+        "name": "plant",
+        "label": "Plant",
+        "points": [
+            {"name": "ID", "type": "uint16", "size": 1},
+            {"name": "L", "type": "uint16", "size": 1},
+            {"name": "Mn", "type": "string", "size": 4, "label": "Maker"},
+            {"name": "W", "type": "int16", "size": 1, "sf": "W_SF", "units": "W"},
+            {"name": "W_SF", "type": "sunssf", "size": 1},
+            {"name": "Tmp", "type": "int16", "size": 1, "sf": -1, "units": "C"},
+            {"name": "St", "type": "enum16", "size": 1, "symbols": [{"name": "OFF", "value": 1}]},
+            {"name": "Evt", "type": "bitfield32", "size": 2, "symbols": [{"name": "HOT", "value": 5}], "access": "RW"},
+            {"name": "WH", "type": "acc32", "size": 2},
+            {"name": "Pad", "type": "pad", "size": 1},
+            {"name": "Odd", "type": "uint24", "size": 1},
+        ],
+        "groups": [
+            {
+                "name": "module",
+                "count": 0,
+                "points": [
+                    {"name": "V", "type": "uint16", "size": 1, "sf": "V_SF"},
+                    {"name": "V_SF", "type": "sunssf", "size": 1},
+                    {"name": "P", "type": "int16", "size": 1, "sf": "W_SF"},
+                ],
+            }
+        ],
+    },
+}
+
+
+def points_of(found: ImportedDevice) -> dict[tuple[int, str], Point]:
+    """The points of the device file that was made, by unit and name: read back from its text."""
+    file = parse_device_file(found.text("source"), "made.toml")
+    return {(section.unit[0], point.name): point for section in file.unit for point in section.described()}
+
+
+def said(found: ImportedDevice) -> list[str]:
+    return [str(each) for each in found.omissions]
+
+
+def test_the_three_styles_of_telegraf_become_points() -> None:
+    found = read_telegraf(TELEGRAF, "telegraf.conf")
+    points = points_of(found)
+    assert {(unit, name): (str(point.address), point.type, point.order) for (unit, name), point in points.items()} == {
+        (3, "run"): ("0x5", "bit", ""),
+        (3, "level"): ("4x1", "float32", "CDAB"),
+        (3, "temp"): ("4x9", "int16", "AB"),
+        (3, "big"): ("4x11", "uint32", "ABCD"),
+        (4, "power"): ("3x2", "int32", "DCBA"),
+        (4, "low"): ("3x4", "int8:low", "BA"),
+        (4, "flag"): ("3x6.3", "bit", ""),
+        (4, "text"): ("3x7", "string:8", "BA"),
+    }
+    assert points[3, "big"].conversion.scale == 0.01
+    report = said(found)
+    assert any("busy_retries" in each and each.startswith("line 9") for each in report)
+    assert any("odd: has a type that there is not: 'FLOAT31'" in each for each in report)
+    assert any(each.startswith("line 26: gap") for each in report)
+    assert any("power.output" in each for each in report)
+    assert any("optimization" in each for each in report)
+    assert not any("agent" in each for each in report)
+
+
+def test_home_assistant_s_sensors_and_switches_become_points() -> None:
+    found = read_home_assistant(HOME_ASSISTANT, "configuration.yaml")
+    points = points_of(found)
+    outside = points[2, "Outside # north"]
+    assert (str(outside.address), outside.type, outside.unit_of_measure) == ("3x101", "int16", "°C")
+    assert outside.decode((274).to_bytes(2, "big")).value == 23.4
+    assert outside.decode(b"\x80\x00").value is None
+    assert outside.meta == {"state_class": "measurement", "precision": 1}
+    assert (str(points[1, "Energy"].address), points[1, "Energy"].order) == ("4x17", "CDAB")
+    assert [str(points[1, name].address) for name in ("Row", "Row_1", "Row_2")] == ["4x31", "4x33", "4x35"]
+    assert points[1, "Both"].decode(bytes.fromhex("FFFF 0001 FFFFFFFE")).value == (-1, 1, -2)
+    assert str(points[1, "Door"].address) == "1x8"
+    assert str(points[1, "Bits_17"].address) == "4x52.1"
+    fan = points[1, "Fan"]
+    assert fan.writing is not None
+    assert (str(fan.writing.verify), fan.encode(True), fan.encode(False)) == ("input:14", b"\x00\xff", b"\x00\x00")
+    report = said(found)
+    assert "line 3: homeassistant: is not Modbus" in report
+    assert "line 27: Energy.min_value: is Home Assistant's own" in report
+    assert any("climates: is more than a point" in each for each in report)
+    assert any("verify.state_on" in each for each in report)
+    assert any("message_wait_milliseconds" in each for each in report)
+
+
+def test_modpoll_s_references_become_points() -> None:
+    found = read_modpoll(MODPOLL, "meter.csv")
+    points = points_of(found)
+    power = points[5, "power"]
+    assert (str(power.address), power.type, power.order, power.conversion.scale) == ("4x101", "int32", "CDAB", 0.1)
+    assert power.writing is None
+    assert points[5, "setpoint"].writing is not None
+    assert points[5, "name"].type == "string:6"
+    assert [str(points[5, f"status.{bit}"].address) for bit in (0, 15)] == ["4x108.0", "4x108.15"]
+    assert str(points[5, "relay"].address) == "0x4"
+    assert any(each.startswith("line 7: odd") for each in said(found))
+
+
+def test_a_sunspec_model_becomes_points_and_groups() -> None:
+    found = read_sunspec(json.dumps(MODEL), "model.json", first=40070)
+    points = {name: point for (_, name), point in points_of(found).items()}
+    assert [points[name].start for name in ("ID", "L", "Mn", "W", "W_SF", "Tmp", "St", "Evt", "WH")] == [
+        40070, 40071, 40072, 40076, 40077, 40078, 40079, 40080, 40082,
+    ]  # fmt: skip
+    assert points["Tmp"].decode((215).to_bytes(2, "big")).value == 21.5
+    assert points["W"].decode(b"\x80\x00").value is None
+    assert points["St"].label(1) == "OFF"
+    assert points["Evt"].label(32) == "HOT"
+    assert (points["Evt"].writing is None, points["W"].writing is None) == (False, True)
+    assert points["WH"].rollover == 2.0**32
+    third = points["module.3.V"]
+    assert third.start == points["module.1.V"].start + 6
+    assert third.exists == (("module_count", 3),)
+    assert (third.conversion.scale_from, points["module.3.P"].conversion.scale_from) == ("module.3.V_SF", "W_SF")
+    assert any("Odd" in each and "uint24" in each for each in said(found))
+
+
+def test_the_count_by_length_is_that_of_the_registers_behind_the_head() -> None:
+    points = {name: point for (_, name), point in points_of(read_sunspec(json.dumps(MODEL), "m.json")).items()}
+    behind_head = points["module.1.V"].start - points["L"].start - 1
+    assert points["module_count"].formula == f"(L - {behind_head}) // 3"
+
+
+def test_a_group_with_something_behind_it_needs_its_count() -> None:
+    model = json.loads(json.dumps(MODEL))
+    model["group"]["groups"].append({"name": "tail", "points": [{"name": "X", "type": "uint16", "size": 1}]})
+    with pytest.raises(ConfigError, match=r"group module has as many places as L says.*--count module=N"):
+        read_sunspec(json.dumps(model), "model.json")
+    points = {name: p for (_, name), p in points_of(read_sunspec(json.dumps(model), "m", counts={"module": 2})).items()}
+    assert points["tail.X"].start == points["module.2.P"].start + 1
+
+
+def test_points_on_top_of_each_other_are_kept_and_doubled_names_numbered() -> None:
+    found = ImportedDevice()
+    found.add(1, {"name": "a", "address": "4x1", "type": "uint32"})
+    found.add(1, {"name": "a", "address": "4x2"})
+    found.add(1, {"name": "b", "address": "4x99999"}, "line 9")
+    points = points_of(found)
+    assert {name for _, name in points} == {"a", "a_2"}
+    assert said(found)[0].startswith("line 9: b: address 4x99999")
+
+
+def test_nothing_that_could_be_carried_over_is_refused() -> None:
+    found = ImportedDevice()
+    found.add(1, {"name": "a", "address": "9x1"}, "line 3")
+    with pytest.raises(ConfigError, match="no point in it that could be carried over: line 3: a"):
+        found.text("x")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("modbus: !include hubs.yaml", "x:1: begins with !"),
+        ("a:\n  - &x b: 1", "x:2: "),
+        ("a: |\n  text", "x:1: begins with |"),
+        ("a: [1, 2]", "x:1: begins with ["),
+        ("a: 1\n   b: 2", "x:2: is indented as nothing before it"),
+        ("a: 1\na: 2", "x:2: a is there twice"),
+        ("\ta: 1", "x:1: indentation is made of spaces"),
+        ("a: 'open", "x:1: has a text that does not end"),
+        ("just words", "x:1: is neither a key nor an item"),
+        ("- " * 60 + "x", "x:1: is nested too deeply"),
+    ],
+)
+def test_yaml_that_is_not_understood_is_refused_with_its_line(text: str, sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_yaml(text, "x")
+    assert str(caught.value).startswith(sentence)
+
+
+def test_plain_yaml_is_read_as_yaml_has_it() -> None:
+    text = "a:\n- b: 1\n  c: 'it''s' # no\n-\n  d: on\n  e:\n- 0x1F\nf: -1.5e3\ng: \"x # y\"\nh: []\ni: 007\n"
+    document = parse_yaml(text, "x")
+    assert document.data == {
+        "a": [{"b": 1, "c": "it's"}, {"d": True, "e": None}, 31],
+        "f": -1500.0,
+        "g": "x # y",
+        "h": [],
+        "i": 7.0,
+    }
+    assert (document.line(("a", 0, "c")), document.line(("a", 1, "d")), document.line(("g",))) == (3, 5, 9)
+    assert parse_yaml("", "x").data is None
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("a.toml", TELEGRAF, "level"),
+        ("a.conf", TELEGRAF, "level"),
+        ("a.yml", HOME_ASSISTANT, "Energy"),
+        ("a.json", json.dumps(MODEL), "W_SF"),
+        ("a.csv", MODPOLL, "setpoint"),
+        ("b.csv", "name,address,type\nvolt,3x1,uint16\n", "volt"),
+    ],
+)
+def test_a_file_is_known_by_its_name_and_first_lines(tmp_path: Path, name: str, text: str, expected: str) -> None:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    assert expected in {point for _, point in points_of(import_file(str(path)))}
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "{", '{"group": 3}', "[" * 100_000, "\x00", "a: b", "ref,,,"])
+@pytest.mark.parametrize("format", ["telegraf", "home-assistant", "modpoll", "sunspec", "csv"])
+def test_nonsense_is_refused_with_a_sentence_and_never_a_crash(tmp_path: Path, format: str, text: str) -> None:
+    path = tmp_path / "x"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError):
+        import_file(str(path), format=format).text("x")
+
+
+def test_the_report_stands_in_the_file_too() -> None:
+    text = read_telegraf(TELEGRAF, "telegraf.conf").text("telegraf.conf")
+    assert text.startswith("# Converted from telegraf.conf by busway points convert.")
+    assert "# Not carried over:" in text
+    assert "FLOAT31" in text
+
+
+def test_a_hostile_name_ends_no_comment_and_no_text() -> None:
+    found = ImportedDevice()
+    keys: dict[str, Any] = {"name": 'x"]\n[[unit]]\nunit = 9\n#', "address": "4x1"}
+    found.add(1, keys, "line\n[[unit]]\nunit = 8\n")
+    found.omit("line\nunit = 7", "a\nb = 1", "c")
+    file = parse_device_file(found.text("s\n[[unit]]"), "x")
+    assert [(section.unit, [point.name for point in section.point]) for section in file.unit] == [([1], [keys["name"]])]
