@@ -26,11 +26,12 @@ from offline.wire import NUMBERS, Device, MemoryLoop, Wire
 
 import busway
 from busway.options.client import ClientParameters
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.diagnostics import CommunicationState, LineDiagnostics
-from busway.session.handler import RequestContext
+from busway.session.diagnostics import LineDiagnostics
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import ClientIdentity
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -87,23 +88,25 @@ def answered(frames: bytes) -> bytes:
 
 def server_steps() -> dict[str, Step]:
     """The compiled answer and the session. Each step makes `TRANSACTIONS` transactions."""
-    handler = LocalHandler({1: scripts.device()})
-    context = RequestContext(
-        unit=1, function=3, diagnostics=CommunicationState(), peer="", listener="", finish=_nothing
-    )
-    answer = handler.direct(context)[3]
+    client = ClientIdentity()
+    answer = RequestPipeline(DeviceResponder({1: scripts.device()})).fast_path(client).bind(1, 3)
+    assert answer is not None
     whole = b"".join(scripts.UNPLANNED)
     places = [(at + 7, at + 12) for at in range(0, len(whole), 12)]
 
     def answers() -> None:
         for start, end in places:
-            answer(whole, start, end)
+            answer(whole, start, end, client)
 
     def session(*first: bytes) -> TcpServerSession:
         # A handler each: its connections share what they remember, and there is no more room once the plans are full.
-        own = LocalHandler({1: scripts.device()})
+        own = DeviceResponder({1: scripts.device()})
         made = TcpServerSession(
-            own, diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=_nothing, peer="127.0.0.1:1"
+            RequestPipeline(own),
+            diagnostics=LineDiagnostics(),
+            slots=TransactionSlots(16),
+            deliver=_nothing,
+            client=ClientIdentity(peer="127.0.0.1:1"),
         )
         for one in first:
             made.receive(one, len(one))

@@ -18,8 +18,8 @@ refuse_free_threading()
 
 if TYPE_CHECKING:
     from .access.addresses import AddressList
-    from .access.audit import AuditLog
-    from .access.authorizer import PolicyHandler
+    from .access.audit_log import AuditLog
+    from .access.authorizer import PolicyAuthorizer
     from .access.rules import Policy, Rule
     from .apps.collector.collector import Collector, collect
     from .apps.collector.store.reading import Store
@@ -91,7 +91,7 @@ if TYPE_CHECKING:
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
-    from .session.handler import LATER, SILENCE, RequestContext
+    from .session.responder import LATER, SILENCE, RequestContext, ServedUnit
     from .values import Address, ValueType, parse_address, value_type
     from .values.constants import (
         BCD16,
@@ -175,15 +175,15 @@ _HOME = {
     "server.cells": ("Cells",),
     "server.device": ("Device",),
     "server.hooks": ("Access", "Change"),
-    "access.audit": ("AuditLog",),
+    "access.audit_log": ("AuditLog",),
     "server.listener": ("Listener",),
     "server.option_types": ("ServerOptions",),
     "options.server": ("ListenerParameters",),
-    "access.authorizer": ("PolicyHandler",),
+    "access.authorizer": ("PolicyAuthorizer",),
     "server.server": ("Server",),
     "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
     "server.single_block": ("SingleBlock",),
-    "session.handler": ("LATER", "SILENCE", "RequestContext"),
+    "session.responder": ("LATER", "SILENCE", "RequestContext", "ServedUnit"),
     "options.tls": ("TlsParameters",),
     "values.constants": (
         "BCD16",
@@ -268,7 +268,7 @@ __all__ = [
     "OpaqueRequest",
     "Overloaded",
     "Policy",
-    "PolicyHandler",
+    "PolicyAuthorizer",
     "ReadCoils",
     "ReadDeviceIdentification",
     "ReadDiscreteInputs",
@@ -285,6 +285,7 @@ __all__ = [
     "RequestContext",
     "ReturnQueryData",
     "Rule",
+    "ServedUnit",
     "Server",
     "ServerOptions",
     "ServerThread",

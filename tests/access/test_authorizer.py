@@ -5,14 +5,12 @@ import json
 import struct
 
 import pytest
-from handlers import ScriptedHandler
+from authorizing import AuthorizedPipeline
 
 import busway
-from busway.access.audit import AuditLog
-from busway.access.authorizer import PolicyHandler
+from busway.access.audit_log import AuditLog
 from busway.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
-from busway.observe.metrics.handler import metered
 from busway.options.server import UnitPolicy
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
@@ -20,9 +18,10 @@ from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.failures import answer_later
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
-from busway.session.handler import LATER, SILENCE, Handler, ListedUnits, ReadPlanner, RequestContext, UnitHolder
+from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -36,10 +35,8 @@ def context(function=6, *, peer="10.0.0.7:5000", role=None, unit=1, finish=lambd
         unit=unit,
         function=function,
         diagnostics=CommunicationState(),
-        peer=peer,
-        role=role,
-        listener="tcp://0.0.0.0:502",
         finish=finish,
+        client=ClientIdentity(peer=peer, role=role, listener="tcp://0.0.0.0:502"),
     )
 
 
@@ -49,10 +46,12 @@ def session(handler, peer="10.0.0.7:5000", role=None, sent=None):
         diagnostics=LineDiagnostics(),
         slots=TransactionSlots(16),
         deliver=(sent if sent is not None else []).append,
-        peer=peer,
-        role=role,
-        listener="tcp://0.0.0.0:502",
+        client=ClientIdentity(peer=peer, role=role, listener="tcp://0.0.0.0:502"),
     )
+
+
+def known_reads(handler, peer="10.0.0.7:5000"):
+    return handler.fast_path(ClientIdentity(peer=peer, listener="tcp://0.0.0.0:502")).reads
 
 
 def ask(one, adu):
@@ -66,25 +65,16 @@ def device():
 
 @pytest.fixture
 def log(tmp_path):
-    return AuditLog(tmp_path / "audit.jsonl", interval=0, clock=lambda: 0.0)
+    return AuditLog(tmp_path / "audit.jsonl", interval=0, clock=lambda: 0.0, now=lambda: 1_772_366_400.25)
 
 
 def lines(log):
     return [json.loads(line) for line in log.path.read_text(encoding="ascii").splitlines()]
 
 
-def test_it_is_a_handler_that_plans_reads_and_holds_units_as_the_one_inside(device):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.read_only())
-    assert isinstance(handler, ReadPlanner)
-    assert isinstance(handler, UnitHolder)
-    assert list(handler.serial_units) == [1]
-    inside: Handler = Promising()
-    assert not isinstance(PolicyHandler(inside, Policy.read_only()), UnitHolder)
-
-
 @pytest.mark.clause("M6")
 def test_who_may_is_answered_and_who_may_not_gets_exception_01_and_changes_nothing(device):
-    handler = PolicyHandler(LocalHandler({1: device}), OPERATORS_WRITE)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), OPERATORS_WRITE)
     request = WriteSingleRegister(3, 99)
     assert handler.handle(context(), request) == ExceptionResponse(6, 1)
     assert handler.handle(context(role="viewer"), request) == ExceptionResponse(6, 1)
@@ -95,8 +85,8 @@ def test_who_may_is_answered_and_who_may_not_gets_exception_01_and_changes_nothi
 
 
 def test_a_rule_of_items_may_answer_02(device):
-    handler = PolicyHandler(
-        LocalHandler({1: device}), Policy.of(Rule.of(action="deny", addresses="4x9-4x10", code=2), default="allow")
+    handler = AuthorizedPipeline(
+        DeviceResponder({1: device}), Policy.of(Rule.of(action="deny", addresses="4x9-4x10", code=2), default="allow")
     )
     one = session(handler)
     assert ask(one, READ) == [b"\x03\x04\x00\x00\x00\x01"]
@@ -104,43 +94,44 @@ def test_a_rule_of_items_may_answer_02(device):
 
 
 def test_reads_keep_the_short_road_and_their_plans_with_a_policy_and_a_log(device, log):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.of(Rule.of(addresses="4x1-4x5")), log)
-    taken = []
-    handler.handle = lambda context, request: taken.append(request) or ExceptionResponse(3, 1)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.of(Rule.of(addresses="4x1-4x5")), log)
     one = session(handler)
     for _ in range(3):
         assert ask(one, READ) == [b"\x03\x04\x00\x00\x00\x01"]
-    assert len(handler.plans(context(3))) == 1
-    assert taken == []
+    assert len(known_reads(handler)) == 1
+    assert handler.handled == 0
     assert ask(one, READ_FAR) == [b"\x83\x01"]
-    assert len(taken) == 1
+    assert handler.handled == 1
 
 
 def test_plans_are_shared_by_the_same_rights_and_by_no_others(device):
     policy = Policy.of(
         Rule.of(name="far", peers=["10.0.0.0/8"], addresses="4x1-4x10"), Rule.of(name="near", addresses="4x1-4x5")
     )
-    handler = PolicyHandler(LocalHandler({1: device}), policy)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), policy)
     inside, same, outside = (session(handler, peer) for peer in ("10.0.0.7:1", "10.9.9.9:2", "192.168.0.1:3"))
     for one in (inside, same):
         assert ask(one, READ_FAR) == [b"\x03\x04\x00\x08\x00\x09"]
     assert ask(outside, READ_FAR) == [b"\x83\x01"]
-    assert handler.plans(context(3)) is handler.plans(context(3, peer="10.9.9.9:7"))
-    assert handler.plans(context(3)) is not handler.plans(context(3, peer="192.168.0.1:7"))
-    assert not handler.plans(context(3, peer="192.168.0.1:7"))
+    assert known_reads(handler) is known_reads(handler, "10.9.9.9:7")
+    assert known_reads(handler) is not known_reads(handler, "192.168.0.1:7")
+    assert not known_reads(handler, "192.168.0.1:7")
 
 
 def test_no_read_is_planned_that_is_denied_or_counted(device):
     policy = Policy.of(Rule.of(addresses="4x1-4x5", rate=10), default="deny")
-    handler = PolicyHandler(LocalHandler({1: device}), policy)
-    assert handler.plan(context(3), READ[7:]) is None
-    assert handler.plan(context(3), READ_FAR[7:]) is None
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), policy)
+    one = session(handler)
+    for _ in range(2):
+        assert ask(one, READ + READ_FAR) == [b"\x03\x04\x00\x00\x00\x01", b"\x83\x01"]
+    assert not known_reads(handler)
     handler.replace_policy(Policy.read_only())
-    assert handler.plan(context(3), READ[7:]) is not None
+    ask(one, READ)
+    assert known_reads(handler)
 
 
 def test_a_policy_is_replaced_under_a_living_connection(device):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.allow_all())
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.allow_all())
     one = session(handler)
     assert ask(one, READ + READ) == [b"\x03\x04\x00\x00\x00\x01"] * 2
     before = handler.generation
@@ -152,7 +143,7 @@ def test_a_policy_is_replaced_under_a_living_connection(device):
 
 
 def test_what_changes_inside_is_offered_anew(device):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.read_only())
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.read_only())
     one = session(handler)
     assert ask(one, READ + READ) == [b"\x03\x04\x00\x00\x00\x01"] * 2
     seen = []
@@ -164,7 +155,7 @@ def test_what_changes_inside_is_offered_anew(device):
 def test_what_comes_faster_than_a_rule_allows_is_answered_06_per_host(device):
     now = [100.0]
     policy = Policy.of(Rule.of(name="slowly", rate=2, table="holding"), default="allow")
-    handler = PolicyHandler(LocalHandler({1: device}), policy, clock=lambda: now[0])
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), policy, clock=lambda: now[0])
     one, sibling, other = (session(handler, peer) for peer in ("10.0.0.7:1", "10.0.0.7:2", "10.0.0.8:1"))
     done, busy = b"\x03\x04\x00\x00\x00\x01", b"\x83\x06"
     assert ask(one, READ + READ) == [done, done]
@@ -177,7 +168,7 @@ def test_what_comes_faster_than_a_rule_allows_is_answered_06_per_host(device):
 
 def test_a_mask_write_is_judged_by_what_it_makes_of_the_register(device):
     policy = Policy.of(Rule.of(name="small", table="holding", values=(0, 21)))
-    handler = PolicyHandler(LocalHandler({1: device}), policy)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), policy)
     assert handler.handle(context(22), MaskWriteRegister(5, 0xFFFF, 0)) == MaskWriteRegister(5, 0xFFFF, 0)
     assert handler.handle(context(22), MaskWriteRegister(5, 0x000F, 0x0010)) == MaskWriteRegister(5, 0x000F, 0x0010)
     assert device.holding_registers[5] == 5 | 0x10
@@ -187,7 +178,7 @@ def test_a_mask_write_is_judged_by_what_it_makes_of_the_register(device):
 
 def test_where_nobody_can_look_a_mask_write_is_judged_by_all_that_it_might_make():
     inside = Promising()
-    handler = PolicyHandler(inside, Policy.of(Rule.of(table="holding", values=(0, 20))))
+    handler = AuthorizedPipeline(inside, Policy.of(Rule.of(table="holding", values=(0, 20))))
     assert handler.handle(context(22), MaskWriteRegister(5, 0xFFFF, 0)) == ExceptionResponse(22, 1)
     assert inside.asked == []
     assert handler.handle(context(22), MaskWriteRegister(5, 0x000F, 0x0010)) == ExceptionResponse(22, 1)
@@ -207,10 +198,10 @@ class Promising:
         self.outcome = outcome
         self.asked = []
 
-    def direct(self, context):
-        return {}
+    def serves(self, unit):
+        return ServedUnit(unit)
 
-    def handle(self, context, request):
+    def answer(self, context, request):
         self.asked.append(context)
         if isinstance(self.outcome, Exception):
             raise self.outcome
@@ -218,7 +209,7 @@ class Promising:
 
 
 def test_a_write_leaves_who_when_what_was_and_what_is(device, log):
-    handler = PolicyHandler(LocalHandler({1: device}), OPERATORS_WRITE, log, now=lambda: 1_772_366_400.25)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), OPERATORS_WRITE, log)
     one = session(handler, role="operator")
     pdu = WriteMultipleRegisters.of(2, [70, 80]).encode()
     assert ask(one, struct.pack(">HHHB", 1, 0, len(pdu) + 1, 1) + pdu) == [pdu[:5]]
@@ -242,7 +233,7 @@ def test_a_write_leaves_who_when_what_was_and_what_is(device, log):
 
 
 def test_a_denied_request_leaves_what_it_would_have_written_and_never_what_stands_there(device, log):
-    handler = PolicyHandler(LocalHandler({1: device}), OPERATORS_WRITE, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), OPERATORS_WRITE, log)
     handler.handle(context(), WriteSingleRegister(2, 70))
     handler.replace_policy(Policy())
     handler.handle(context(3), ReadHoldingRegisters(4, 2))
@@ -254,23 +245,21 @@ def test_a_denied_request_leaves_what_it_would_have_written_and_never_what_stand
 
 
 def test_permitted_reads_leave_nothing(device, log):
-    handler = PolicyHandler(LocalHandler({1: device}), OPERATORS_WRITE, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), OPERATORS_WRITE, log)
     ask(session(handler), READ + READ_FAR)
     handler.handle(context(3), ReadHoldingRegisters(0, 1))
     assert lines(log) == []
 
 
 def test_a_write_that_the_device_refuses_leaves_its_exception(device, log):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.allow_all(), log)
-    with pytest.raises(Refusal):
-        handler.handle(context(), WriteSingleRegister(500, 1))
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.allow_all(), log)
+    assert handler.handle(context(), WriteSingleRegister(500, 1)) == ExceptionResponse(6, 2)
 
     @device.on_write("holding_registers")
     def failing(change):
         raise RuntimeError("a fault")
 
-    with pytest.raises((Refusal, RuntimeError)):
-        handler.handle(context(), WriteSingleRegister(5, 1))
+    assert handler.handle(context(), WriteSingleRegister(5, 1)) == ExceptionResponse(6, 4)
     assert [(one["outcome"], one["code"], one["old"]) for one in lines(log)] == [
         ("exception", 2, None),
         ("exception", 4, [5]),
@@ -279,7 +268,7 @@ def test_a_write_that_the_device_refuses_leaves_its_exception(device, log):
 
 def test_a_late_reply_is_noted_when_it_comes_and_a_client_that_goes_before_too(log):
     inside = Promising()
-    handler = PolicyHandler(inside, Policy.allow_all(), log)
+    handler = AuthorizedPipeline(inside, Policy.allow_all(), log)
     sent = []
     one = session(handler, sent=sent)
     adu = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 3, 9)
@@ -300,7 +289,7 @@ def test_a_late_reply_is_noted_when_it_comes_and_a_client_that_goes_before_too(l
 
 def test_silence_is_no_answer(log):
     assert (
-        PolicyHandler(Promising(SILENCE), Policy.allow_all(), log).handle(context(), WriteSingleRegister(3, 9))
+        AuthorizedPipeline(Promising(SILENCE), Policy.allow_all(), log).handle(context(), WriteSingleRegister(3, 9))
         is SILENCE
     )
     assert [line["outcome"] for line in lines(log)] == ["no answer"]
@@ -316,16 +305,17 @@ async def test_what_is_awaited_is_noted_when_it_ends(log):
     async def never():
         await asyncio.get_running_loop().create_future()
 
-    for awaitable in (done(), refused()):
-        outcome = PolicyHandler(Promising(awaitable), Policy.allow_all(), log).handle(
-            context(), WriteSingleRegister(3, 9)
-        )
-        await asyncio.gather(outcome, return_exceptions=True)
-    outcome = PolicyHandler(Promising(never()), Policy.allow_all(), log).handle(context(), WriteSingleRegister(3, 9))
-    task = asyncio.ensure_future(outcome)
-    await asyncio.sleep(0)
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
+    sent = []
+    for awaitable in (done(), refused(), never()):
+        one = session(AuthorizedPipeline(Promising(awaitable), Policy.allow_all(), log), sent=sent)
+        assert ask(one, struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 3, 9)) == []
+        (deferred,) = one.deferred
+        task = asyncio.ensure_future(answer_later(deferred))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        task.cancel()
+        one.close()
+        await asyncio.gather(task, return_exceptions=True)
     assert [(line["outcome"], line["code"]) for line in lines(log)] == [
         ("done", None),
         ("exception", 4),
@@ -334,7 +324,7 @@ async def test_what_is_awaited_is_noted_when_it_ends(log):
 
 
 def test_a_mask_write_that_is_denied_by_its_outcome_leaves_no_old_value(device, log):
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.of(Rule.of(name="small", values=(0, 20))), log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.of(Rule.of(name="small", values=(0, 20))), log)
     handler.handle(context(22), MaskWriteRegister(5, 0x00FF, 0x0100))
     handler.handle(context(22), MaskWriteRegister(5, 0x00FF, 0x0000))
     handler.handle(context(22), MaskWriteRegister(6, 0xFFF0, 0x0009))
@@ -350,7 +340,7 @@ def test_a_mask_write_that_is_denied_by_its_outcome_leaves_no_old_value(device, 
 
 
 def test_a_broadcast_to_a_device_of_several_units_leaves_one_line(device, log):
-    handler = PolicyHandler(LocalHandler({1: device, 2: device}), Policy.allow_all(), log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device, 2: device}), Policy.allow_all(), log)
     executed = set()
     for unit in (1, 2):
         one = context(unit=unit)
@@ -361,7 +351,7 @@ def test_a_broadcast_to_a_device_of_several_units_leaves_one_line(device, log):
 
 def test_without_a_log_that_can_be_written_a_write_is_refused_if_that_is_wanted(device, tmp_path):
     log = AuditLog(tmp_path / "log", interval=0, on_failure="refuse")
-    handler = PolicyHandler(LocalHandler({1: device}), Policy.allow_all(), log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.allow_all(), log)
     log.close()
     assert handler.handle(context(), WriteSingleRegister(3, 9)) == ExceptionResponse(6, 4)
     assert device.holding_registers[3] == 3
@@ -388,8 +378,8 @@ async def test_through_a_server_an_unauthorised_write_is_answered_01_and_a_repla
 
 def test_rates_of_a_replaced_policy_are_those_of_the_new_one(device):
     shared = {}
-    handler = PolicyHandler(
-        LocalHandler({1: device}), Policy.of(Rule.of(name="a", rate=1)), rates=shared, clock=lambda: 0.0
+    handler = AuthorizedPipeline(
+        DeviceResponder({1: device}), Policy.of(Rule.of(name="a", rate=1)), rates=shared, clock=lambda: 0.0
     )
     read = ReadHoldingRegisters(0, 1)
     answers = [handler.handle(context(3), read) for _ in range(2)]
@@ -407,9 +397,9 @@ def test_rates_of_a_replaced_policy_are_those_of_the_new_one(device):
     ("unit_policy", "units"), [(UnitPolicy.LISTED, (3, 0, 255)), (UnitPolicy.ANY, (3, 0, 255, 77))]
 )
 def test_what_is_denied_of_a_unit_is_denied_by_every_name_of_its_device(device, log, audited, unit_policy, units):
-    inner = LocalHandler({3: device}, unit_policy=unit_policy)
+    inner = DeviceResponder({3: device}, unit_policy=unit_policy)
     policy = Policy.of(Rule.of(name="closed", action="deny", units="3", addresses="4x1-4x5"), default="allow")
-    one = session(PolicyHandler(inner, policy, log if audited else None))
+    one = session(AuthorizedPipeline(inner, policy, log if audited else None))
     for unit in units:
         read = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 0, 2)
         write = struct.pack(">HHHBBHH", 1, 0, 6, unit, 6, 0, 99)
@@ -423,14 +413,14 @@ def test_what_is_denied_of_a_unit_is_denied_by_every_name_of_its_device(device, 
 @pytest.mark.clause("M6")
 def test_a_rule_may_also_name_the_unit_that_was_asked(device):
     policy = Policy.of(Rule.of(name="gate", action="deny", units="255"), default="allow")
-    one = session(PolicyHandler(LocalHandler({3: device}), policy))
+    one = session(AuthorizedPipeline(DeviceResponder({3: device}), policy))
     for unit, answer in ((3, "03 02 0008"), (255, "83 01"), (0, "03 02 0008")):
         assert ask(one, struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 8, 1)) == [bytes.fromhex(answer)]
 
 
 def test_whom_no_rule_is_about_reaches_the_device_until_another_policy_says_otherwise(device):
     others = Policy.of(Rule.of(name="guests", action="deny", peers=["10.9.0.0/16"]), default="allow")
-    handler = PolicyHandler(LocalHandler({1: device}), others)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), others)
     write = WriteSingleRegister(0, 5)
     assert handler.handle(context(), write) == write
     assert handler.handle(context(peer="10.9.0.1:5"), write) == ExceptionResponse(6, 1)
@@ -441,7 +431,7 @@ def test_whom_no_rule_is_about_reaches_the_device_until_another_policy_says_othe
 def test_rates_that_are_shared_count_for_all_handlers_together(device):
     slowly = Policy.of(Rule.of(name="slowly", action="allow", rate=1), default="deny")
     rates = {}
-    one, two = (PolicyHandler(LocalHandler({1: device}), slowly, rates=rates, clock=lambda: 0.0) for _ in range(2))
+    one, two = (AuthorizedPipeline(DeviceResponder({1: device}), slowly, rates=rates) for _ in range(2))
     read = ReadHoldingRegisters(0, 1)
     assert isinstance(one.handle(context(3), read), ReadHoldingRegisters.Reply)
     assert two.handle(context(3), read) == ExceptionResponse(3, 6)
@@ -470,8 +460,6 @@ async def test_a_client_that_hammers_leaves_two_lines_and_the_writes_of_another_
     assert log.path.stat().st_size < 40_000
 
 
-@pytest.mark.parametrize("wrap", [lambda inner: PolicyHandler(inner, OPERATORS_WRITE), metered])
-def test_what_stands_around_a_handler_tells_the_names_of_its_devices(wrap):
-    handler = wrap(LocalHandler({7: Device(holding_registers=1)}))
-    assert [handler.listed_unit(unit) for unit in (0, 7, 255, 9)] == [7, 7, 7, 9]
-    assert not isinstance(wrap(ScriptedHandler(lambda context, request: None)), ListedUnits)
+def test_a_sole_device_is_served_by_the_unit_that_it_is_configured_as():
+    responder = DeviceResponder({7: Device(holding_registers=1)})
+    assert [served and served.unit for served in map(responder.serves, (0, 7, 255, 9))] == [7, 7, 7, None]

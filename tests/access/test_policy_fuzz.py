@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
+from authorizing import AuthorizedPipeline
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from busway.access.audit import AuditLog
-from busway.access.authorizer import PolicyHandler
+from busway.access.audit_log import AuditLog
 from busway.access.rules import AccessKind, Action, Limits, Policy, Rule
 from busway.codes import Table
 from busway.errors import ConfigError
@@ -27,9 +27,10 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
-from busway.session.handler import RequestContext
+from busway.session.pipeline import NO_FAST_PATH, FastPath
+from busway.session.responder import ClientIdentity, RequestContext
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -339,19 +340,18 @@ class World:
     """A policed device behind conversations of several clients, and its twin without a policy."""
 
     def __init__(
-        self, policy: Policy, audit: AuditLog | None = None, handler: type[PolicyHandler] = PolicyHandler
+        self, policy: Policy, audit: AuditLog | None = None, handler: type[AuthorizedPipeline] = AuthorizedPipeline
     ) -> None:
         self.device, self.twin = device(), device()
-        self.handler = handler(LocalHandler({1: self.device}), policy, audit, now=lambda: 1_772_366_400.25)
-        self.plain = LocalHandler({1: self.twin})
+        self.handler = handler(DeviceResponder({1: self.device}), policy, audit)
+        self.plain = DeviceResponder({1: self.twin})
         self.sessions = [
             TcpServerSession(
                 self.handler,
                 diagnostics=LineDiagnostics(),
                 slots=TransactionSlots(16),
                 deliver=lambda adu: None,
-                peer=peer,
-                role=role,
+                client=ClientIdentity(peer=peer, role=role),
             )
             for peer, role in PEERS
         ]
@@ -364,7 +364,7 @@ class World:
     def expected(self, unit: int, pdu: bytes) -> bytes:
         context = RequestContext(unit=unit, function=pdu[0], diagnostics=CommunicationState(), finish=lambda *_: None)
         try:
-            reply = self.plain.handle(context, STANDARD.decode_request(pdu))
+            reply = self.plain.answer(context, STANDARD.decode_request(pdu))
         except Refusal as refusal:
             reply = ExceptionResponse(pdu[0], refusal.code)
         assert isinstance(reply, Message)
@@ -421,15 +421,15 @@ def test_a_policy_that_is_replaced_holds_from_the_next_request_on(first, second,
 @settings(max_examples=60, deadline=None)
 def test_a_log_changes_nothing_in_what_is_permitted(tmp_path_factory, policy, asked):
     path = tmp_path_factory.mktemp("audit") / "log"
-    with AuditLog(path, schedule=lambda seconds, function: True) as audit:
+    with AuditLog(path, schedule=lambda seconds, function: True, now=lambda: 1_772_366_400.25) as audit:
         check(World(policy, audit), asked)
 
 
-class LongRoadOnly(PolicyHandler):
-    """A policy without a short road."""
+class LongRoadOnly(AuthorizedPipeline):
+    """A policy without a fast path."""
 
-    def direct(self, context: RequestContext) -> dict[int, Any]:
-        return {}
+    def fast_path(self, client: ClientIdentity) -> FastPath:
+        return NO_FAST_PATH
 
 
 @given(policies, asked_often)
@@ -437,9 +437,9 @@ class LongRoadOnly(PolicyHandler):
 def test_both_roads_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, asked):
     folder = tmp_path_factory.mktemp("audit")
     found = []
-    for handler in (PolicyHandler, LongRoadOnly):
+    for handler in (AuthorizedPipeline, LongRoadOnly):
         path = folder / handler.__name__
-        with AuditLog(path, schedule=lambda seconds, function: True) as audit:
+        with AuditLog(path, schedule=lambda seconds, function: True, now=lambda: 1_772_366_400.25) as audit:
             world = World(policy, audit, handler)
             replies = [world.ask(who, unit, pdu) for who, unit, pdu in asked]
         found.append((path.read_bytes(), replies, contents(world.device)))

@@ -3,7 +3,8 @@
 import pytest
 
 from busway.access.question import Asker, Question
-from busway.access.rules import DEFAULT_RULE, Action, Limits, Policy, Rule, Zone, zones_of
+from busway.access.rights import DEFAULT_RULE, Rights, UnitAccess
+from busway.access.rules import Action, Limits, Policy, Rule
 from busway.codes import Table
 from busway.errors import ConfigError
 from busway.options.networks import Networks
@@ -252,8 +253,8 @@ def test_the_rates_that_a_request_passes_are_told():
 
 def test_whoever_has_the_same_rules_has_the_same_rights():
     policy = Policy.of(Rule.of(name="a", peers=["10.0.0.0/8"]), Rule.of(name="b", roles=["op"]), Rule.of(name="c"))
-    assert policy.for_asker(Asker("10.0.0.1")) == policy.for_asker(Asker("10.9.9.9"))
-    assert [rule.name for rule in policy.for_asker(Asker("11.0.0.1", "op")).rules] == ["b", "c"]
+    assert policy.rules_for(Asker("10.0.0.1")) == policy.rules_for(Asker("10.9.9.9"))
+    assert [rule.name for rule in policy.rules_for(Asker("11.0.0.1", "op"))] == ["b", "c"]
 
 
 def test_rules_without_a_name_are_called_by_their_number():
@@ -324,6 +325,13 @@ def test_registers_on_the_wire_are_judged_as_one_by_one(limits, registers):
     assert limits.permit_all(wire) == all(limits.permit(register) for register in registers)
 
 
+def writable(policy, unit, function, table, listed=None):
+    """Where a function may write: first, end, rule and limits of each zone."""
+    rights = Rights(policy.rules, policy.default)
+    zones = rights.permitted(UnitAccess(unit, listed, function, None, table, True))
+    return [(zone.first, zone.end, zone.rule_name, zone.limits) for zone in zones]
+
+
 def test_the_zones_of_writes_say_which_rule_decides_where():
     small = Limits(0, 9)
     policy = Policy.of(
@@ -333,19 +341,43 @@ def test_the_zones_of_writes_say_which_rule_decides_where():
         Rule.of(name="rest", addresses="holding:0-29"),
         default="read-only",
     )
-    assert zones_of(policy, 1, 6, Table.HOLDING_REGISTERS) == (
-        Zone(0, 10, "rest", None),
-        Zone(10, 20, "low", small),
-        Zone(27, 30, "rest", None),
-    )
-    assert zones_of(policy, 1, 5, Table.COILS) == ()
-    assert zones_of(Policy.read_only(), 1, 6, Table.HOLDING_REGISTERS) == ()
-    (everywhere,) = zones_of(Policy.allow_all(), 1, 5, Table.COILS)
-    assert (everywhere.first, everywhere.rule, everywhere.limits) == (0, DEFAULT_RULE, None)
+    assert writable(policy, 1, 6, Table.HOLDING_REGISTERS) == [
+        (0, 10, "rest", None),
+        (10, 20, "low", small),
+        (27, 30, "rest", None),
+    ]
+    assert writable(policy, 1, 5, Table.COILS) == []
+    assert writable(Policy.read_only(), 1, 6, Table.HOLDING_REGISTERS) == []
+    ((first, _, rule, limits),) = writable(Policy.allow_all(), 1, 5, Table.COILS)
+    assert (first, rule, limits) == (0, DEFAULT_RULE, None)
 
 
 def test_the_zones_of_a_unit_are_those_of_the_unit_that_its_device_is_listed_as_too():
     policy = Policy.of(Rule.of(name="shut", action="deny", units=3), default="allow")
-    assert zones_of(policy, 255, 6, Table.HOLDING_REGISTERS, listed=3) == ()
-    assert len(zones_of(policy, 255, 6, Table.HOLDING_REGISTERS)) == 1
-    assert zones_of(Policy.of(Rule.of(values=(1, 2))), 1, 5, Table.COILS)[0].limits is None
+    assert writable(policy, 255, 6, Table.HOLDING_REGISTERS, listed=3) == []
+    assert len(writable(policy, 255, 6, Table.HOLDING_REGISTERS)) == 1
+    assert writable(Policy.of(Rule.of(values=(1, 2))), 1, 5, Table.COILS)[0][3] is None
+
+
+@pytest.mark.parametrize("writes", [False, True])
+def test_zones_cover_every_address_once_and_each_by_the_first_rule_that_fits(writes):
+    policy = Policy.of(
+        Rule.of(name="a", addresses="holding:5-9", access="write"),
+        Rule.of(name="b", addresses=["holding:3-6", "holding:9-12", "holding:20"]),
+        Rule.of(name="c", action="deny", addresses="holding:0-14"),
+        Rule.of(name="d", units=2),
+        default="read-only",
+    )
+    rights = Rights(policy.rules, policy.default)
+    zones = rights.zones(UnitAccess(1, None, 3, None, Table.HOLDING_REGISTERS, writes))
+    assert [zone.first for zone in zones] == [0, *(zone.end for zone in zones[:-1])]
+    for address in range(30):
+        (name,) = {zone.rule_name for zone in zones if zone.first <= address < zone.end}
+        fitting = [
+            rule
+            for rule in policy.rules
+            if rule.units is None
+            and rule.access.fits(writes)
+            and any(low <= address < high for low, high in rule.ranges(Table.HOLDING_REGISTERS))
+        ]
+        assert name == (fitting[0].name if fitting else DEFAULT_RULE)

@@ -17,7 +17,7 @@ def refusing(code: int) -> ScriptedHandler:
 @pytest.mark.parametrize(("code", "is_told"), [(0x01, True), (0x02, False), (0x06, False), (0x0A, True), (0x0B, True)])
 async def test_a_gateways_exception_says_that_the_unit_was_assumed(code: int, is_told: bool) -> None:
     async with (
-        busway.serve(ANY_PORT, handler=refusing(code)) as server,
+        busway.serve(ANY_PORT, responder=refusing(code)) as server,
         busway.open(server.endpoints[0], shared=False) as link,
     ):
         for unit, is_assumed in ((link.unit(), True), (link.unit(255), False)):
@@ -29,7 +29,7 @@ async def test_a_gateways_exception_says_that_the_unit_was_assumed(code: int, is
 
 async def test_it_is_said_once_by_each_way_of_asking() -> None:
     async with (
-        busway.serve(ANY_PORT, handler=refusing(0x0B)) as server,
+        busway.serve(ANY_PORT, responder=refusing(0x0B)) as server,
         busway.open(server.endpoints[0], shared=False) as link,
     ):
         unit = link.unit()

@@ -78,7 +78,7 @@ def test_first_requests_of_many_threads_make_one_connection() -> None:
 def test_thread_that_waits_long_does_not_keep_others_from_their_replies_or_timeouts() -> None:
     gate = HeldReplies()
     with (
-        busway.serve_in_thread(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server,
+        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server,
         busway.connect(server.endpoints[0], max_transactions=4, retries=0) as link,
     ):
         unit = link.unit(1)
@@ -103,7 +103,7 @@ def _until(condition: Callable[[], bool]) -> None:
 def test_when_the_leader_is_done_another_thread_takes_over() -> None:
     gate = HeldReplies()
     with (
-        busway.serve_in_thread(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server,
+        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server,
         busway.connect(server.endpoints[0], max_transactions=4, retries=0, recycle_after_timeouts=100) as link,
     ):
         unit = link.unit(1)

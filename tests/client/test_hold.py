@@ -102,7 +102,7 @@ def test_a_connection_that_is_made_by_name_waits_for_its_first_request(via: Clie
 async def test_tasks_that_ask_together_use_one_connection_which_ends_with_the_last() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], hold="request", max_transactions=2, timeout=AMPLE) as link,
     ):
         reads = [asyncio.create_task(link.unit(1).read_holding_registers(address, count=1)) for address in range(3)]
@@ -118,7 +118,7 @@ async def test_tasks_that_ask_together_use_one_connection_which_ends_with_the_la
 async def test_a_cancelled_request_holds_its_connection_until_its_reply_has_come() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], hold="request", timeout=AMPLE) as link,
     ):
         read = asyncio.create_task(link.unit(1).read_holding_registers(0, count=1))
@@ -199,7 +199,7 @@ async def test_an_idle_connection_is_closed_by_the_timer_of_its_link_and_made_an
 async def test_a_connection_in_use_is_not_closed_however_long_the_device_takes() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], hold=0.02, timeout=AMPLE) as link,
     ):
         read = asyncio.create_task(link.unit(1).read_holding_registers(0, count=1))

@@ -25,7 +25,7 @@ def _reply(context: busway.RequestContext, value: int) -> None:
 async def test_requests_fill_the_connection_to_its_limit_and_replies_may_come_in_any_order() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], max_transactions=4, timeout=30) as link,
     ):
         unit = link.unit(1)
@@ -45,7 +45,7 @@ async def test_requests_fill_the_connection_to_its_limit_and_replies_may_come_in
 async def test_call_beyond_the_bound_of_the_queue_is_refused_and_nothing_of_it_is_sent() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], queue=2, timeout=30) as link,
     ):
         await link.connect()  # while there is no connection, the first request waits in the queue too
@@ -68,7 +68,7 @@ async def test_write_of_a_task_goes_before_its_reads_of_other_units_and_tasks_ta
     first = asyncio.Event()
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=30) as link,
     ):
         blocker = asyncio.create_task(link.unit(9).read_holding_registers(0, count=1))
@@ -95,7 +95,7 @@ async def test_write_of_a_task_goes_before_its_reads_of_other_units_and_tasks_ta
 async def test_requests_asked_in_one_turn_leave_together_only_where_joining_is_on(join: bool) -> None:
     handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], join=join, max_transactions=8) as link,
     ):
         await link.connect()
@@ -110,7 +110,7 @@ async def test_requests_asked_in_one_turn_leave_together_only_where_joining_is_o
 async def test_cancelled_request_in_flight_keeps_its_place_and_its_reply_is_given_to_nobody() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=30) as link,
     ):
         unit = link.unit(1)
@@ -135,7 +135,7 @@ async def test_cancelled_request_in_flight_keeps_its_place_and_its_reply_is_give
 async def test_place_of_a_cancelled_request_is_free_after_its_time() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=0.05) as link,
     ):
         unit = link.unit(1)
@@ -153,7 +153,7 @@ async def test_place_of_a_cancelled_request_is_free_after_its_time() -> None:
 async def test_cancelled_request_in_the_queue_is_never_sent() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=30) as link,
     ):
         unit = link.unit(1)
@@ -174,7 +174,7 @@ async def test_cancelled_batch_sends_no_more_and_later_calls_get_their_own_data(
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=30, max_transactions=4) as link,
     ):
         unit = link.unit(1)
@@ -225,7 +225,7 @@ async def test_thousand_cancellations_at_random_moments_never_bring_foreign_data
 async def test_deadline_counts_the_time_in_the_queue_and_what_was_not_sent_is_never_sent() -> None:
     handler = ScriptedHandler(later)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=30) as link,
     ):
         unit = link.unit(1)
@@ -308,7 +308,7 @@ async def test_loops_of_other_threads_have_links_of_their_own() -> None:
 @pytest.mark.clause("T37")
 async def test_closing_a_link_ends_what_is_under_way_and_what_waits() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         link = busway.open(server.endpoints[0], timeout=30)
         unit = link.unit(1)
         read = asyncio.create_task(unit.read_holding_registers(0, count=1))

@@ -8,6 +8,7 @@ from handlers import ScriptedHandler, later, registers
 from waiting import until
 
 import busway
+from busway.session.responder import ServedUnit
 from busway.testing import faulty_server, known_device
 
 AMPLE = 5.0
@@ -18,7 +19,10 @@ ANY_PORT = "tcp://127.0.0.1:0"
 @pytest.mark.parametrize("limit", [1, 2])
 async def test_links_of_a_loop_have_one_limit_together_and_take_turns(limit: int) -> None:
     handlers = [ScriptedHandler(later), ScriptedHandler(later)]
-    async with busway.serve(ANY_PORT, handler=handlers[0]) as one, busway.serve(ANY_PORT, handler=handlers[1]) as two:
+    async with (
+        busway.serve(ANY_PORT, responder=handlers[0]) as one,
+        busway.serve(ANY_PORT, responder=handlers[1]) as two,
+    ):
         links = [
             busway.open(server.endpoints[0], scope="client", max_transactions=limit, timeout=30)
             for server in (one, two)
@@ -77,10 +81,10 @@ class _Working:
         self._now = 0
         self.most = 0
 
-    def direct(self, context: busway.RequestContext) -> dict[int, object]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    async def handle(self, context: busway.RequestContext, request: object) -> busway.Message:
+    async def answer(self, context: busway.RequestContext, request: object) -> busway.Message:
         with self._lock:
             self._now += 1
             self.most = max(self.most, self._now)
@@ -94,8 +98,8 @@ class _Working:
 def test_blocking_links_of_a_process_have_one_limit_together() -> None:
     handler = _Working()
     with (
-        busway.serve_in_thread(ANY_PORT, handler=handler) as one,  # type: ignore[arg-type]
-        busway.serve_in_thread(ANY_PORT, handler=handler) as two,  # type: ignore[arg-type]
+        busway.serve_in_thread(ANY_PORT, responder=handler) as one,  # type: ignore[arg-type]
+        busway.serve_in_thread(ANY_PORT, responder=handler) as two,  # type: ignore[arg-type]
         busway.connect(one.endpoints[0], scope="client", max_transactions=2, timeout=AMPLE) as first,
         busway.connect(two.endpoints[0], scope="client", max_transactions=2, timeout=AMPLE) as second,
     ):

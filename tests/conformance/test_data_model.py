@@ -1,17 +1,14 @@
 """Clauses A1, A5, A6, A10, A21, A24 and T36 from end to end: what a device is made of, as a client sees it."""
 
-from collections.abc import Mapping
-
 import pytest
 from scripted_peer import ScriptedPeer, echo_of
 
 import busway
 from busway.codes import PDU_LIMIT, TCP_ADU_LIMIT
 from busway.framing.mbap import FrameKind, MbapFrame, MbapReceiver, encode_mbap
-from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest
 from busway.server.single_block import SingleBlock
-from busway.session.handler import Outcome
+from busway.session.responder import Outcome, ServedUnit
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -156,10 +153,10 @@ class OwnHandler:
     def __init__(self) -> None:
         self.data = Elsewhere()
 
-    def direct(self, context: busway.RequestContext) -> Mapping[int, Answer]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
         assert isinstance(request, busway.Request)
         return request.apply(self.data, context)  # type: ignore[arg-type]
 
@@ -167,7 +164,7 @@ class OwnHandler:
 @pytest.mark.clause("T36")
 async def test_user_data_is_read_and_written_through_one_interface_wherever_it_lives() -> None:
     handler = OwnHandler()
-    async with busway.serve(ANY_PORT, handler=handler) as server, busway.open(server.endpoints[0]) as link:
+    async with busway.serve(ANY_PORT, responder=handler) as server, busway.open(server.endpoints[0]) as link:
         unit = link.unit(1)
         assert await unit.read_holding_registers(40, count=2) == [40, 41]
         await unit.write_multiple_registers(40, [7, 8])

@@ -23,12 +23,13 @@ from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.server.pools import Pool, PoolLimits, Pools
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
-from busway.session.handler import RequestContext
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import RequestContext
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 from busway.transport.tcp import configure
@@ -52,7 +53,9 @@ def test_the_client_alone_makes_bytes_of_demands_and_confirmations_of_bytes() ->
 
 def test_the_server_alone_makes_answers_of_indications() -> None:
     server = TcpServerSession(
-        ScriptedHandler(lambda context, request: ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008"))),
+        RequestPipeline(
+            ScriptedHandler(lambda context, request: ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008")))
+        ),
         diagnostics=LineDiagnostics(),
         slots=TransactionSlots(1),
         deliver=lambda adu: None,
@@ -62,9 +65,9 @@ def test_the_server_alone_makes_answers_of_indications() -> None:
 
 def test_the_back_end_interface_alone_executes_requests_on_any_data() -> None:
     device = Device(holding_registers=[7, 8])
-    handler = LocalHandler({1: device})
+    handler = DeviceResponder({1: device})
     context = RequestContext(unit=1, function=6, diagnostics=CommunicationState())
-    reply = handler.handle(context, WriteSingleRegister(0, 9))
+    reply = handler.answer(context, WriteSingleRegister(0, 9))
     assert isinstance(reply, Message)
     assert reply.encode() == bytes.fromhex("06 0000 0009")
     assert device.read("4x1") == 9
@@ -133,7 +136,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
     slots = TransactionSlots(1)
     waiting = ScriptedHandler(lambda context, request: busway.LATER)
     first, second = (
-        TcpServerSession(waiting, diagnostics=LineDiagnostics(), slots=slots, deliver=lambda adu: None)
+        TcpServerSession(RequestPipeline(waiting), diagnostics=LineDiagnostics(), slots=slots, deliver=lambda adu: None)
         for _ in range(2)
     )
     assert first.receive(QUESTION, len(QUESTION)) == []
@@ -148,7 +151,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
     [
         ("busway.session.client", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.session.server", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.session.handler", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.session.responder", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.server.pools", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),

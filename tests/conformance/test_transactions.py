@@ -34,7 +34,7 @@ async def test_a_request_arrives_as_the_indication_and_the_response_as_the_confi
         return response
 
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server,
         busway.open(server.endpoints[0]) as link,
     ):
         confirmation = await link.unit(1).execute(request)
@@ -228,7 +228,7 @@ async def test_the_exceptions_of_the_guide_reach_the_application_with_their_code
         raise busway.Refusal(next(codes))
 
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server,
         busway.open(server.endpoints[0]) as link,
     ):
         requests = [busway.ReadHoldingRegisters(0, 1)] * 8
@@ -242,7 +242,7 @@ async def test_a_connection_that_breaks_inside_a_transaction_ends_it_and_frees_w
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
     async with (
-        busway.serve(ANY_PORT, handler=handler) as server,
+        busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], retries=0, shared=False) as link,
     ):
         call = asyncio.create_task(link.unit(1).read_holding_registers(1000, count=1))

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from busway.access.entries import Entry, who_text
+from busway.access.audit_line import audit_line
 from busway.cli.program import app
 from busway.config.files.policy import PolicySection, RuleSection, parse_policy_file
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import Judged, RequestContext
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "security.md"
 
@@ -56,6 +56,7 @@ def test_every_key_of_a_rule_is_told(text: str) -> None:
 @pytest.mark.clause("T15")
 def test_every_key_of_a_line_is_told(text: str) -> None:
     context = RequestContext(unit=1, function=6, diagnostics=CommunicationState())
-    line = Entry(who_text("", None, ""), context, WriteSingleRegister(0, 1)).line("", "done", None)
+    context.judged = Judged("rule")
+    line = audit_line(context, WriteSingleRegister(0, 1), "", "done", None)
     rows = "".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))
     assert all(f"`{key}`" in rows for key in re.findall(r'"(\w+)":', line))

@@ -3,7 +3,6 @@
 import asyncio
 import socket
 import threading
-from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -15,13 +14,12 @@ from busway.faults.switchboard import FaultSwitchboard
 from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
-from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.server.server import Server
-from busway.session.handler import LATER, Outcome, RequestContext
+from busway.session.responder import LATER, Outcome, RequestContext, ServedUnit
 from busway.testing import FakeClock, known_device
 from busway.testing.certificates import CertificateStore
 
@@ -174,15 +172,15 @@ class Promising:
     """Answers later: by an awaitable (reads), or by a call (writes); refuses to write 13."""
 
     def __init__(self) -> None:
-        self._inner = LocalHandler({1: known_device()})
+        self._inner = DeviceResponder({1: known_device()})
         self.functions = self._inner.functions
         self.generation = 0
 
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        reply = self._inner.handle(context, request)
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        reply = self._inner.answer(context, request)
         assert isinstance(reply, Message)
         if context.function == 3:
             return self._awaited(reply)

@@ -10,9 +10,9 @@ from busway.framing.rtu import encode_rtu
 from busway.options.server import UnitPolicy
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import RequestContext
 from busway.testing import FAULT_PROFILES, Carrier, Contact, Exchange, Faults, FaultyConversation, golden_adu
 
 READ = "03 0005 0002"
@@ -36,7 +36,7 @@ class Said:
         if name:
             self.faults.add(FAULT_PROFILES[name](**options))
         self.device = device or busway.Device(holding_registers=list(range(1000)), coils=100)
-        self._handler = LocalHandler({1: self.device}, unit_policy=UnitPolicy.ANY)
+        self._handler = DeviceResponder({1: self.device}, unit_policy=UnitPolicy.ANY)
         self.heard: list[int] = []
         carriers = frozenset({Carrier.TCP, Carrier.CONNECTION} if framing == "mbap" else {Carrier.SERIAL})
         self.talk = FaultyConversation(self.faults, Contact(0.0, others, carriers=carriers), framing, gap=gap)
@@ -60,7 +60,7 @@ class Said:
         if answer is None:
             context = RequestContext(unit=unit, function=pdu[0], diagnostics=CommunicationState())
             try:
-                outcome = self._handler.handle(context, request)
+                outcome = self._handler.answer(context, request)
             except busway.Refusal as refusal:
                 outcome = ExceptionResponse(pdu[0], refusal.code)
             assert isinstance(outcome, Message)

@@ -20,8 +20,9 @@ from busway.pdu.malformed import MalformedPdu
 from busway.pdu.message import Message
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
+from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -104,7 +105,7 @@ def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
     )
     late: list[bytes] = []
     session = TcpServerSession(
-        LocalHandler({1: device}),
+        RequestPipeline(DeviceResponder({1: device})),
         diagnostics=LineDiagnostics(changes_allowed=True),
         slots=TransactionSlots(4),
         deliver=late.append,
@@ -153,7 +154,7 @@ MATERIAL = {
 
 def server(stream: bytes, cut: int) -> None:
     session = TcpServerSession(
-        LocalHandler({1: Device(holding_registers=100)}),
+        RequestPipeline(DeviceResponder({1: Device(holding_registers=100)})),
         diagnostics=LineDiagnostics(),
         slots=TransactionSlots(4),
         deliver=lambda adu: None,

@@ -108,7 +108,7 @@ SLOW = 1000
 async def test_flood_of_slow_requests_waits_in_bounded_places_and_every_answer_goes_to_its_asker() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    server = busway.serve("udp://127.0.0.1:0", handler=handler, max_connections=SLOW_PEERS, max_transactions=SLOTS)
+    server = busway.serve("udp://127.0.0.1:0", responder=handler, max_connections=SLOW_PEERS, max_transactions=SLOTS)
     async with server:
         port = int(server.endpoints[0].rpartition(":")[2])
         with _senders(port) as all_senders:

@@ -11,7 +11,7 @@ from waiting import until
 
 import busway
 from busway.pdu.functions import AnyRequest
-from busway.session.handler import Outcome
+from busway.session.responder import Outcome
 from busway.testing import golden_adu
 
 MARKED, MARKED_HOST = 8, "127.0.0.2"
@@ -74,7 +74,7 @@ async def test_hundreds_of_newcomers_move_no_marked_connection_and_no_answer_goe
     before = open_handles()
     server = busway.serve(
         "tcp://127.0.0.1:0",
-        handler=_who_asks_what(chance),
+        responder=_who_asks_what(chance),
         priority=[MARKED_HOST],
         max_priority_connections=MARKED,
         max_priority_per_remote=MARKED,
@@ -98,7 +98,7 @@ async def test_hundreds_of_newcomers_move_no_marked_connection_and_no_answer_goe
         counters = server.status().counters
         assert counters.accepted == counters.closed == NEWCOMERS + MARKED
         assert NEWCOMERS // 4 < counters.evicted <= NEWCOMERS
-        assert counters.handler_failures == 0
+        assert counters.responder_failures == 0
     await until(lambda: open_handles() == before)
 
 

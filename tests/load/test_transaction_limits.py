@@ -31,14 +31,14 @@ REPLY_SIZE, BUSY_SIZE = 11, 9
 async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_rest_by_and_by(scope: str) -> None:
     for limit in range(1, 17):
         gate = HeldReplies()
-        server = busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide), max_transactions=limit, scope=scope)
+        server = busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide), max_transactions=limit, scope=scope)
         async with server:
             port = int(server.endpoints[0].rpartition(":")[2])
             links = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS)]
             for number in range(ROUNDS):
                 gate.opened.clear()
                 await _one_round(gate, server, links, limit, scope, number)
-            assert server.status().counters.handler_failures == 0
+            assert server.status().counters.responder_failures == 0
             for _, writer in links:
                 writer.close()
                 await writer.wait_closed()

@@ -5,6 +5,7 @@ import socket
 import struct
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections import Counter
@@ -21,11 +22,15 @@ from waiting import until
 
 import busway
 from busway.errors import ConfigError, LinkDown
-from busway.observe.metrics import MeteredHandler, MetricsEndpoint, PeerClass, RequestTally, start_metrics
-from busway.observe.metrics.handler import ClassifyByMark, metered
+from busway.observe.metrics import MetricsEndpoint, MetricsObserver, PeerClass, RequestTally, start_metrics
+from busway.observe.metrics.observer import ClassifyByMark
 from busway.observe.metrics.requests import Unanswered
-from busway.session.diagnostics import CommunicationState
-from busway.session.handler import ReadPlanner, UnitHolder
+from busway.server.local import DeviceResponder
+from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import ClientIdentity
+from busway.session.server import TcpServerSession
+from busway.session.slots import TransactionSlots
 
 FREE = "127.0.0.1:0"
 FREE_TCP = "tcp://127.0.0.1:0"
@@ -124,6 +129,16 @@ async def test_requests_connections_bytes_and_time_are_told(device: busway.Devic
     assert indicators == {"communication": "on", "error": "off", "device_status": "on"}
 
 
+def observed(
+    responder: ScriptedHandler, observer: MetricsObserver, clock: Callable[[], float] = time.perf_counter
+) -> busway.Server:
+    """A server with an observer."""
+    server = busway.serve(FREE_TCP, responder=responder)
+    server._clock = clock
+    server.observe(observer)
+    return server
+
+
 def lit(found: dict[Any, float]) -> list[Any]:
     """The labels of the indicator states that hold."""
     return [labels for labels, value in of_name(found, "busway_listener_indicator").items() if value]
@@ -195,27 +210,25 @@ def outcome(answer: bytes) -> tuple[str, str, str]:
     return str(answer[0]), "other" if function == 0x41 else str(function), exception
 
 
-def test_the_short_road_is_metered_and_plans_are_not_offered(device: busway.Device) -> None:
-    from busway.server.local import LocalHandler
+def test_known_reads_and_other_requests_of_the_fast_path_are_counted_with_the_time_of_their_call() -> None:
+    now = [100.0]
+    observer = MetricsObserver()
 
-    inner = LocalHandler({1: device})
-    handler = metered(inner)
-    assert isinstance(handler, UnitHolder)
-    assert list(handler.serial_units) == [1]
-    assert not isinstance(handler, ReadPlanner)
-    assert handler.functions is inner.functions
-    context = busway.RequestContext(unit=1, function=3, diagnostics=None, peer="10.0.0.1:5", listener="tcp://x")  # type: ignore[arg-type]
-    answers = handler.direct(context)
-    assert handler.direct(context) is answers
-    assert set(answers) == set(inner.direct(context))
-    request = PDUS["read"]
-    assert answers[3](request, 0, len(request)) == inner.direct(context)[3](request, 0, len(request))
-    missing = PDUS["missing"]
-    assert answers[3](missing, 0, len(missing)) is None
-    assert handler.tally.total() == 1
-    device.on_read("holding_registers")(lambda access: None)
-    assert handler.generation == inner.generation
-    assert handler.direct(context) is not answers
+    def tick() -> float:
+        now[0] += 3.0
+        return now[0]
+
+    device = busway.Device(holding_registers=10, coils=10)
+    pipeline = RequestPipeline(DeviceResponder({1: device}), observers=[observer], clock=tick)
+    session = TcpServerSession(
+        pipeline, diagnostics=LineDiagnostics(), slots=TransactionSlots(1), deliver=lambda adu: None
+    )
+    for _ in range(2):
+        stream = adu(1, 1, PDUS["read"]) + adu(2, 1, PDUS["coil"]) + adu(3, 1, PDUS["read"])
+        assert len(session.receive(stream, len(stream))) == 3
+    assert not session.requests - 6
+    assert {(one.function, one.count) for one in observer.tally.all_series()} == {("3", 4), ("5", 2)}
+    assert {(one.function, round(one.total, 6)) for one in observer.tally.all_durations()} == {("3", 4.0), ("5", 2.0)}
 
 
 @pytest.mark.parametrize("how", ["awaitable", "later"])
@@ -233,9 +246,9 @@ async def test_late_replies_are_counted_when_they_are_there_with_the_time_they_t
         waiting.append(context)
         return answer() if how == "awaitable" else busway.LATER
 
-    handler = MeteredHandler(ScriptedHandler(decide), clock=lambda: now[0])
+    handler = MetricsObserver()
     async with (
-        busway.serve(FREE_TCP, handler=handler) as server,
+        observed(ScriptedHandler(decide), handler, clock=lambda: now[0]) as server,
         busway.open(server.endpoints[0]) as link,
     ):
         reading = asyncio.ensure_future(link.unit(1).read_holding_registers(0, count=1))
@@ -267,8 +280,8 @@ async def test_a_client_that_goes_away_before_its_answer_is_counted_as_gone() ->
         context.gone = lambda: stopped.append("stopped")
         return busway.LATER
 
-    handler = MeteredHandler(ScriptedHandler(decide))
-    async with busway.serve(FREE_TCP, handler=handler) as server:
+    handler = MetricsObserver()
+    async with observed(ScriptedHandler(decide), handler) as server:
         host, _, port = server.endpoints[0].removeprefix("tcp://").rpartition(":")
         _, writer = await asyncio.open_connection(host, int(port))
         writer.write(adu(1, 1, PDUS["read"]))
@@ -295,8 +308,8 @@ async def test_a_client_that_goes_away_before_its_answer_is_counted_as_gone() ->
     ids=["at once", "before it returns", "twice", "refused and answered", "refusal", "failure"],
 )
 async def test_a_request_has_one_outcome_whatever_the_handler_does(decide: Callable[..., Any], exception: str) -> None:
-    handler = MeteredHandler(ScriptedHandler(decide))
-    async with busway.serve(FREE_TCP, handler=handler) as server, busway.open(server.endpoints[0]) as link:
+    handler = MetricsObserver()
+    async with observed(ScriptedHandler(decide), handler) as server, busway.open(server.endpoints[0]) as link:
         try:
             await link.unit(1).read_holding_registers(0, count=1)
             answered = "none"
@@ -307,9 +320,9 @@ async def test_a_request_has_one_outcome_whatever_the_handler_does(decide: Calla
 
 
 async def test_what_is_kept_silent_is_no_answer() -> None:
-    handler = MeteredHandler(ScriptedHandler(lambda context, request: busway.SILENCE))
+    handler = MetricsObserver()
     async with (
-        busway.serve(FREE_TCP, handler=handler) as server,
+        observed(ScriptedHandler(lambda context, request: busway.SILENCE), handler) as server,
         busway.open(server.endpoints[0], timeout=0.05, retries=0) as link,
     ):
         with pytest.raises(busway.NoReply):
@@ -333,14 +346,15 @@ async def test_in_listen_only_mode_nothing_counts_as_answered(device: busway.Dev
 
 
 def test_a_broadcast_is_executed_by_each_unit_and_counts_as_no_answer(device: busway.Device) -> None:
-    from busway.server.local import LocalHandler
-
-    handler = metered(LocalHandler({1: device, 2: busway.Device(holding_registers=10)}))
+    handler = MetricsObserver()
+    pipeline = RequestPipeline(
+        DeviceResponder({1: device, 2: busway.Device(holding_registers=10)}), observers=[handler]
+    )
     executed: set[int] = set()
     for unit in (1, 2):
         context = busway.RequestContext(unit=unit, function=16, diagnostics=CommunicationState())
         context.executed = executed
-        handler.handle(context, handler.functions.decode_request(PDUS["write"]))
+        pipeline.answer(context, PDUS["write"], [])
     assert device.holding_registers[0] == 7
     assert handler.tally.unanswered_counts()[Unanswered.BROADCAST] == 2
     assert handler.tally.total() == 0
@@ -361,10 +375,10 @@ def test_marked_devices_are_a_class_of_their_own() -> None:
     }
     for _ in range(2):
         for peer, expected in peers.items():
-            context = busway.RequestContext(unit=1, function=3, diagnostics=None, peer=peer, listener="tcp://x")  # type: ignore[arg-type]
-            assert classify(context) is expected
+            client = ClientIdentity(peer=peer, listener="tcp://x")
+            assert classify(client) is expected
     assert asked == ["10.0.0.1", "fe80::1", "10.0.0.2"]
-    line = busway.RequestContext(unit=1, function=3, diagnostics=None, peer="tty", listener="rtu:///dev/tty")  # type: ignore[arg-type]
+    line = ClientIdentity(peer="tty", listener="rtu:///dev/tty")
     assert classify(line) is PeerClass.LINE
 
 
@@ -382,11 +396,9 @@ async def test_requests_and_bytes_of_priority_connections_are_told_apart(device:
 
 
 async def test_a_server_that_is_not_metered_is_left_as_it_is(device: busway.Device) -> None:
-    from busway.server.local import LocalHandler
-
     async with busway.serve(FREE_TCP, units={1: device}) as server:
-        assert isinstance(server._handler, LocalHandler)
-        with pytest.raises(ConfigError, match="keeps its handler"):
+        assert isinstance(server._responder, DeviceResponder)
+        with pytest.raises(ConfigError, match="keeps its observers"):
             start_metrics(server, FREE)
 
 
@@ -448,17 +460,6 @@ async def test_without_the_package_the_way_to_it_is_named(device: busway.Device)
         start_metrics(busway.serve(FREE_TCP, units={1: device}), FREE)
 
 
-async def test_refusals_by_rule_are_told_where_a_handler_counts_them(device: busway.Device) -> None:
-    class Counting(ScriptedHandler):
-        @property
-        def refusals(self) -> dict[str, int]:
-            return {"no writes": 3}
-
-    handler = Counting(lambda context, request: registers(0))
-    async with start_metrics(busway.serve(FREE_TCP, handler=handler), FREE) as endpoint:
-        assert (await samples(endpoint))["busway_policy_refusals_total", (("rule", "no writes"),)] == 3
-
-
 async def test_what_a_policy_refuses_is_told_by_its_rule(device: busway.Device) -> None:
     from busway.access.rules import Policy
 
@@ -490,7 +491,7 @@ async def test_the_links_of_this_process_are_told(device: busway.Device) -> None
 
 def test_a_tally_can_be_shared_and_units_left_out() -> None:
     tally = RequestTally(units=False)
-    handler = MeteredHandler(ScriptedHandler(lambda context, request: registers(0)), tally)
+    handler = MetricsObserver(tally)
     assert handler.tally is tally
     tally.series(PeerClass.OTHER, 1, 3).count += 1
     tally.series(PeerClass.OTHER, 2, 3).count += 1

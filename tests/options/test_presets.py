@@ -19,7 +19,7 @@ from busway.options.tls import TlsParameters
 from busway.server.device import Device
 from busway.server.listener import Listener
 from busway.server.listener_settings import listener_settings
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))
@@ -146,7 +146,7 @@ def test_a_strict_server_has_every_setting_of_the_preset() -> None:
         "tcp://127.0.0.1:5020", "rtu:///dev/x", units={1: Device(coils=1)}, preset="strict", max_transactions=4
     )
     handler, parameters = server._handler, server._parameters
-    assert isinstance(handler, LocalHandler)
+    assert isinstance(handler, DeviceResponder)
     assert handler._silent
     assert (parameters.scope, parameters.diagnostics_changes, parameters.max_transactions) == (Scope.SERVER, True, 4)
     sockets = server._sockets
@@ -194,7 +194,7 @@ async def test_a_strict_server_and_a_strict_client_converse() -> None:
 
 def test_a_server_without_a_preset_is_as_it_was() -> None:
     server = busway.serve(units={1: Device(coils=1)}, unit_policy=UnitPolicy.LISTED)
-    assert isinstance(server._handler, LocalHandler)
+    assert isinstance(server._handler, DeviceResponder)
     assert not server._handler._silent
     assert [one.endpoint.url for one in server._settings] == ["tcp://127.0.0.1:5020"]
     assert server._parameters.scope is Scope.CONNECTION

@@ -17,6 +17,7 @@ from busway.pdu.message import Request
 from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters, WriteSingleCoil, WriteSingleRegister
+from busway.session.responder import ClientIdentity
 
 SHORT: tuple[Any, ...] = (
     ReadCoils,
@@ -109,7 +110,7 @@ def expect_same(first: int, count: int, pdu: bytes) -> None:
     assert answer is not None
     # The PDU stands somewhere in a buffer that is used again.
     buffer = bytearray(b"\xee" * 7 + pdu + b"\xdd" * 5)
-    said = answer(buffer, 7, 7 + len(pdu))
+    said = answer(buffer, 7, 7 + len(pdu), ClientIdentity())
     expected = long_road(longer, pdu)
     if said is None:
         assert shorter.content == before, "what is left to the long road has changed nothing"
@@ -159,7 +160,7 @@ def test_what_is_plainly_right_is_answered_at_once(pdu: str) -> None:
     assert kind is not None
     answer = kind.direct(PlainDevice())
     assert answer is not None
-    assert answer(wire, 0, len(wire)) is not None
+    assert answer(wire, 0, len(wire), ClientIdentity()) is not None
     expect_same(0, 300, wire)
 
 
@@ -187,7 +188,7 @@ def test_what_is_not_plainly_right_takes_the_long_road(pdu: str) -> None:
     assert kind is not None
     answer = kind.direct(PlainDevice())
     assert answer is not None
-    assert answer(wire, 0, len(wire)) is None
+    assert answer(wire, 0, len(wire), ClientIdentity()) is None
 
 
 def test_a_block_whose_bytes_are_replaced_is_read_anew() -> None:
@@ -195,7 +196,7 @@ def test_a_block_whose_bytes_are_replaced_is_read_anew() -> None:
     answer = ReadHoldingRegisters.direct(device)
     assert answer is not None
     device.blocks[Table.HOLDING_REGISTERS].data = bytearray(b"\x12\x34" * 4)
-    assert answer(bytes.fromhex("03 0000 0001"), 0, 5) == bytes.fromhex("03 02 1234")
+    assert answer(bytes.fromhex("03 0000 0001"), 0, 5, ClientIdentity()) == bytes.fromhex("03 02 1234")
 
 
 def test_functions_that_need_more_than_a_block_have_no_short_road() -> None:
@@ -222,5 +223,5 @@ def test_a_write_that_its_block_declines_takes_the_long_road(pdu: str) -> None:
     assert kind is not None
     answer = kind.direct(device)
     assert answer is not None
-    assert answer(wire, 0, len(wire)) is None
+    assert answer(wire, 0, len(wire), ClientIdentity()) is None
     assert device.content == before

@@ -17,7 +17,7 @@ from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import AnyRequest
 from busway.server.connection import ServerConnection
 from busway.server.turns import Turns
-from busway.session.handler import Outcome
+from busway.session.responder import Outcome
 from busway.testing import SLOW_LORIS, golden_adu, misbehaving_client
 
 pytestmark = pytest.mark.usefixtures("road")
@@ -76,7 +76,7 @@ async def test_reply_carries_unit_and_transaction_of_its_request_whichever_way_i
             context.reply(registers(address))
         return busway.LATER
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(golden_adu(busway.ReadHoldingRegisters(5, 1).encode(), transaction=0xABCD, unit=77))
         assert await reader.readexactly(11) == golden_adu(registers(5).encode(), transaction=0xABCD, unit=77)
@@ -86,7 +86,7 @@ async def test_reply_carries_unit_and_transaction_of_its_request_whichever_way_i
 @pytest.mark.clause("T29")
 async def test_later_reply_given_twice_is_sent_once() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1) + _question(2, 2))
         await until(lambda: len(handler.contexts) == 2)
@@ -122,30 +122,30 @@ async def test_handler_that_raises_is_answered_with_its_code_or_04(
             return fail()
         raise failure
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
         async with busway.open(server.endpoints[0]) as link:
             with pytest.raises(busway.ExceptionReply) as caught:
                 await link.unit(1).read_holding_registers(0, count=1)
         assert caught.value.code == code
-    assert ("handler failed" in caplog.text) == (not isinstance(failure, busway.Refusal))
+    assert ("responder failed" in caplog.text) == (not isinstance(failure, busway.Refusal))
 
 
 async def test_failures_of_handlers_are_counted() -> None:
     def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
         raise ZeroDivisionError
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
         async with busway.open(server.endpoints[0]) as link:
             with pytest.raises(busway.ExceptionReply):
                 await link.unit(1).read_holding_registers(0, count=1)
-        assert server.counters.handler_failures == 1
+        assert server.counters.responder_failures == 1
 
 
 async def test_silence_of_a_handler_sends_nothing_and_holds_no_slot() -> None:
     def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
         return busway.SILENCE if address_of(request) else registers(0)
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide), max_transactions=1) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide), max_transactions=1) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1) + _question(1, 2) + _question(0, 3))
         assert await reader.readexactly(11) == _answer(0, 3)
@@ -158,7 +158,7 @@ async def test_silence_of_a_handler_sends_nothing_and_holds_no_slot() -> None:
 @pytest.mark.clause("T29")
 async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_transactions_of_its_own() -> None:
     gate = HeldReplies()
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1000, 1) + _question(2, 2))
@@ -178,7 +178,7 @@ async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_t
 async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_and_others_are_not() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    async with busway.serve(ANY_PORT, handler=handler, max_transactions=2) as server:
+    async with busway.serve(ANY_PORT, responder=handler, max_transactions=2) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1000, 1) + _question(1001, 2) + _question(1, 3))
@@ -199,7 +199,7 @@ async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_a
 async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    async with busway.serve(ANY_PORT, ANY_PORT, handler=handler, max_transactions=2, scope="server") as server:
+    async with busway.serve(ANY_PORT, ANY_PORT, responder=handler, max_transactions=2, scope="server") as server:
         ports = [urlsplit(one).port for one in server.endpoints]
         connections = [await asyncio.open_connection("127.0.0.1", port) for port in (*ports, ports[0])]
         for number, (_, writer) in enumerate(connections[:2]):
@@ -220,7 +220,7 @@ async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> 
 @pytest.mark.clause("T27")
 async def test_requests_that_are_answered_at_once_never_count_towards_the_limit() -> None:
     handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
-    async with busway.serve(ANY_PORT, handler=handler, max_transactions=1) as server:
+    async with busway.serve(ANY_PORT, responder=handler, max_transactions=1) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(b"".join(_question(number, number) for number in range(100)))
         expected = b"".join(_answer(number, number) for number in range(100))
@@ -234,7 +234,7 @@ async def test_requests_that_are_answered_at_once_never_count_towards_the_limit(
 @pytest.mark.clause("T30")
 async def test_reply_for_a_client_that_has_gone_is_dropped_and_its_slot_is_free() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler, max_transactions=1, scope="server") as server:
+    async with busway.serve(ANY_PORT, responder=handler, max_transactions=1, scope="server") as server:
         _, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1))
         await until(lambda: handler.contexts)
@@ -263,7 +263,7 @@ async def test_awaitable_of_a_client_that_has_gone_is_cancelled() -> None:
         raise AssertionError
 
     handler = ScriptedHandler(lambda context, request: forever())
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         _, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1))
         await until(lambda: handler.contexts)
@@ -276,7 +276,7 @@ async def test_awaitable_of_a_client_that_has_gone_is_cancelled() -> None:
 @pytest.mark.clause("T30")
 async def test_slot_of_a_client_that_closed_is_free_as_soon_as_its_reply_is_there() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler, max_transactions=1, scope="server") as server:
+    async with busway.serve(ANY_PORT, responder=handler, max_transactions=1, scope="server") as server:
         _, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1))
         await until(lambda: handler.contexts)
@@ -294,7 +294,7 @@ async def test_slot_of_a_client_that_closed_is_free_as_soon_as_its_reply_is_ther
 @pytest.mark.clause("T30")
 async def test_client_that_closes_its_half_still_gets_the_replies_to_come() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1) + _question(2, 2))
         writer.write_eof()
@@ -309,7 +309,7 @@ async def test_client_that_closes_its_half_still_gets_the_replies_to_come() -> N
 @pytest.mark.clause("T30")
 async def test_client_that_closes_its_half_still_gets_the_reply_that_was_given_in_the_same_turn() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         loop = asyncio.get_running_loop()
         with socket.socket() as client:
             client.setblocking(False)
@@ -331,7 +331,9 @@ async def test_client_that_closes_its_half_still_gets_the_reply_that_was_given_i
 @pytest.mark.clause("T29", "T30")
 async def test_thousands_of_requests_at_once_are_answered_in_order_and_their_end_is_heard_behind_them() -> None:
     count = 3000
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(lambda _, asked: registers(address_of(asked)))) as server:
+    async with busway.serve(
+        ANY_PORT, responder=ScriptedHandler(lambda _, asked: registers(address_of(asked)))
+    ) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(b"".join(_question(one, one) for one in range(count)))
         writer.write_eof()
@@ -382,7 +384,7 @@ async def test_who_asks_once_is_answered_before_what_another_has_asked_without_e
         served.append(address_of(request))
         return registers(0)
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
         _, flood = await asyncio.open_connection("127.0.0.1", _port(server))
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         flood.write(b"".join(_question(1) for _ in range(5000)))
@@ -397,7 +399,7 @@ async def test_who_asks_once_is_answered_before_what_another_has_asked_without_e
 @pytest.mark.clause("T30")
 async def test_client_that_closes_its_half_is_closed_when_the_last_reply_turns_out_to_be_silence() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1, 1))
         writer.write_eof()
@@ -415,7 +417,7 @@ async def test_reply_given_before_the_handler_returns_goes_out_before_what_break
         context.reply(registers(address_of(request)))
         return busway.LATER
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(5) + bytes.fromhex("0002 0000 0000 01 03"))  # a length of 0 can not be
         async with asyncio.timeout(5):
@@ -429,7 +431,7 @@ async def test_reply_given_before_the_handler_returns_goes_out_before_what_break
 @pytest.mark.clause("T12")
 async def test_newcomer_beyond_the_limit_takes_the_place_of_the_connection_unused_longest() -> None:
     handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
-    async with busway.serve(ANY_PORT, handler=handler, max_connections=3) as server:
+    async with busway.serve(ANY_PORT, responder=handler, max_connections=3) as server:
         connections = [await asyncio.open_connection("127.0.0.1", _port(server)) for _ in range(3)]
         for turn in (1, 0, 2):  # the second one is unused longest after this
             reader, writer = connections[turn]
@@ -452,7 +454,7 @@ async def test_newcomer_beyond_the_limit_takes_the_place_of_the_connection_unuse
 @pytest.mark.clause("T12")
 async def test_busy_connection_stays_while_an_idle_one_can_go_and_the_oldest_goes_when_all_are_busy() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler, max_connections=2) as server:
+    async with busway.serve(ANY_PORT, responder=handler, max_connections=2) as server:
         first = await asyncio.open_connection("127.0.0.1", _port(server))
         first[1].write(_question(1, 1))
         await until(lambda: len(handler.contexts) == 1)
@@ -588,7 +590,7 @@ async def test_idle_connection_and_one_that_sends_whole_frames_in_pieces_outlive
 @pytest.mark.parametrize("by_one", [False, True])
 async def test_replies_to_requests_that_came_together_leave_together_or_one_by_one(by_one: bool) -> None:
     handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
-    server = busway.serve(ANY_PORT, handler=handler, single_adu_segments=by_one)
+    server = busway.serve(ANY_PORT, responder=handler, single_adu_segments=by_one)
     await server.start()
     reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
     writer.write(_question(1, 1) + _question(2, 2))

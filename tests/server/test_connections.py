@@ -248,7 +248,7 @@ async def test_evictions_under_load_touch_no_marked_connection_and_no_answer_rea
                 client.writer.transport.abort()
 
     options = {"max_priority_connections": 4, "max_priority_per_remote": 4, "max_connections": 6}
-    async with served(units=None, handler=handler, priority=[MARKED], **options) as server:
+    async with served(units=None, responder=handler, priority=[MARKED], **options) as server:
         marked = [loop.create_task(ask_for_ever(server, MARKED, number, "marked")) for number in range(4)]
         await until(lambda: server.status().counters.priority.accepted == 4)
         others = [loop.create_task(ask_for_ever(server, STRANGER, 100 + n, "others")) for n in range(18)]
@@ -291,7 +291,7 @@ async def test_half_a_header_and_half_a_request_are_closed_in_their_time_and_a_m
 @pytest.mark.clause("T6")
 async def test_idle_connection_is_closed_and_one_with_a_request_in_work_is_not() -> None:
     handler = ScriptedHandler(later)
-    async with served(units=None, handler=handler, idle_timeout=0.1) as server:
+    async with served(units=None, responder=handler, idle_timeout=0.1) as server:
         busy, idle = await Client.of(server), await Client.of(server)
         busy.writer.write(QUESTION)
         assert await idle.is_closed()
@@ -478,7 +478,7 @@ async def test_counters_set_to_zero_while_connections_live_count_on_from_zero() 
 @pytest.mark.clause("T38")
 async def test_server_that_takes_no_more_reads_nothing_more_and_still_gives_the_answers_it_owes() -> None:
     handler = ScriptedHandler(later)
-    async with served(units=None, handler=handler, request_rate=5) as server:
+    async with served(units=None, responder=handler, request_rate=5) as server:
         client = await Client.of(server)
         client.writer.write(QUESTION * 6)  # one more than its rate: it is held for a moment
         await until(lambda: len(handler.contexts) == 6)

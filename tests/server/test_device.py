@@ -27,7 +27,7 @@ from busway.pdu.write_items import (
 from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import ClientIdentity, RequestContext
 
 TABLES = tuple(table.value for table in Table)
 
@@ -211,7 +211,7 @@ def test_a_block_stays_right_when_a_group_replaces_what_it_holds() -> None:
     assert answer is not None
     with device.update():
         device.holding_registers[0:2] = [1, 2]
-    assert answer(ReadHoldingRegisters(0, 2).encode(), 0, 5) == bytes.fromhex("03 04 00 01 00 02")
+    assert answer(ReadHoldingRegisters(0, 2).encode(), 0, 5, ClientIdentity()) == bytes.fromhex("03 04 00 01 00 02")
 
 
 def devices() -> list[Device]:
@@ -269,7 +269,7 @@ def test_the_short_road_answers_as_the_long_road_does(requests: list[bytes]) -> 
         answer = answers[pdu[0]]
         assert answer is not None
         # The PDU stands somewhere in a receive buffer.
-        got = answer(bytearray(b"\xaa\xaa" + pdu + b"\xaa"), 2, 2 + len(pdu))
+        got = answer(bytearray(b"\xaa\xaa" + pdu + b"\xaa"), 2, 2 + len(pdu), ClientIdentity())
         if got is None:
             # What the short road leaves is refused, or is a form that only the long road judges.
             assert long_road(by_short, pdu) == expected
@@ -297,7 +297,7 @@ def test_the_short_road_takes_what_is_plainly_right(pdu: str) -> None:
     answers = {kind.code: kind.direct(by_short) for kind in STANDARD}
     answer = answers[wire[0]]
     assert answer is not None
-    got = answer(wire, 0, len(wire))
+    got = answer(wire, 0, len(wire), ClientIdentity())
     assert got is not None
     assert got == long_road(by_long, wire)
     assert tables_of(by_short) == tables_of(by_long)

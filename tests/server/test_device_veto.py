@@ -7,9 +7,9 @@ from busway.pdu.model import Refusal
 from busway.pdu.write_items import ReadWriteMultipleRegisters
 from busway.server.device import Device
 from busway.server.hooks import Access
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import RequestContext
 
 
 @pytest.mark.clause("A7", "A18")
@@ -20,11 +20,11 @@ def test_a_refused_read_of_function_23_leaves_its_write_undone() -> None:
     def refuse(access: Access) -> None:
         raise Refusal(4)
 
-    handler = LocalHandler({1: device})
+    handler = DeviceResponder({1: device})
     context = RequestContext(unit=1, function=23, diagnostics=CommunicationState())
     request = STANDARD.decode_request(ReadWriteMultipleRegisters.of(5, 1, 0, [77]).encode())
 
     with pytest.raises(Refusal):
-        handler.handle(context, request)
+        handler.answer(context, request)
 
     assert device.holding_registers[0] == 0

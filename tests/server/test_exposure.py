@@ -46,15 +46,15 @@ async def test_every_address_is_taken_and_warned_of(said: pytest.LogCaptureFixtu
 def test_a_server_that_the_network_can_write_to_says_so_once_and_how_to_change_it(
     said: pytest.LogCaptureFixture,
 ) -> None:
-    warn_of_exposure(["tcp://10.0.0.5:502", "udp://10.0.0.5:502", "rtu:///dev/ttyS0"], guarded=False)
+    warn_of_exposure(["tcp://10.0.0.5:502", "udp://10.0.0.5:502", "rtu:///dev/ttyS0"], authorized=False)
     (line,) = said.messages
     assert line.startswith("tcp://10.0.0.5:502, udp://10.0.0.5:502: takes writes from everybody")
     assert "policy=busway.Policy.read_only()" in line
 
 
 async def test_on_loopback_on_a_line_and_behind_a_policy_nothing_is_said(said: pytest.LogCaptureFixture) -> None:
-    warn_of_exposure(["tcp://127.0.0.1:502", "rtu:///dev/ttyS0"], guarded=False)
-    warn_of_exposure(["tcp://10.0.0.5:502"], guarded=True)
+    warn_of_exposure(["tcp://127.0.0.1:502", "rtu:///dev/ttyS0"], authorized=False)
+    warn_of_exposure(["tcp://10.0.0.5:502"], authorized=True)
     async with busway.serve("tcp://127.0.0.1:0", units=busway.Device(coils=1)):
         pass
     assert said.messages == []

@@ -17,7 +17,7 @@ from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, Wr
 from busway.server.device import Device
 from busway.server.single_block import SingleBlock
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import ClientIdentity, RequestContext
 
 T = TypeVar("T")
 
@@ -27,7 +27,9 @@ STRESS = 0.4
 
 def asked(function: int) -> RequestContext:
     """The context of a request from a client."""
-    return RequestContext(unit=1, function=function, diagnostics=CommunicationState(), peer="10.0.0.9:1502")
+    return RequestContext(
+        unit=1, function=function, diagnostics=CommunicationState(), client=ClientIdentity(peer="10.0.0.9:1502")
+    )
 
 
 def test_changes_become_visible_when_the_group_ends() -> None:
@@ -102,7 +104,7 @@ def test_a_modbus_write_during_a_group_is_not_lost_and_does_not_wait() -> None:
 
         def write() -> None:
             WriteSingleRegister(2, 7).apply(device, asked(6))
-            short(WriteMultipleRegisters.of(3, [8]).encode(), 0, 8)
+            short(WriteMultipleRegisters.of(3, [8]).encode(), 0, 8, ClientIdentity())
             WriteSingleRegister(1, 9).apply(device, asked(6))  # the group has written it too, and ends later
 
         in_another_thread(write)
@@ -165,7 +167,7 @@ def test_readers_never_see_half_of_a_group_by_the_long_or_the_short_road() -> No
             device.holding_registers[40] = number
 
     def read_short(_: int) -> None:
-        high, low = struct.unpack(">HH", registers(pair_pdu, 0, 5)[2:])  # type: ignore[index]
+        high, low = struct.unpack(">HH", registers(pair_pdu, 0, 5, ClientIdentity())[2:])  # type: ignore[index]
         assert high == low
 
     def read_long(_: int) -> None:
@@ -174,9 +176,9 @@ def test_readers_never_see_half_of_a_group_by_the_long_or_the_short_road() -> No
 
     def read_two_tables(_: int) -> None:
         # Unchanged before and after: then the coil between them belongs to the same group.
-        before = registers(pair_pdu, 0, 5)
-        state = coils(coil_pdu, 0, 5)
-        after = registers(pair_pdu, 0, 5)
+        before = registers(pair_pdu, 0, 5, ClientIdentity())
+        state = coils(coil_pdu, 0, 5, ClientIdentity())
+        after = registers(pair_pdu, 0, 5, ClientIdentity())
         assert before is not None
         assert state is not None
         if before == after:

@@ -21,13 +21,16 @@ from busway.pdu.write_items import (
 from busway.server.device import Device
 from busway.server.hooks import Access, Change
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import ClientIdentity, RequestContext
 
 
 def execute(device: Device, request: Request) -> Message:
     """Execute a request as a server does."""
     context = RequestContext(
-        unit=17, function=request.code, diagnostics=CommunicationState(), peer="10.0.0.9:1502", role="operator"
+        unit=17,
+        function=request.code,
+        diagnostics=CommunicationState(),
+        client=ClientIdentity(peer="10.0.0.9:1502", role="operator"),
     )
     with device.lock:
         return request.apply(device, context)

@@ -13,7 +13,7 @@ from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.diagnosis import StatusIndicator
 from busway.server.tcp import settle
-from busway.session.handler import Outcome, RequestContext
+from busway.session.responder import Outcome, RequestContext, ServedUnit
 from busway.testing.line import PacedLine
 from busway.transport.serial.blocking import BlockingSerialPort
 
@@ -167,16 +167,15 @@ class Slow:
 
     functions = STANDARD
     generation = 0
-    serial_units = frozenset({5})
 
     def __init__(self) -> None:
         self.asked = asyncio.Event()
         self.go_on = asyncio.Event()
 
-    def direct(self, context: RequestContext) -> dict[int, object]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit) if unit == 5 else None
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         return self._answer(request)
 
     async def _answer(self, request: AnyRequest) -> Message:
@@ -191,7 +190,7 @@ class Slow:
 @pytest.mark.real_time
 async def test_server_that_takes_no_more_still_answers_what_it_was_asked_and_nothing_else(line: PacedLine) -> None:
     handler = Slow()
-    async with busway.serve(url(line), handler=handler) as server:  # type: ignore[arg-type]
+    async with busway.serve(url(line), responder=handler) as server:  # type: ignore[arg-type]
         line.inject(READ)
         await handler.asked.wait()
         await server.take_no_more()
@@ -209,7 +208,7 @@ async def test_answer_that_waits_for_its_silence_leaves_before_the_port_is_close
     with PacedLine(ports=2, baud=1200) as slow:  # a silence of 32 ms
         handler = Slow()
         handler.go_on.set()
-        server = busway.serve(f"rtu://{slow.paths[1]}?baud=1200", handler=handler)  # type: ignore[arg-type]
+        server = busway.serve(f"rtu://{slow.paths[1]}?baud=1200", responder=handler)  # type: ignore[arg-type]
         await server.start()
         slow.inject(READ)
         await handler.asked.wait()
@@ -222,7 +221,7 @@ async def test_answer_that_waits_for_its_silence_leaves_before_the_port_is_close
 @pytest.mark.real_time
 async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: PacedLine) -> None:
     handler = Slow()
-    async with busway.serve(url(line), handler=handler) as server:  # type: ignore[arg-type]
+    async with busway.serve(url(line), responder=handler) as server:  # type: ignore[arg-type]
         line.inject(READ)
         await handler.asked.wait()
         handler.go_on.set()
@@ -247,15 +246,15 @@ async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: 
 @pytest.mark.real_time
 async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> None:
     class Broken(Slow):
-        def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
             raise RuntimeError("broken")
 
-    async with busway.serve(url(line), handler=Broken()) as server:  # type: ignore[arg-type]
+    async with busway.serve(url(line), responder=Broken()) as server:  # type: ignore[arg-type]
         line.inject(READ)
         await until(lambda: len(spoken(line)) == 1)
         assert spoken(line) == [encode_rtu(5, b"\x83\x04")]
         assert server.status().listeners[0].indicators.error is StatusIndicator.ON
-        assert server.status().counters.handler_failures == 1
+        assert server.status().counters.responder_failures == 1
 
 
 @pytest.mark.clause("S15")
@@ -298,8 +297,11 @@ def test_line_needs_units_of_its_own_and_a_handler_that_says_which() -> None:
         functions = STANDARD
         generation = 0
 
-    with pytest.raises(busway.ConfigError, match="serial_units"):
-        busway.serve("rtu:///dev/ttyUSB0", handler=Unsaid())  # type: ignore[arg-type]
+        def serves(self, unit: int) -> ServedUnit | None:
+            return None
+
+    with pytest.raises(busway.ConfigError, match="1…247"):
+        busway.serve("rtu:///dev/ttyUSB0", responder=Unsaid())  # type: ignore[arg-type]
 
 
 @pytest.mark.clause("S18")

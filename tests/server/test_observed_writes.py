@@ -1,5 +1,7 @@
 """Writes with a look at what they replace: exact, in one step, and only where something is executed."""
 
+from collections.abc import Callable
+
 import pytest
 
 from busway.codes import Table
@@ -13,13 +15,16 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext, WriteObserver
+from busway.session.responder import Judged, Replaced, RequestContext
 
 
-def _context(function: int, unit: int = 1) -> RequestContext:
-    return RequestContext(unit=unit, function=function, diagnostics=CommunicationState(), finish=lambda *_: None)
+def _context(function: int, unit: int = 1, *, see: Callable[[Replaced], None]) -> RequestContext:
+    context = RequestContext(unit=unit, function=function, diagnostics=CommunicationState(), finish=lambda *_: None)
+    context.judged = Judged("rule", is_write=True)
+    context.judged.check = see
+    return context
 
 
 def _device() -> Device:
@@ -39,10 +44,10 @@ def _device() -> Device:
     ],
 )
 def test_what_a_write_would_replace_is_shown_before_it_is_replaced(request_, replaced):
-    handler = LocalHandler({1: _device()})
+    handler = DeviceResponder({1: _device()})
     seen = []
     try:
-        handler.observe_write(_context(request_.code), request_, seen.append)
+        handler.answer(_context(request_.code, see=seen.append), request_)
     except Refusal:
         assert None in replaced
     assert seen == [replaced]
@@ -50,13 +55,13 @@ def test_what_a_write_would_replace_is_shown_before_it_is_replaced(request_, rep
 
 def test_a_refusal_at_the_look_leaves_everything_as_it_was():
     device = _device()
-    handler = LocalHandler({1: device})
+    handler = DeviceResponder({1: device})
 
     def refuse(replaced):
         raise Refusal(1)
 
     with pytest.raises(Refusal):
-        handler.observe_write(_context(6), WriteSingleRegister(0, 99), refuse)
+        handler.answer(_context(6, see=refuse), WriteSingleRegister(0, 99))
     assert device.holding_registers[0] == 10
 
 
@@ -79,8 +84,8 @@ def test_the_look_and_the_write_hold_the_devices_lock_together():
     device = _device()
     device.lock = lock = Lock(device.lock)
     depths = []
-    LocalHandler({1: device}).observe_write(
-        _context(22), MaskWriteRegister(0, 0, 5), lambda replaced: depths.append(lock.depth)
+    DeviceResponder({1: device}).answer(
+        _context(22, see=lambda replaced: depths.append(lock.depth)), MaskWriteRegister(0, 0, 5)
     )
     assert (depths, lock.outermost) == ([1], 1)
     assert device.holding_registers[0] == 5
@@ -89,8 +94,8 @@ def test_the_look_and_the_write_hold_the_devices_lock_together():
 @pytest.mark.parametrize("unit", [9])
 def test_where_nothing_is_executed_nothing_is_looked_at(unit):
     seen = []
-    reply = LocalHandler({1: _device(), 2: _device()}).observe_write(
-        _context(6, unit), WriteSingleRegister(0, 1), seen.append
+    reply = DeviceResponder({1: _device(), 2: _device()}).answer(
+        _context(6, unit, see=seen.append), WriteSingleRegister(0, 1)
     )
     assert reply.exception == 0x0B
     assert seen == []
@@ -102,4 +107,3 @@ def test_a_look_calls_no_hook():
     device.on_read("holding_registers", called.append)
     assert device.peek(Table.HOLDING_REGISTERS, 0, 2) == b"\x00\x0a\x00\x0b"
     assert called == []
-    assert isinstance(LocalHandler({1: device}), WriteObserver)

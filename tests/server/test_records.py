@@ -13,7 +13,7 @@ from busway.pdu.read_items import ReadFifoQueue
 from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import RequestContext
 
 
 def execute(device: Device, request: Request) -> Message:

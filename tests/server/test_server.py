@@ -160,7 +160,7 @@ def test_option_out_of_range_is_refused_and_named(name: str, value: object) -> N
 async def test_stop_ends_within_a_second_with_busy_clients_attached() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    server = busway.serve(ANY_PORT, handler=handler)
+    server = busway.serve(ANY_PORT, responder=handler)
     await server.start()
     async with busway.open(server.endpoints[0], max_transactions=16, timeout=30, retries=0) as link:
         unit = link.unit(1)
@@ -224,7 +224,7 @@ async def test_reset_clears_the_counters_and_serves_again() -> None:
 @pytest.mark.clause("T34")
 async def test_status_shows_connections_and_counters_as_they_stand() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         assert server.status().connections == ()
         async with busway.open(server.endpoints[0], timeout=30) as link:
             asked = asyncio.create_task(link.unit(1).read_holding_registers(0, count=1))
@@ -261,10 +261,10 @@ async def test_serve_until_cancelled_stops_when_it_is_cancelled() -> None:
 def test_server_needs_an_endpoint_and_either_units_or_a_handler() -> None:
     with pytest.raises(busway.ConfigError, match="endpoint"):
         busway.Server((), ScriptedHandler(later))
-    with pytest.raises(busway.ConfigError, match="units or a handler"):
+    with pytest.raises(busway.ConfigError, match="units or a responder"):
         busway.serve(ANY_PORT)
-    with pytest.raises(busway.ConfigError, match="units or a handler"):
-        busway.serve(ANY_PORT, units=_device(), handler=ScriptedHandler(later))
+    with pytest.raises(busway.ConfigError, match="units or a responder"):
+        busway.serve(ANY_PORT, units=_device(), responder=ScriptedHandler(later))
 
 
 @pytest.mark.clause("S16")

@@ -14,7 +14,7 @@ from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.server.single_block import SingleBlock
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import RequestContext
 
 
 def execute(device: Device, request: Request) -> Message:

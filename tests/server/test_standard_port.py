@@ -64,7 +64,7 @@ async def test_both_ports_answer(taken: socket.socket) -> None:
     port = taken.getsockname()[1]
     taken.close()
     device = busway.Device(holding_registers=[7])
-    server = busway.Server(["tcp://127.0.0.1:0"], busway.serve(units=device)._handler, standard_port=True)
+    server = busway.Server(["tcp://127.0.0.1:0"], busway.serve(units=device)._responder, standard_port=True)
     async with server:
         assert urlsplit(server.endpoints[1]).port == port
         for endpoint in server.endpoints:
@@ -77,7 +77,7 @@ async def test_where_it_can_not_be_had_that_is_an_error_by_name_and_a_warning_ot
     taken: socket.socket, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.WARNING, "busway.server")
-    handler = busway.serve(units=busway.Device(coils=1))._handler
+    handler = busway.serve(units=busway.Device(coils=1))._responder
     with taken:
         taken.listen()
         with pytest.raises(busway.LinkDown, match=str(taken.getsockname()[1])):

@@ -158,7 +158,7 @@ async def test_marked_sender_that_asks_from_many_ports_keeps_nobody_out() -> Non
 async def test_sender_without_a_place_gets_nothing() -> None:
     options = {"priority": ["127.0.0.2"], "max_connections": 1, "max_priority_connections": 1}
     slow = ScriptedHandler(lambda context, request: registers(0) if context.unit == 1 else busway.LATER)
-    async with busway.serve("udp://127.0.0.1:0", handler=slow, **options) as server:
+    async with busway.serve("udp://127.0.0.1:0", responder=slow, **options) as server:
         with (
             Marked(server.endpoints[0]) as first,
             Marked(server.endpoints[0]) as second,
@@ -216,7 +216,7 @@ async def test_no_datagram_is_answered_by_more_than_the_reply_of_its_request() -
 @pytest.mark.clause("T38")
 async def test_server_that_takes_no_more_answers_what_is_in_work_and_drops_what_comes() -> None:
     handler = ScriptedHandler(later)
-    async with busway.serve("udp://127.0.0.1:0", handler=handler) as server:
+    async with busway.serve("udp://127.0.0.1:0", responder=handler) as server:
         with Sender(server.endpoints[0]) as sender:
             sender.socket.send(frame_of("udp", 1, READ))
             await until(lambda: len(handler.contexts) == 1)

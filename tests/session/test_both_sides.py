@@ -14,8 +14,9 @@ from busway.pdu.functions import STANDARD, FunctionTable
 from busway.pdu.message import Message, ReplyMessage, Request
 from busway.pdu.model import Context, DataModel
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
+from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -55,7 +56,7 @@ def exchange(request: Request, functions: FunctionTable = STANDARD) -> Message |
     wire = ClientWire()
     late: list[bytes] = []
     server = TcpServerSession(
-        LocalHandler({1: device()}, functions=functions),
+        RequestPipeline(DeviceResponder({1: device()}, functions=functions)),
         diagnostics=LineDiagnostics(changes_allowed=True),
         slots=TransactionSlots(1),
         deliver=late.append,

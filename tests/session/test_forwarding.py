@@ -1,7 +1,7 @@
 """Reads that a handler hands on: the stream is cut as ever, each has its slot, and each is answered once."""
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from busway.framing.mbap import MbapReceiver, encode_mbap
-from busway.pdu.direct import Answer, ReadPlan
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
-from busway.session.handler import Outcome, RequestContext
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -72,10 +72,10 @@ class LongRoad:
         self.handled: list[int] = []
         self.later: list[RequestContext] = []
 
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         self.handled.append(context.function)
         if isinstance(request, ReadHoldingRegisters):
             return request.Reply(data_of(context.unit, request.address, request.count))
@@ -87,12 +87,8 @@ class HandingOn(LongRoad):
 
     def __init__(self) -> None:
         super().__init__()
-        self.known = ForwardPlans()
         self.ways = {unit: Way(unit) for unit in range(1, UNITS + 1)}
         self.planned = 0
-
-    def forward_plans(self, context: RequestContext) -> ForwardPlans:
-        return self.known
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         self.planned += 1
@@ -102,7 +98,7 @@ class HandingOn(LongRoad):
         request.prepare()
         return ForwardPlan(self.ways[context.unit], context.unit, request)
 
-    def answer(self) -> None:
+    def give(self) -> None:
         for way in self.ways.values():
             way.answer()
 
@@ -113,7 +109,11 @@ class Client:
         self.diagnostics = LineDiagnostics()
         self.out: list[bytes] = []
         self.session = TcpServerSession(
-            handler, diagnostics=self.diagnostics, slots=self.slots, deliver=self.out.append, peer="client"
+            RequestPipeline(handler),
+            diagnostics=self.diagnostics,
+            slots=self.slots,
+            deliver=self.out.append,
+            client=ClientIdentity(peer="client"),
         )
 
     def send(self, stream: bytes) -> None:
@@ -147,16 +147,10 @@ FRAMES = st.one_of(
 class HandingOnSome(HandingOn):
     """Has a device of its own beside those that reads are handed on to."""
 
-    own = LocalHandler({UNITS + 1: Device(holding_registers=[7])})
+    own = DeviceResponder({UNITS + 1: Device(holding_registers=[7])})
 
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        return self.own.direct(context)
-
-    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
-        return self.own.plans(context)
-
-    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
-        return self.own.plan(context, pdu)
+    def serves(self, unit: int) -> ServedUnit | None:
+        return self.own.serves(unit) if unit == UNITS + 1 else ServedUnit(unit)
 
 
 def test_reads_that_are_planned_and_reads_that_are_handed_on_are_answered_once_whichever_come_first() -> None:
@@ -165,7 +159,7 @@ def test_reads_that_are_planned_and_reads_that_are_handed_on_are_answered_once_w
     units = (UNITS + 1, 1)
     for first in (0, 1, 0, 1):  # once they are met for the first time, then they are known
         client.send(read(10, unit=units[first]) + read(11, unit=units[1 - first]))
-        handler.answer()
+        handler.give()
         own = b"\x04\x03\x02\0\x07"
         assert client.got() == {10 + first: own, 11 - first: b"\x01\x03\x02" + data_of(1, 0, 1)}
     assert client.session.requests == client.diagnostics.counters.server_message_count == 8
@@ -185,7 +179,7 @@ def test_however_the_stream_is_cut_the_answers_are_those_of_the_long_road(
             for begin, end in pairwise(edges):
                 client.send(stream[begin:end])
             if isinstance(handler, HandingOn):
-                handler.answer()
+                handler.give()
             found.append(client.got())
         counters = client.diagnostics.counters
         found.append((client.session.requests, client.session.discarded, counters))  # type: ignore[arg-type]
@@ -198,7 +192,7 @@ def test_reads_that_came_together_go_on_together_each_unit_by_itself() -> None:
     client = Client(handler)
     stream = read(1) + read(2, 5) + read(3, unit=2) + read(4, 7) + read(5, unit=2)
     client.send(stream)
-    handler.answer()
+    handler.give()
     for way in handler.ways.values():
         way.bunches.clear()
     client.send(stream)
@@ -220,7 +214,7 @@ def test_without_a_slot_a_read_takes_the_long_road_which_says_06() -> None:
     client = Client(handler, slots=2)
     client.send(read(1) + read(2) + read(3))
     assert client.got() == {3: bytes((1, 0x83, 6))}
-    handler.answer()
+    handler.give()
     assert list(client.got()) == [1, 2]
     assert client.session.refused_busy == 1
 
@@ -246,8 +240,8 @@ def test_when_the_connection_ends_whoever_works_for_it_is_told_and_nothing_is_se
     assert way.gone == [way.asked[0][0]]
     assert (client.slots.used, client.session.waiting) == (0, 0)
     assert client.diagnostics.counters.server_no_response_count == 2
-    handler.answer()
-    way.gone[0].refuse(b"\0\1", next(iter(handler.known.known.values())), 4)
+    handler.give()
+    way.gone[0].refuse(b"\0\1", next(iter(client.session._fast.forwards.known.values())), 4)
     way.gone[0].send()
     assert not client.out
 
@@ -256,7 +250,6 @@ def test_a_new_generation_asks_anew_what_becomes_of_reads() -> None:
     handler = HandingOn()
     client = Client(handler)
     client.send(read(1))
-    handler.known = ForwardPlans()
     client.send(read(2))
     assert handler.planned == 1
     handler.generation += 1

@@ -9,17 +9,18 @@ from hypothesis import strategies as st
 from busway.pdu.model import Refusal
 from busway.server.device import Device
 from busway.server.hooks import Access
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
+from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
 SIZE = 200
 
 
-def session_of(handler: LocalHandler) -> TcpServerSession:
+def session_of(handler: DeviceResponder) -> TcpServerSession:
     return TcpServerSession(
-        handler, diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=lambda adu: None
+        RequestPipeline(handler), diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=lambda adu: None
     )
 
 
@@ -51,15 +52,15 @@ def test_the_answer_from_a_plan_equals_the_answer_of_the_long_road(requests: lis
     plain = Device(holding_registers=list(range(SIZE)), input_registers=list(range(1000, 1000 + SIZE)))
     for table in ("holding_registers", "input_registers"):
         plain.on_read(table, lambda access: None)  # a hook keeps a table off the short road
-    session = session_of(LocalHandler({1: planned}))
-    expected = ask(session_of(LocalHandler({1: plain})), *requests)
+    session = session_of(DeviceResponder({1: planned}))
+    expected = ask(session_of(DeviceResponder({1: plain})), *requests)
     assert ask(session, *requests) == expected
     assert ask(session, *requests) == expected
 
 
 def test_a_plan_shows_what_is_written_after_it_was_made() -> None:
     device = Device(holding_registers=10)
-    session = session_of(LocalHandler({1: device}))
+    session = session_of(DeviceResponder({1: device}))
     ask(session, read(3, 2, 1))
     device.holding_registers[2] = 7
     assert ask(session, read(3, 2, 1)) == [bytes.fromhex("03 02 00 07")]
@@ -71,7 +72,7 @@ def test_a_plan_shows_what_is_written_after_it_was_made() -> None:
 
 def test_a_hook_that_is_added_later_ends_the_plans() -> None:
     device = Device(holding_registers=10)
-    session = session_of(LocalHandler({1: device}))
+    session = session_of(DeviceResponder({1: device}))
     ask(session, read(3, 2, 1), read(3, 2, 1))
 
     @device.on_read("holding_registers")
@@ -83,9 +84,11 @@ def test_a_hook_that_is_added_later_ends_the_plans() -> None:
 
 def test_plans_count_as_exchanges() -> None:
     device = Device(holding_registers=10)
-    handler = LocalHandler({1: device})
+    handler = DeviceResponder({1: device})
     diagnostics = LineDiagnostics()
-    session = TcpServerSession(handler, diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None)
+    session = TcpServerSession(
+        RequestPipeline(handler), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+    )
     ask(session, *[read(3, 2, 1)] * 5)
     assert diagnostics.counters.bus_message_count == diagnostics.event_count == session.requests == 5
 
@@ -95,7 +98,10 @@ def test_units_of_a_connection_count_their_own_on_every_road() -> None:
     units = {1: Device(holding_registers=10), 3: Device(holding_registers=10, coils=8)}
     diagnostics = LineDiagnostics(changes_allowed=True)
     session = TcpServerSession(
-        LocalHandler(units), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+        RequestPipeline(DeviceResponder(units)),
+        diagnostics=diagnostics,
+        slots=TransactionSlots(16),
+        deliver=lambda adu: None,
     )
     write, longer, refused = (bytes.fromhex(one) for one in ("06 0000 0007", "10 0000 0001 02 0007", "03 0046 0001"))
     sent = [(1, read(3, 0, 1)), (3, read(3, 0, 1)), (3, write), (3, longer), (1, refused), (3, bytes.fromhex("07"))]
@@ -118,7 +124,10 @@ def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_listener_alone
     units = {1: Device(holding_registers=10), 3: Device(holding_registers=10)}
     diagnostics = LineDiagnostics(changes_allowed=True)
     session = TcpServerSession(
-        LocalHandler(units), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+        RequestPipeline(DeviceResponder(units)),
+        diagnostics=diagnostics,
+        slots=TransactionSlots(16),
+        deliver=lambda adu: None,
     )
     asked = [(unit, read(3, 0, 1)) for unit in (1, 3)]
     ask_units(session, *asked)
@@ -130,7 +139,7 @@ def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_listener_alone
 
 def test_a_request_of_another_unit_is_not_answered_by_a_plan() -> None:
     one, two = Device(holding_registers=[1]), Device(holding_registers=[2])
-    session = session_of(LocalHandler({1: one, 2: two}))
+    session = session_of(DeviceResponder({1: one, 2: two}))
     assert ask(session, read(3, 0, 1), read(3, 0, 1)) == [bytes.fromhex("03 02 00 01")] * 2
     assert ask(session, read(3, 0, 1), unit=2) == [bytes.fromhex("03 02 00 02")]
 
@@ -147,7 +156,7 @@ def test_reads_that_are_planned_and_whatever_stands_between_them_are_answered_in
     quick, plain = Device(holding_registers=10), Device(holding_registers=10)
     plain.on_read("holding_registers", lambda access: None)
     plain.on_write("holding_registers", lambda change: None)
-    session, careful = session_of(LocalHandler({1: quick})), session_of(LocalHandler({1: plain}))
+    session, careful = session_of(DeviceResponder({1: quick})), session_of(DeviceResponder({1: plain}))
     for address in range(10):
         ask(session, read(3, address, 1), read(3, address, 2))
     expected = ask(careful, *requests)
@@ -160,7 +169,7 @@ def test_reads_that_are_planned_and_whatever_stands_between_them_are_answered_in
 
 
 def test_what_lies_behind_the_bytes_that_came_is_not_looked_at() -> None:
-    session = session_of(LocalHandler({1: Device(holding_registers=10)}))
+    session = session_of(DeviceResponder({1: Device(holding_registers=10)}))
     one = struct.pack(">HHHB", 7, 0, 6, 1) + read(3, 2, 1)
     buffer = bytearray(one * 3)
     for _ in range(2):
@@ -170,8 +179,10 @@ def test_what_lies_behind_the_bytes_that_came_is_not_looked_at() -> None:
 
 def test_a_planned_read_gets_no_answer_from_a_listener_that_only_listens() -> None:
     diagnostics = LineDiagnostics(changes_allowed=True)
-    handler = LocalHandler({1: Device(holding_registers=10)})
-    session = TcpServerSession(handler, diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None)
+    handler = DeviceResponder({1: Device(holding_registers=10)})
+    session = TcpServerSession(
+        RequestPipeline(handler), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+    )
     ask(session, read(3, 2, 1), read(3, 2, 1))
     assert ask(session, bytes.fromhex("08 0004 0000"), read(3, 2, 1)) == []
     assert ask(session, read(3, 2, 1)) == []

@@ -34,7 +34,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.session.diagnostics import Counters
-from busway.session.handler import LATER, SILENCE, Outcome, Refusal, RequestContext
+from busway.session.responder import LATER, SILENCE, Outcome, Refusal, RequestContext, ServedUnit
 
 CHARACTER = 11 / 9600
 T3_5 = 3.5 * CHARACTER
@@ -64,16 +64,15 @@ class Handling:
 
     functions = STANDARD
     generation = 0
-    serial_units = frozenset({5, 6})
 
     def __init__(self, outcome: Outcome | Exception) -> None:
         self.outcome = outcome
         self.contexts: list[RequestContext] = []
 
-    def direct(self, context: RequestContext) -> dict[int, object]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit) if unit in (5, 6) else None
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         self.contexts.append(context)
         if isinstance(self.outcome, Exception):
             raise self.outcome
@@ -84,7 +83,7 @@ def handled(outcome: Outcome | Exception) -> tuple[Bus, MasterEnd, ServerEnd, Ha
     bus = Bus(3)
     master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
     handler = Handling(outcome)
-    return bus, master, bus.servers(handler=handler, serial_units=handler.serial_units), handler  # type: ignore[arg-type]
+    return bus, master, bus.servers(responder=handler), handler  # type: ignore[arg-type]
 
 
 # Who is answered, and when.
@@ -522,14 +521,14 @@ def test_answer_that_the_port_does_not_take_is_a_write_timeout_and_none_that_was
 
 def test_answer_given_before_the_handler_returns_is_sent_once() -> None:
     class AtOnce(Handling):
-        def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
             context.reply(ReadHoldingRegisters.Reply(bytes(4)))
             return LATER
 
     bus = Bus(3)
     master = bus.master()
     handler = AtOnce(LATER)
-    server = bus.servers(handler=handler, serial_units=handler.serial_units)  # type: ignore[arg-type]
+    server = bus.servers(responder=handler)
     assert isinstance(master.get(5, READ), Message)
     bus.run(1.0)
     assert len(server.sent) == 1

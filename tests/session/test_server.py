@@ -1,7 +1,7 @@
 """The server's side of a TCP connection: order of checks, slots, late replies, silence, and any split of the stream."""
 
 import struct
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
@@ -11,16 +11,25 @@ from message_strategies import any_request
 
 from busway.codes import ExceptionCode
 from busway.framing.mbap import MbapFrame, MbapReceiver, encode_mbap
-from busway.pdu.direct import Answer
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse, OpaqueReply
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.cells import Cells
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.handler import LATER, SILENCE, Deferral, Outcome, Refusal, RequestContext
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import (
+    LATER,
+    SILENCE,
+    ClientIdentity,
+    Deferral,
+    Outcome,
+    Refusal,
+    RequestContext,
+    ServedUnit,
+)
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -37,14 +46,14 @@ class Scripted:
         self.act = act
         self.generation = 0
         self.asked: list[tuple[RequestContext, AnyRequest]] = []
-        self.offers: dict[int, Answer] = {}
-        self.offered: list[int] = []
+        self.device: Device | None = None
+        self.looked_up: list[int] = []
 
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        self.offered.append(context.unit)
-        return self.offers
+    def serves(self, unit: int) -> ServedUnit | None:
+        self.looked_up.append(unit)
+        return ServedUnit(unit, self.device)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         self.asked.append((context, request))
         return self.act(context, request)
 
@@ -57,13 +66,11 @@ class Peer:
         self.diagnostics = LineDiagnostics(changes_allowed=changes_allowed)
         self.late: list[bytes] = []
         self.session = TcpServerSession(
-            handler,
+            RequestPipeline(handler),
             diagnostics=self.diagnostics,
             slots=self.slots,
             deliver=self.late.append,
-            peer="192.0.2.9:40000",
-            listener="tcp://127.0.0.1:502",
-            role="operator",
+            client=ClientIdentity(peer="192.0.2.9:40000", listener="tcp://127.0.0.1:502", role="operator"),
         )
         self.transaction = 0
 
@@ -216,7 +223,7 @@ def test_a_service_that_is_finished_within_its_call_holds_no_slot(limit: int) ->
 @pytest.mark.clause("T27")
 def test_the_short_road_needs_no_slot() -> None:
     handler = Scripted(later)
-    handler.offers = {4: lambda buffer, at, end: b"\x04\x02\x00\x09"}
+    handler.device = Device(input_registers=[9], functions=[4])
     peer = Peer(handler, slots=TransactionSlots(1))
     assert peer.send(READ) == []
     assert peer.send(bytes.fromhex("04 0000 0001"), READ) == [b"\x04\x02\x00\x09", b"\x83\x06"]
@@ -342,35 +349,40 @@ def test_an_awaitable_is_handed_to_the_driver_and_holds_a_slot() -> None:
 # The short road.
 
 
-def test_an_offer_is_asked_for_once_per_unit_until_the_handler_takes_it_back() -> None:
+def test_a_unit_is_looked_up_once_until_the_responder_takes_it_back() -> None:
     handler = Scripted()
-    handler.offers = {3: lambda buffer, at, end: b"\x03\x02\x00\x01"}
+    handler.device = Device(holding_registers=[1])
     peer = Peer(handler)
     assert peer.send(READ, READ, READ) == [b"\x03\x02\x00\x01"] * 3
+    looked_up = len(handler.looked_up)
+    assert peer.send(READ, READ) == [b"\x03\x02\x00\x01"] * 2
+    assert len(handler.looked_up) == looked_up
     peer.send(READ, unit=2)
-    assert handler.offered == [1, 2]
+    assert set(handler.looked_up) == {1, 2}
     assert handler.asked == []
-    handler.offers = {}
+    handler.device = None
     assert peer.send(READ) == [b"\x03\x02\x00\x01"]
     handler.generation += 1
     assert peer.send(READ) == [ANSWER.encode()]
-    assert handler.offered == [1, 2, 1]
+    assert handler.looked_up[-1] == 1
 
 
 def test_what_the_short_road_leaves_takes_the_long_one() -> None:
     handler = Scripted()
-    handler.offers = {3: lambda buffer, at, end: None}
+    handler.device = Device(input_registers=[1])
     assert Peer(handler).send(READ) == [ANSWER.encode()]
     assert len(handler.asked) == 1
 
 
-def test_the_memo_of_units_does_not_grow_without_bound() -> None:
-    handler = Scripted()
-    peer = Peer(handler)
-    for _ in range(3):
-        for unit in range(256):
-            peer.send(READ, unit=unit)
-    assert len(peer.session._memo) <= 256
+def test_the_fast_path_does_not_grow_without_bound() -> None:
+    pipeline = RequestPipeline(Scripted())
+    client = ClientIdentity()
+    fast = pipeline.fast_path(client)
+    for unit in range(256):
+        for function in range(1, 128):
+            fast.bind(unit, function)
+    assert len(fast.functions) <= 4096
+    assert pipeline.fast_path(client) is fast
 
 
 DEVICE_SIZE = 300
@@ -410,7 +422,7 @@ def near(pdu: bytes, address: int) -> bytes:
 @settings(max_examples=200)
 def test_short_and_long_road_answer_alike_count_alike_and_leave_the_same_device(pdus: list[bytes]) -> None:
     devices = [device(short=True), device(short=False)]
-    peers = [Peer(LocalHandler({1: one})) for one in devices]
+    peers = [Peer(DeviceResponder({1: one})) for one in devices]
     assert peers[0].send(*pdus) == peers[1].send(*pdus)
     first, second = (peer.diagnostics.of(1) for peer in peers)
     assert first.counters == second.counters
@@ -432,8 +444,8 @@ def test_any_split_of_the_stream_gives_the_same_answers(data: st.DataObject) -> 
         for number, pdu in enumerate(pdus)
     )
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=12)))
-    whole = Peer(LocalHandler({1: device(short=True)})).feed(stream)
-    split = Peer(LocalHandler({1: device(short=True)}))
+    whole = Peer(DeviceResponder({1: device(short=True)})).feed(stream)
+    split = Peer(DeviceResponder({1: device(short=True)}))
     answers: list[MbapFrame] = []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         answers += split.feed(stream[start:end])
@@ -442,7 +454,7 @@ def test_any_split_of_the_stream_gives_the_same_answers(data: st.DataObject) -> 
 
 
 def test_byte_by_byte_and_in_a_buffer_that_is_used_again() -> None:
-    peer = Peer(LocalHandler({1: device(short=True)}))
+    peer = Peer(DeviceResponder({1: device(short=True)}))
     stream = encode_mbap(1, 1, bytes.fromhex("10 0000 0001 02 1234")) + encode_mbap(2, 1, READ)
     buffer = bytearray(64)
     answers = []
@@ -467,7 +479,7 @@ def test_an_unfinished_frame_is_known_to_be_one() -> None:
 @pytest.mark.clause("S17")
 def test_in_listen_only_mode_nothing_is_answered_by_any_road_or_for_want_of_slots() -> None:
     handler = Scripted(later)
-    handler.offers = {4: lambda buffer, at, end: b"\x04\x02\x00\x09"}
+    handler.device = Device(input_registers=[9], functions=[4])
     slots = TransactionSlots(1)
     peer = Peer(handler, slots=slots)
     short = bytes.fromhex("04 0000 0001")
@@ -484,7 +496,7 @@ def test_in_listen_only_mode_nothing_is_answered_by_any_road_or_for_want_of_slot
 
 @pytest.mark.clause("S17")
 def test_a_listener_is_muted_and_woken_in_the_middle_of_a_segment() -> None:
-    peer = Peer(LocalHandler({1: device(short=True)}))
+    peer = Peer(DeviceResponder({1: device(short=True)}))
     read, mute, wake = READ, bytes.fromhex("08 0004 0000"), bytes.fromhex("08 0001 0000")
     answers = peer.send(read, mute, read, read, wake, read)
     assert answers == [b"\x03\x02\x00\x00"] * 2
@@ -494,14 +506,14 @@ def test_a_listener_is_muted_and_woken_in_the_middle_of_a_segment() -> None:
 @pytest.mark.parametrize("sub_code", ["01", "03", "04", "0A", "14"])
 def test_what_changes_the_listener_is_refused_unless_switched_on(sub_code: str) -> None:
     data = "3B00" if sub_code == "03" else "0000"
-    peer = Peer(LocalHandler({1: device(short=True)}), changes_allowed=False)
+    peer = Peer(DeviceResponder({1: device(short=True)}), changes_allowed=False)
     assert peer.send(bytes.fromhex(f"08 00{sub_code} {data}")) == [b"\x88\x01"]
     assert peer.send(READ) == [b"\x03\x02\x00\x00"]
 
 
 @pytest.mark.clause("A23")
 def test_the_event_counter_counts_what_was_answered_well_and_neither_exceptions_nor_polls() -> None:
-    peer = Peer(LocalHandler({1: device(short=True)}))
+    peer = Peer(DeviceResponder({1: device(short=True)}))
     peer.send(READ, READ, bytes.fromhex("06 0001 0002"))
     peer.send(bytes.fromhex("03 FFFF 0002"), b"\x41", b"\x0b", b"\x0c")
     assert peer.send(b"\x0b") == [bytes.fromhex("0B 0000 0003")]
@@ -509,7 +521,7 @@ def test_the_event_counter_counts_what_was_answered_well_and_neither_exceptions_
 
 @pytest.mark.clause("A23")
 def test_the_event_log_shows_what_came_and_went_newest_first() -> None:
-    peer = Peer(LocalHandler({1: device(short=True)}))
+    peer = Peer(DeviceResponder({1: device(short=True)}))
     peer.send(READ, b"\x41")
     # received 12 itself, then sent exception 01 for 41, received 41, sent and received the read
     assert peer.send(b"\x0c") == [bytes.fromhex("0C 0B 0000 0001 0003 80 41 80 40 80")]
@@ -517,7 +529,7 @@ def test_the_event_log_shows_what_came_and_went_newest_first() -> None:
 
 @pytest.mark.clause("S16")
 def test_each_request_is_counted_where_the_flow_chart_says() -> None:
-    peer = Peer(LocalHandler({1: device(short=True)}))
+    peer = Peer(DeviceResponder({1: device(short=True)}))
     peer.send(READ, b"\x41", bytes.fromhex("03 0000 0000"), bytes.fromhex("03 FFFF 0002"))
     counters = peer.diagnostics.counters
     assert (counters.bus_message_count, counters.server_message_count) == (4, 4)
@@ -529,7 +541,7 @@ def test_each_request_is_counted_where_the_flow_chart_says() -> None:
 def test_the_function_comes_before_its_lengths_and_these_before_its_address() -> None:
     made = device(short=True)
     made.functions = {3, 6}
-    peer = Peer(LocalHandler({1: made}))
+    peer = Peer(DeviceResponder({1: made}))
     assert peer.send(
         bytes.fromhex("04 0000 0000"),  # not offered, and no quantity
         bytes.fromhex("04"),  # not offered, and cut off
@@ -549,7 +561,7 @@ def test_deferral_has_the_two_outcomes_without_a_reply() -> None:
 
 def _shared(handler: Any, share: int | None) -> TcpServerSession:
     return TcpServerSession(
-        handler,
+        RequestPipeline(handler),
         diagnostics=LineDiagnostics(changes_allowed=True),
         slots=TransactionSlots(16),
         deliver=lambda adu: None,
@@ -611,7 +623,7 @@ def test_a_share_changes_no_byte_of_the_answers(pdus: list[bytes], cuts: list[in
     stream = b"".join(encode_mbap(number, 1, pdu) for number, pdu in enumerate(pdus))
 
     def answers(share: int | None) -> bytes:
-        session = _shared(LocalHandler({1: Device(holding_registers=10)}), share)
+        session = _shared(DeviceResponder({1: Device(holding_registers=10)}), share)
         out, at, number = b"", 0, 0
         while at < len(stream):
             part = stream[at : at + cuts[number % len(cuts)]]

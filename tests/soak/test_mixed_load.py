@@ -50,7 +50,7 @@ def test_server_serves_marked_clients_rightly_beside_all_kinds_of_others_and_doe
             assert after["connections"] == WORKING
             assert after["counters"]["accepted"] - after["counters"]["closed"] == WORKING
             assert after["counters"]["evicted"] > before["counters"]["evicted"]
-            assert after["counters"]["handler_failures"] == 0
+            assert after["counters"]["responder_failures"] == 0
             assert server.handles == handles
             assert abs(after["objects"] - before["objects"]) < 500
             assert server.resident - resident < 4 * MEGABYTE

@@ -20,11 +20,12 @@ from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.call import Call
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.handler import Handler, RequestContext
 from busway.session.line_framing import LineFraming, line_framing
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import ClientIdentity, RequestContext, Responder, SerialUnits
 from busway.session.serial_client import SerialClientSession
 from busway.session.serial_server import FrameToSend, SerialServerSession
 from busway.testing.virtual_line import VirtualLine, VirtualPort
@@ -101,17 +102,16 @@ class Bus:
         self,
         units: dict[int, Device] | None = None,
         *,
-        handler: Handler | None = None,
-        serial_units: Container[int] = (),
+        responder: Responder | None = None,
         echo: Echo = Echo.OFF,
         framing: FramingParameters | None = None,
     ) -> ServerEnd:
         """Servers at the next port."""
-        if handler is None:
-            local = LocalHandler(units or {})
-            handler, serial_units = local, local.serial_units
+        if responder is None:
+            responder = DeviceResponder(units or {})
+        serial_units = SerialUnits(responder)
         chosen = line_framing(self.framing, Role.SERVER, self.timing, framing, units=serial_units, echo=echo)
-        server = ServerEnd(self._port(), handler, serial_units, chosen)
+        server = ServerEnd(self._port(), responder, serial_units, chosen)
         self.ends.append(server)
         return server
 
@@ -258,14 +258,19 @@ class MasterEnd:
 class ServerEnd:
     """The servers of one port, driven as `busway.server.line` does it."""
 
-    def __init__(self, port: VirtualPort, handler: Handler, units: Container[int], framing: LineFraming) -> None:
+    def __init__(self, port: VirtualPort, responder: Responder, units: Container[int], framing: LineFraming) -> None:
         self.port = port
         self.diagnostics = LineDiagnostics(changes_allowed=True)
         self.sent: list[tuple[float, bytes]] = []
         self.port_has_gone = False
         self._pending: FrameToSend | None = None
         self.session = SerialServerSession(
-            handler, units, framing=framing, diagnostics=self.diagnostics, deliver=self._late, line="bus"
+            RequestPipeline(responder),
+            units,
+            framing=framing,
+            diagnostics=self.diagnostics,
+            deliver=self._late,
+            client=ClientIdentity(peer="bus"),
         )
 
     def hear(self, data: bytes, errors: int, now: float) -> None:
@@ -352,14 +357,14 @@ class DeviceEnd:
 
 def honest(units: dict[int, Device]) -> Callable[[int, bytes], bytes | None]:
     """What devices answer that do nothing wrong: unit and PDU of a request → PDU of the reply, None for others."""
-    handler = LocalHandler(units)
+    responder = DeviceResponder(units)
     diagnostics = LineDiagnostics(changes_allowed=True)
 
     def answer(unit: int, pdu: bytes) -> bytes | None:
-        if unit not in handler.serial_units:
+        if unit not in SerialUnits(responder):
             return None
         context = RequestContext(unit=unit, function=pdu[0], diagnostics=diagnostics.of(unit))
-        reply = handler.handle(context, handler.functions.decode_request(pdu))
+        reply = responder.answer(context, responder.functions.decode_request(pdu))
         assert isinstance(reply, Message)
         return reply.encode()
 

@@ -10,9 +10,9 @@ from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.connections import FaultyTap
 from busway.faults.fault import AppliedFault, Faults, Selection
 from busway.faults.profiles import FAULT_PROFILES
-from busway.faults.responder import FaultyHandler
+from busway.faults.responder import FaultyResponder
 from busway.server.listener import Listener
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.server.server import Server
 from busway.testing.line import PacedLine
 
@@ -87,7 +87,7 @@ async def faulty_line(
         written: dict[int, list[list[int]]] = {unit: [] for unit in UNITS}
         for unit, device in devices.items():
             device.on_write("holding_registers", lambda change, seen=written[unit]: seen.append(change.new))
-        server = Server([listen], FaultyHandler(LocalHandler(devices), faults, tap), tap=tap, standard_port=False)
+        server = Server([listen], FaultyResponder(DeviceResponder(devices), faults, tap), tap=tap, standard_port=False)
         async with server:
             base = route or Route(upstream="line", units=frozenset(range(1, 248)))
             patient = replace(base, units=frozenset({2}), timeout=LONGEST_WAIT)  # who behaves has time

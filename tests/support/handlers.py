@@ -1,13 +1,12 @@
 """Handlers for tests of servers: they do what the test says, and keep what they were asked."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import busway
-from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest
-from busway.session.handler import Outcome
+from busway.session.responder import Outcome, ServedUnit
 
 Decide = Callable[[busway.RequestContext, AnyRequest], Outcome]
 
@@ -30,11 +29,10 @@ class ScriptedHandler:
     generation: int = 0
     contexts: list[busway.RequestContext] = field(default_factory=list)
 
-    def direct(self, context: busway.RequestContext) -> Mapping[int, Answer]:
-        """No short road."""
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
         """As scripted."""
         self.contexts.append(context)
         return self.decide(context, request)

@@ -4,8 +4,9 @@ import asyncio
 
 import pytest
 
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
+from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
@@ -168,7 +169,7 @@ class Answering(asyncio.Protocol):
 
     def __init__(self) -> None:
         self.session = TcpServerSession(
-            LocalHandler({1: known_device()}),
+            RequestPipeline(DeviceResponder({1: known_device()})),
             diagnostics=LineDiagnostics(),
             slots=TransactionSlots(1),
             deliver=lambda adu: None,

@@ -21,8 +21,9 @@ from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.cells import Cells
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
+from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -185,7 +186,7 @@ class Asked:
         self.late: list[bytes] = []
         self.diagnostics = LineDiagnostics(changes_allowed=True)
         self.session = TcpServerSession(
-            LocalHandler({1: example_device()}),
+            RequestPipeline(DeviceResponder({1: example_device()})),
             diagnostics=self.diagnostics,
             slots=TransactionSlots(1),
             deliver=self.late.append,

@@ -1,17 +1,14 @@
-"""Rules in their order, and what they decide about a request (clauses M6, T15).
+"""Rules in their order: which clients and requests each applies to, and what it does (clauses M6, T15).
 
-Knows the facts of a request (`busway.access.question`); knows no clock, no connection and no store.
+Knows what people write; knows no connection and no store. `busway.access.rights` decides by them.
 
-1. For every item that a request touches, the first rule that fits decides; where none fits, the default does. The
-   request is permitted if all of its items are. A range that straddles rules is so judged part by part: where 100…109
-   are denied, a read of 95…104 is denied.
-2. What is denied is answered with exception 01; a rule about items that names no role may choose 02, as if they were
+1. What is denied is answered with exception 01; a rule about items that names no role may choose 02, as if they were
    not there.
-3. ``read-only`` permits what reads and denies what writes. A rule that names tables, items or files never fits a
+2. ``read-only`` permits what reads and denies what writes. A rule that names tables, items or files never fits a
    request that touches none.
-4. Limits apply to writes of holding registers. A write of unknown values is denied where limits apply; function 22 is
+3. Limits apply to writes of holding registers. A write of unknown values is denied where limits apply; function 22 is
    judged by the value it would write if that is known, else by all values that its masks permit.
-5. No role and no right is built in: what no rule covers is decided by the default.
+4. No role and no right is built in: what no rule covers is decided by the default.
 """
 
 import struct
@@ -27,15 +24,13 @@ from ..options.endpoints import SCHEMES, parse_endpoint
 from ..options.networks import NetworkIndex, Networks
 from ..values.refusal import shown
 from .addresses import AddressList
-from .notation import Function, Range, merged, parse_files, parse_functions, parse_items, parse_table, parse_units
-from .question import END, FILES, Asker, Question, Space, TouchedRange
+from .notation import Function, Range, parse_files, parse_functions, parse_items, parse_table, parse_units
+from .question import FILES, Asker, Question, Space
+from .rights import DEFAULT_RULE, EVERYWHERE, Decision, Rights
 
-_EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
 _NOWHERE: Final[tuple[Range, ...]] = ()
 _EMPTY: Final = "is empty, so the rule would never fit; leave it out"
 Chosen = TypeVar("Chosen", bound=Enum)
-DEFAULT_RULE: Final = "default"
-"""The name by which logs call the decision of no rule."""
 
 
 class Action(Enum):
@@ -245,10 +240,8 @@ class Rule:
             and (not self.listeners or any(_is_listener(each, asker.listener) for each in self.listeners))
         )
 
-    def is_about(self, unit: int, function: int, sub_function: int | None, *, listed: int | None = None) -> bool:
-        """Whether the rule applies to a function of a unit; ``listed`` is the configured number of its device."""
-        if self.units is not None and unit not in self.units and listed not in self.units:
-            return False
+    def names(self, function: int, sub_function: int | None) -> bool:
+        """Whether the rule applies to a function."""
         if self.functions is None:
             return True
         return (function, None) in self.functions or (
@@ -258,61 +251,10 @@ class Rule:
     def ranges(self, space: Space) -> tuple[Range, ...]:
         """The address ranges of a table, or file numbers, that the rule applies to, ascending."""
         if not self.items and not self.files:
-            return _EVERYWHERE
+            return EVERYWHERE
         if isinstance(space, Table):
             return self.items.get(space, _NOWHERE)
         return self.files if space == FILES else _NOWHERE
-
-
-@dataclass(slots=True)
-class Decision:
-    """The decision of a policy about one request.
-
-    Attributes:
-        allowed: whether it may be executed.
-        code: exception code of the refusal; 0 if allowed.
-        rule: the rule that decided: the one that refused, or the first that permitted; None for the default.
-        reason: why, in words; empty if allowed.
-        rates: the rules with a rate through which it went.
-        needs_current: whether it was refused without knowing what function 22 would write; whoever knows the register
-            asks again with `Question.with_current`.
-    """
-
-    allowed: bool
-    code: int = 0
-    rule: Rule | None = None
-    reason: str = ""
-    rates: tuple[Rule, ...] = ()
-    needs_current: bool = False
-
-    @property
-    def rule_name(self) -> str:
-        """The name of the rule; ``default`` where none decided."""
-        return DEFAULT_RULE if self.rule is None else self.rule.name
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """Address range, to before ``end``, where an access is always allowed: no value or rate limit applies."""
-
-    first: int
-    end: int
-
-
-@dataclass(frozen=True, slots=True)
-class Zone:
-    """Address range where one kind of write is allowed, and the rule that allows it.
-
-    Attributes:
-        first, end: the items, to before ``end``.
-        rule: the name of the rule that decides there; ``default`` where none does.
-        limits: what may be written to each register; None where all may, and where there are no registers.
-    """
-
-    first: int
-    end: int
-    rule: str
-    limits: Limits | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,7 +301,7 @@ class Policy:
         return cls(default=Action.ALLOW)
 
     def prepare(self) -> None:
-        """Build the index of rules now instead of at the first `for_asker`: some 0.1 s for 100 000 rules."""
+        """Build the index of rules now instead of at the first `rules_for`: some 0.1 s for 100 000 rules."""
         if self._by_peer is None:
             everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
@@ -367,123 +309,19 @@ class Policy:
             )
             object.__setattr__(self, "_by_peer", (everybodys, index))
 
-    def for_asker(self, asker: Asker) -> "Policy":
-        """The policy reduced to the rules that apply to one client. Clients with equal results have equal rights."""
+    def rules_for(self, asker: Asker) -> tuple[Rule, ...]:
+        """The rules that apply to one client, in their order."""
         self.prepare()
         assert self._by_peer is not None  # that is what was prepared
         everybodys, index = self._by_peer
         own = index.find(asker.host)
         numbers = sorted([*everybodys, *own]) if own else everybodys
         rules = [self.rules[number] for number in numbers]
-        return Policy(tuple(rule for rule in rules if rule.is_for(asker)), self.default)
+        return tuple(rule for rule in rules if rule.is_for(asker))
 
     def decide(self, question: Question) -> Decision:
-        """Decide about a request. Each item is judged by the first rule that fits it."""
-        relevant = [
-            rule
-            for rule in self.rules
-            if rule.is_about(question.unit, question.function, question.sub_function, listed=question.listed)
-            and rule.is_for(question.asker)
-        ]
-        rates: list[Rule] = []
-        first_rule: Rule | None = None
-        is_first = True
-        for piece in question.pieces:
-            for rule, first, end in self._parts(relevant, piece):
-                action = self.default if rule is None else rule.action
-                if not action.permits(piece.writes):
-                    reason = "writing is not permitted" if action is Action.READ_ONLY else "it is not permitted"
-                    return Decision(False, _code(rule), rule, reason)
-                if is_first:
-                    first_rule, is_first = rule, False
-                if rule is None:
-                    continue
-                if rule.rate is not None and rule not in rates:
-                    rates.append(rule)
-                if rule.limits is not None and piece.writes and piece.space is Table.HOLDING_REGISTERS:
-                    reason = _beyond(rule.limits, question, first - piece.first, end - piece.first)
-                    if reason:
-                        return Decision(False, _code(rule), rule, reason, needs_current=question.masks is not None)
-        return Decision(True, rule=first_rule, rates=tuple(rates))
-
-    def windows(
-        self, unit: int, function: int, space: Space, *, writes: bool, listed: int | None = None
-    ) -> tuple[tuple[Window, ...], bool]:
-        """Address ranges where a function is permitted without limits or rates, and whether they cover everything.
-
-        For a policy made by `for_asker`: host, role and listener of the rules are not checked.
-
-        Args:
-            unit: the unit asked, 0…255.
-            function: the function code, of a function without sub-functions.
-            space: a table, files, or None for requests that touch no items.
-            writes: whether the access is a write.
-            listed: the unit under which the device is configured, if another one.
-        """
-        relevant = [rule for rule in self.rules if rule.is_about(unit, function, None, listed=listed)]
-        plain = []
-        for rule, first, end in self._parts(relevant, TouchedRange(space, 0, END, writes)):
-            action = self.default if rule is None else rule.action
-            is_bound = rule is not None and (rule.rate is not None or (writes and rule.limits is not None))
-            if action.permits(writes) and not is_bound:
-                plain.append((first, end))
-        found = merged(plain)
-        return tuple(Window(first, end) for first, end in found), found == _EVERYWHERE
-
-    def _parts(self, rules: Iterable[Rule], piece: TouchedRange) -> Iterator[tuple[Rule | None, int, int]]:
-        """Split a range into parts, each with the rule that decides about it; None for the default."""
-        left: list[Range] = [(piece.first, piece.end)]
-        for rule in rules:
-            if not rule.access.fits(piece.writes):
-                continue
-            ranges = rule.ranges(piece.space)
-            if not ranges:
-                continue
-            remaining: list[Range] = []
-            for first, end in left:
-                for low, high in ranges:
-                    if high <= first:
-                        continue
-                    if low >= end:
-                        break
-                    if first < low:
-                        remaining.append((first, low))
-                    yield rule, max(first, low), min(end, high)
-                    first = high
-                    if first >= end:
-                        break
-                if first < end:
-                    remaining.append((first, end))
-            left = remaining
-            if not left:
-                return
-        for first, end in left:
-            yield None, first, end
-
-
-def zones_of(policy: Policy, unit: int, function: int, table: Table, *, listed: int | None = None) -> tuple[Zone, ...]:
-    """Address ranges where a write function is permitted without a rate, ascending, each with its rule and limits.
-
-    A write within one zone and its limits is permitted by the rule of the zone; all other writes need `Policy.decide`.
-
-    Args:
-        policy: made by `Policy.for_asker`: host, role and listener of the rules are not checked.
-        unit: the unit asked, 0…255.
-        function: the function code, of a function that writes one range and has no sub-functions.
-        table: where it writes.
-        listed: the unit under which the device is configured, if another one.
-    """
-    relevant = [rule for rule in policy.rules if rule.is_about(unit, function, None, listed=listed)]
-    found = []
-    for rule, first, end in policy._parts(relevant, TouchedRange(table, 0, END, True)):
-        if not (policy.default if rule is None else rule.action).permits(True):
-            continue
-        if rule is None:
-            found.append(Zone(first, end, DEFAULT_RULE, None))
-        elif rule.rate is None:
-            limits = rule.limits if table is Table.HOLDING_REGISTERS else None
-            found.append(Zone(first, end, rule.name, limits))
-    return tuple(sorted(found, key=lambda zone: zone.first))
+        """Decide about one request; `Rights` decides about many requests of a client."""
+        return Rights(self.rules_for(question.asker), self.default).decide(question)
 
 
 @dataclass(frozen=True, slots=True)
@@ -499,23 +337,6 @@ class AccessRules:
     addresses: AddressList
 
 
-def _code(rule: Rule | None) -> int:
-    return int(ExceptionCode.ILLEGAL_FUNCTION) if rule is None else int(rule.code)
-
-
-def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Why the written registers ``start``…``end`` are outside the limits, in words; empty if they are within."""
-    bounds = f"{limits.low}…{limits.high}"
-    if question.masks is not None:
-        return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"
-    if question.written is None or len(question.written) < end:
-        return "what it would write is not known, and there are limits"
-    for register in question.written[start:end]:
-        if not limits.permit(register):
-            return f"a value outside {bounds}"
-    return ""
-
-
 def _items(
     table: str | Table | Iterable[str | Table] | None, addresses: str | int | Iterable[str | int] | None
 ) -> dict[Table, tuple[Range, ...]]:
@@ -526,7 +347,7 @@ def _items(
             if not tables:
                 raise ConfigError(_EMPTY)
     if addresses is None:
-        return dict.fromkeys(tables, _EVERYWHERE)
+        return dict.fromkeys(tables, EVERYWHERE)
     with _about("addresses"):
         if len(tables) > 1:
             raise ConfigError("addresses go with one table")

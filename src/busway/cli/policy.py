@@ -21,7 +21,8 @@ from .output import print_aligned, print_json
 
 if TYPE_CHECKING:
     from ..access.question import Question
-    from ..access.rules import AccessRules, Decision, Rule
+    from ..access.rights import Decision
+    from ..access.rules import AccessRules, Rule
     from ..pdu.functions import AnyRequest
 
 EXAMPLES = """\b

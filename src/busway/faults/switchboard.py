@@ -19,13 +19,13 @@ from typing import Any
 
 from ..codes import Table
 from ..server.server import Server
-from ..session.handler import Handler
+from ..session.responder import Responder
 from .clock import Clock
 from .connections import FaultyTap
 from .fault import AppliedFault, Faults, Schedule, Selection
 from .profile import FaultyTable
 from .profiles import FAULT_PROFILES
-from .responder import FaultyHandler
+from .responder import FaultyResponder
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +74,12 @@ class FaultSwitchboard:
 
     def attach(self, server: Server) -> None:
         """Apply the faults to all listeners of a server. Raises `ConfigError` if the server is running."""
-        server.wrap_handler(self.around)
+        server.wrap_responder(self.around)
         server.use_tap(self.tap)
 
-    def around(self, handler: Handler) -> FaultyHandler:
-        """Wrap a handler so that the faults apply to its answers; its server needs ``tap`` too."""
-        return FaultyHandler(handler, self.faults, self.tap)
+    def around(self, responder: Responder) -> FaultyResponder:
+        """Wrap a responder so that the faults apply to its answers; its server needs ``tap`` too."""
+        return FaultyResponder(responder, self.faults, self.tap)
 
     def add(
         self,

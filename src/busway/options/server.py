@@ -60,7 +60,7 @@ class ServerParameters:
     """Options of a server session."""
 
     max_transactions: Annotated[
-        int, Range(1, 16), "NumberMaxOfServerTransaction: requests that may be waiting for a slow handler."
+        int, Range(1, 16), "NumberMaxOfServerTransaction: requests that may be waiting for a slow responder."
     ] = 16
     scope: Annotated[
         Scope, Strict("T27", "server"), "whether that limit applies to the server or to each connection."

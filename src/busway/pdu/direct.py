@@ -2,20 +2,31 @@
 
 Knows the wire form of the table functions and the blocks they act on; knows no session and no hooks.
 
-1. An answer gets the buffer and the start and end of the PDU, and returns the reply PDU, or None for "take the
-   generic path". It returns None for every request that is not plainly valid, so all refusals are decided in one place.
+1. An answer gets the buffer, the start and end of the PDU, and the client; it returns the reply PDU, or None for "take
+   the generic path". It returns None for every request that is not plainly valid, so all refusals are decided in one
+   place.
 2. It must equal the generic path on every request; a property test checks that.
 
 Measured: 1.0 µs for a read of ten registers from frame to frame, against 2.1 µs by the generic path.
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Final, Protocol
 
 from ..codes import Table
 
-Answer = Callable[[bytes | bytearray, int, int], bytes | None]
+
+class Requester(Protocol):
+    """Who sent a request, for the record of a write: a `busway.session.responder.ClientIdentity`."""
+
+    peer: str
+    listener: str
+    role: str | None
+    audit_text: str
+
+
+Answer = Callable[[bytes | bytearray, int, int, Requester], bytes | None]
 
 
 class Block(Protocol):
@@ -54,25 +65,8 @@ class DirectModel(Protocol):
         """The block of a table if nothing needs to know of accesses to it (hook, mapping, holes), else None."""
 
 
-class DeviceAnswers(dict[int, Answer]):
-    """The answers of one device by function code, each as `Request.direct` compiles it, and the device itself.
-
-    A handler that has to observe writes may compile them again with observing blocks (`Block.put`). A handler that
-    changes an answer returns another mapping, so no wrapper is bypassed.
-
-    Attributes:
-        model: the device.
-    """
-
-    __slots__ = ("model",)
-
-    def __init__(self, model: DirectModel, answers: Mapping[int, Answer]) -> None:
-        super().__init__(answers)
-        self.model: DirectModel = model
-
-
 class ReadPlan:
-    """Cached answer to one particular read of registers: the bytes before the data, and the place of the data.
+    """How one particular read of registers is answered: the bytes before the data, and the place of the data.
 
     A poller repeats the same few reads. The bytes of a request after the transaction are the key of its plan, so one
     look-up checks protocol, length, unit, function, address and count: 0.4 µs, where a compiled answer takes 1.0.
@@ -106,7 +100,7 @@ def read_registers(code: int, limit: int, block: Block) -> Answer:
     heads: list[bytes] = [bytes((code, 2 * count)) for count in range(limit + 1)]
     first, size = block.first, block.count
 
-    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -123,7 +117,7 @@ def read_bits(code: int, limit: int, block: Block) -> Answer:
     """Compile the answer of 01 or 02 for a plain block."""
     first, size = block.first, block.count
 
-    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -142,7 +136,7 @@ def write_register(code: int, block: Block) -> Answer:
     """Compile the answer of 06 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
         request = bytes(buffer[at:end])
@@ -158,7 +152,7 @@ def write_registers(code: int, limit: int, block: Block) -> Answer:
     """Compile the answer of 16 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
         if end - at < 8:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -183,7 +177,7 @@ def write_coil(code: int, block: Block) -> Answer:
     """Compile the answer of 05 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
         request = bytes(buffer[at:end])
@@ -200,7 +194,7 @@ def write_coils(code: int, limit: int, block: Block) -> Answer:
     """Compile the answer of 15 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int) -> bytes | None:
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
         if end - at < 7:
             return None
         address, count = _unpack_two(buffer, at + 1)

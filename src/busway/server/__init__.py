@@ -1,1 +1,1 @@
-"""Being a device: stores and hooks, the handler of local devices, connection management, listeners."""
+"""Being a device: stores and hooks, the responder of local devices, connection management, listeners."""

@@ -1,7 +1,7 @@
 """The connection tap: lets a simulated device send bytes of its own on the connections of a server.
 
 Knows connections and how to send on them; knows no request. A simulated device that answers twice, in pieces or late
-uses it: its handler returns `SILENCE`, and sends its own bytes on the tapped connection.
+uses it: its responder returns `SILENCE`, and sends its own bytes on the tapped connection.
 
 1. Answering a request looks up no tapped connection: the tap keeps those it is given, and finds them by listener and
    peer, as a request's context names them. Without a tap none are made.

@@ -32,7 +32,7 @@ class ServerCounters:
         reading_paused: times that nothing more was read from a client that did not take its replies; over UDP, times
             that the system took none, and they were lost.
         rate_limited: times that a host was over its rate: held back, or over UDP its datagram dropped.
-        handler_failures: handlers that raised.
+        responder_failures: responders that raised.
         requests: requests, by all ways.
         discarded_frames: frames that got no answer, datagrams that were none.
         refused_busy: requests answered 06 because all slots were taken.
@@ -52,7 +52,7 @@ class ServerCounters:
     idle_timeouts: int = 0
     reading_paused: int = 0
     rate_limited: int = 0
-    handler_failures: int = 0
+    responder_failures: int = 0
     requests: int = 0
     discarded_frames: int = 0
     refused_busy: int = 0

@@ -3,7 +3,7 @@
 Knows when something happened; knows no bytes and no clock.
 
 1. Communication: on while frames come or go.
-2. Error: steady for an internal fault (a handler failed, no new connection can be accepted), flashing for a fault of
+2. Error: steady for an internal fault (a responder failed, no new connection can be accepted), flashing for a fault of
    communication or configuration (a damaged frame, a port that is not there). The steady one goes before.
 3. Device status: on when it answers, flashing in listen-only mode, off otherwise.
 """
@@ -43,7 +43,7 @@ class Diagnosis:
         is_open: whether it can be reached.
         traffic: time of the last received or sent frame, in seconds of the clock of ``now``.
         communication_fault: time of the last damaged frame.
-        internal_fault: when a handler last failed, or the system had no resources for a new connection.
+        internal_fault: when a responder last failed, or the system had no resources for a new connection.
     """
 
     __slots__ = ("communication_fault", "internal_fault", "is_open", "traffic")

@@ -1,6 +1,6 @@
 """What is said when a server starts where the network can reach it.
 
-Knows bound URLs and whether a policy stands before the devices; changes nothing.
+Knows bound URLs and whether requests are authorized; changes nothing.
 
 1. A listener on every address of the host (``0.0.0.0``, ``::``) is taken, and said (Messaging on TCP/IP V1.0b §4.3.3).
 2. A server that takes writes from whoever reaches it says so once, and how to change that.
@@ -8,32 +8,20 @@ Knows bound URLs and whether a policy stands before the devices; changes nothing
 
 import logging
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from .naming import is_everywhere, is_loopback
-
-if TYPE_CHECKING:
-    from ..access.rules import Policy
 
 _log = logging.getLogger("busway.server")
 
 
-@runtime_checkable
-class Guard(Protocol):
-    """A handler that asks a policy before it lets a request through to another one."""
-
-    def replace_policy(self, policy: "Policy") -> None:
-        """Ask another policy from now on."""
-
-
-def warn_of_exposure(bound: Sequence[str], *, guarded: bool) -> None:
-    """Say it, for the URLs that were bound; ``guarded``: whether a policy stands before the devices."""
+def warn_of_exposure(bound: Sequence[str], *, authorized: bool) -> None:
+    """Say it, for the URLs that were bound; ``authorized``: whether requests are authorized."""
     network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
     everywhere = [url for url in network if is_everywhere(url)]
     if everywhere:
         _log.warning("%s: every address of this host; name one to listen there alone", ", ".join(everywhere))
     reachable = [url for url in network if not is_loopback(url)]
-    if reachable and not guarded:
+    if reachable and not authorized:
         _log.warning(
             "%s: takes writes from everybody who reaches it; "
             "policy=busway.Policy.read_only(), or a policy of your own, changes that",

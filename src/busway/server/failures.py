@@ -1,4 +1,4 @@
-"""Handlers that need time, and handlers that fail: awaited, answered, logged.
+"""Responders that need time, and responders that fail: awaited, answered, logged.
 
 Knows contexts and their replies; knows no transport.
 """
@@ -10,17 +10,18 @@ from collections.abc import Iterable
 from ..codes import ExceptionCode
 from ..errors import ModbusError
 from ..pdu.message import Message
-from ..session.handler import Refusal
-from ..session.server import Deferred, HandlerFailure
+from ..session.pipeline import ResponderFailure
+from ..session.responder import Refusal
+from ..session.server import Deferred
 
 _log = logging.getLogger("busway.server")
 
 
-def report_failures(peer: str, failures: Iterable[HandlerFailure]) -> None:
-    """Log what handlers raised."""
+def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
+    """Log what responders raised."""
     for failure in failures:
         _log.error(
-            "%s: unit %s, function %s: the handler failed and the client was answered 04",
+            "%s: unit %s, function %s: the responder failed and the client was answered 04",
             peer,
             failure.context.unit,
             failure.context.function,
@@ -29,7 +30,7 @@ def report_failures(peer: str, failures: Iterable[HandlerFailure]) -> None:
 
 
 async def answer_later(deferred: Deferred) -> None:
-    """Await what a handler promised, and reply."""
+    """Await what a responder promised, and reply."""
     context = deferred.context
     try:
         reply: Message = await deferred.awaitable
@@ -40,10 +41,10 @@ async def answer_later(deferred: Deferred) -> None:
             context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
         raise
     except ModbusError as error:
-        _log.error("%s: unit %s: the handler failed: %s", context.peer, context.unit, error)
+        _log.error("%s: unit %s: the responder failed: %s", context.peer, context.unit, error)
         context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
     except Exception:
-        _log.exception("%s: unit %s, function %s: the handler failed", context.peer, context.unit, context.function)
+        _log.exception("%s: unit %s, function %s: the responder failed", context.peer, context.unit, context.function)
         context.refuse(ExceptionCode.SERVER_DEVICE_FAILURE)
     else:
         context.reply(reply)

@@ -14,10 +14,11 @@ from collections.abc import Callable, Container
 from typing import Final
 
 from ..session.diagnostics import LineDiagnostics
-from ..session.handler import Handler
 from ..session.line_framing import LineFraming
+from ..session.pipeline import RequestPipeline, ResponderFailure
+from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
-from ..session.server import Deferred, HandlerFailure, TcpServerSession
+from ..session.server import Deferred, TcpServerSession
 
 SHARE_OF_BYTES: Final = 513
 """What one call works through: the longest frame in ASCII, or 64 reads in RTU."""
@@ -48,31 +49,27 @@ class FramedSession:
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        handler: Handler,
+        pipeline: RequestPipeline,
         units: Container[int],
         *,
         framing: LineFraming,
         diagnostics: LineDiagnostics,
         deliver: Callable[[bytes], None],
         attend: Callable[[], None],
-        peer: str,
-        is_priority: bool = False,
-        listener: str,
+        client: ClientIdentity,
     ) -> None:
         """As `SerialServerSession`; ``attend`` is called when `deferred` or `failures` may hold something new."""
         self._loop = loop
         self._deliver = deliver
         self._attend = attend
         self._session = SerialServerSession(
-            handler,
+            pipeline,
             units,
             framing=framing,
             diagnostics=diagnostics,
             deliver=self._late,
-            line=peer,
-            listener=listener,
+            client=client,
             sends_at_once=True,
-            is_priority=is_priority,
         )
         self._timer: asyncio.TimerHandle | None = None
         self._came = 0.0
@@ -113,12 +110,12 @@ class FramedSession:
         self._session.deferred = value
 
     @property
-    def failures(self) -> list[HandlerFailure]:
+    def failures(self) -> list[ResponderFailure]:
         """Failures of handlers to log."""
         return self._session.failures
 
     @failures.setter
-    def failures(self, value: list[HandlerFailure]) -> None:
+    def failures(self, value: list[ResponderFailure]) -> None:
         self._session.failures = value
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:

@@ -21,7 +21,8 @@ from ..errors import LinkDown
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.diagnostics import LineDiagnostics
-from ..session.handler import Handler
+from ..session.pipeline import RequestPipeline
+from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
 from ..transport.serial.alarm import Alarm
 from ..transport.serial.connection import SerialConnection
@@ -58,7 +59,7 @@ class SerialListener:
         self,
         loop: asyncio.AbstractEventLoop,
         settings: ListenerSettings,
-        handler: Handler,
+        pipeline: RequestPipeline,
         units: Container[int],
         *,
         counters: ServerCounters,
@@ -75,18 +76,17 @@ class SerialListener:
         self._port = settings.port
         self._counters = counters
         self._tap = tap
-        framing = settings.line_framing(units, handler.functions, started=time.monotonic())
+        framing = settings.line_framing(units, pipeline.functions, started=time.monotonic())
         self._tapped = TappedConnection(
             self.name, self.name, settings.endpoint.framing, "serial", framing.send_gap, self.transmit, stay
         )
         self._session = SerialServerSession(
-            handler,
+            pipeline,
             units,
             framing=framing,
             diagnostics=self.diagnostics,
             deliver=self._late_answer,
-            line=self.name,
-            listener=self.name,
+            client=ClientIdentity(self.name, self.name),
         )
         self._connection: SerialConnection | None = None
         self._claim: Claim | None = None
@@ -248,7 +248,7 @@ class SerialListener:
         self._follow(emissions)
 
     def _follow(self, emissions: list[FrameToSend]) -> None:
-        """Do what the session asks for: answer, wait for handlers, report, look at the clock again."""
+        """Do what the session asks for: answer, wait for responders, report, look at the clock again."""
         session = self._session
         if emissions:
             # Who sends a second request has given up the first; the session has counted that.
@@ -262,7 +262,7 @@ class SerialListener:
         if session.failures:
             failures, session.failures = session.failures, []
             self.diagnosis.internal_fault = time.monotonic()
-            self._counters.handler_failures += len(failures)
+            self._counters.responder_failures += len(failures)
             report_failures(self.name, failures)
         self._watch_silence()
 
@@ -286,7 +286,7 @@ class SerialListener:
     # Answers.
 
     def _late_answer(self, emission: FrameToSend) -> None:
-        """A handler that needed time has its answer."""
+        """A responder that needed time has its answer."""
         self._schedule(emission)
         self._watch_silence()
 

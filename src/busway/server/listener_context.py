@@ -16,8 +16,9 @@ from ..access.rates import Rates
 from ..access.repeats import Repeats, so_often
 from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostics import LineDiagnostics
-from ..session.handler import Handler, ListedUnits
-from ..session.server import HandlerFailure, TcpServerSession
+from ..session.pipeline import RequestPipeline, ResponderFailure
+from ..session.responder import ClientIdentity
+from ..session.server import TcpServerSession
 from ..session.slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
 from .authorisation import Authorise, allow_all
@@ -100,7 +101,7 @@ class ListenerContext:
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        handler: Handler,
+        pipeline: RequestPipeline,
         settings: ListenerSettings,
         *,
         session_parameters: ServerParameters,
@@ -111,20 +112,20 @@ class ListenerContext:
         tap: ConnectionTap | None = None,
     ) -> None:
         self.loop = loop
-        self.listener: str = settings.endpoint.url
+        self._pipeline = pipeline
+        self.listener = settings.endpoint.url
         self.hosts: tuple[str, ...] = ()
         self.settings = settings
         self.parameters: ListenerParameters = settings.limits
         self.counters = counters
         self.diagnostics: LineDiagnostics = LineDiagnostics(
             changes_allowed=session_parameters.diagnostics_changes is True,
-            listed_unit=handler.listed_unit if isinstance(handler, ListedUnits) else None,
+            listed_unit=self._listed_unit,
         )
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
-        self.diagnosis: Diagnosis = Diagnosis()
-        self.rates: Rates | None = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
-        self.damaged: int = 0
-        self._handler = handler
+        self.diagnosis = Diagnosis()
+        self.rates = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
+        self.damaged = 0
         self._units = units
         self._session_parameters = session_parameters
         self._server_slots = slots
@@ -161,34 +162,35 @@ class ListenerContext:
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
         """Make the session of a new connection; ``share``: most requests that one call of it processes, on TCP."""
+        client = ClientIdentity(connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority)
         if self.framing != "mbap":
             return FramedSession(
                 self.loop,
-                self._handler,
+                self._pipeline,
                 self._units,
-                framing=self.settings.line_framing(self._units, self._handler.functions),
+                framing=self.settings.line_framing(self._units, self._pipeline.functions),
                 diagnostics=self.diagnostics,
                 deliver=connected_peer.deliver,
                 attend=connected_peer.attend,
-                peer=connected_peer.peer,
-                is_priority=connected_peer.is_priority,
-                listener=self.listener,
+                client=client,
             )
         slots = self._server_slots
         if self._session_parameters.scope is Scope.CONNECTION:
             slots = TransactionSlots(self._session_parameters.max_transactions)
         return TcpServerSession(
-            self._handler,
+            self._pipeline,
             diagnostics=self.diagnostics,
             slots=slots,
             deliver=connected_peer.deliver,
             deliver_together=connected_peer.deliver_together,
-            peer=connected_peer.peer,
-            listener=self.listener,
-            role=connected_peer.role,
+            client=client,
             share=share,
-            is_priority=connected_peer.is_priority,
         )
+
+    def _listed_unit(self, unit: int) -> int:
+        """The unit as which the device is configured that answers for ``unit``; ``unit`` itself where there is none."""
+        served = self._pipeline.responder.serves(unit)
+        return unit if served is None else served.unit
 
     # What is counted.
 
@@ -220,9 +222,9 @@ class ListenerContext:
         self.damaged += 1
         self.diagnosis.communication_fault = time.monotonic()
 
-    def failed(self, peer: str, failures: Sequence[HandlerFailure]) -> None:
-        """Count and log exceptions raised by the handler."""
-        self.counters.handler_failures += len(failures)
+    def failed(self, peer: str, failures: Sequence[ResponderFailure]) -> None:
+        """Count and log exceptions raised by the responder."""
+        self.counters.responder_failures += len(failures)
         self.diagnosis.internal_fault = time.monotonic()
         report_failures(peer, failures)
 

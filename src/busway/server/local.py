@@ -1,4 +1,4 @@
-"""The handler of a server that holds its devices itself: unit → device, then the function does its work on it.
+"""The responder of a server that holds its devices itself: unit → device, then the function does its work on it.
 
 Knows devices and the rules of units on TCP; knows no connection.
 
@@ -11,21 +11,20 @@ Knows devices and the rules of units on TCP; knows no connection.
 5. A device that is listed as several units executes a broadcast of a serial line once.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
+from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
 from ..options.server import UnitPolicy, UnlistedUnit
-from ..pdu.direct import Answer, DeviceAnswers, ReadPlan
 from ..pdu.file_records import WriteFileRecord
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
-from ..pdu.message import Message, Request
-from ..session.handler import SILENCE, Deferral, Outcome, RequestContext
+from ..pdu.message import Request
+from ..session.responder import SILENCE, Outcome, Replaced, RequestContext, ServedUnit
 from .device import Device
 
 
-class LocalHandler:
+class DeviceResponder:
     """Answers for devices of this process.
 
     Args:
@@ -33,6 +32,9 @@ class LocalHandler:
         unit_policy: `UnitPolicy`; ``ANY`` needs exactly one device.
         unlisted: what a unit gets that is not there.
         functions: the table of functions, with the user's own if there are any.
+
+    Attributes:
+        generation: changes when a device changes what it offers.
     """
 
     def __init__(
@@ -53,109 +55,56 @@ class LocalHandler:
         if not units:
             raise ConfigError("at least one unit is needed", key="units")
         distinct = {id(device): device for device in units.values()}
-        self._units = dict(units)
-        self._serial_units = frozenset(unit for unit in units if 1 <= unit <= LAST_SERIAL_UNIT)
-        self._sole = next(iter(distinct.values())) if len(distinct) == 1 else None
-        if unit_policy is UnitPolicy.ANY and self._sole is None:
+        if unit_policy is UnitPolicy.ANY and len(distinct) > 1:
             raise ConfigError("unit policy any needs exactly one device", key="unit_policy")
-        self._any = unit_policy is UnitPolicy.ANY
+        self._devices: dict[int, Device] = dict(units)
+        self._served = {unit: ServedUnit(unit, device) for unit, device in units.items()}
+        if len(distinct) == 1:
+            first = next(iter(units))
+            beside = range(256) if unit_policy is UnitPolicy.ANY else (BROADCAST_UNIT, TCP_DEVICE_UNIT)
+            for unit in beside:
+                self._devices.setdefault(unit, units[first])
+                self._served.setdefault(unit, self._served[first])
         self._silent = unlisted is UnlistedUnit.SILENCE
         self.functions = functions
-        # Counted when a device changes, not summed up at every receive call: a handler may have 247 devices.
-        self.generation: int = 0
-        self._answers: dict[int, Mapping[int, Answer]] = {}
-        self._plans: dict[bytes, ReadPlan] = {}
+        # Counted when a device changes, not summed up at every receive call: a server may have 247 devices.
+        self.generation = 0
         for device in distinct.values():
             device.watch(self._device_changed)
 
     def _device_changed(self) -> None:
-        self._answers.clear()
-        self._plans = {}
         self.generation += 1
 
-    @property
-    def serial_units(self) -> frozenset[int]:
-        """The units that are answered on a serial line: those listed, whatever the policy (Serial Line V1.02 §2.2)."""
-        return self._serial_units
+    def serves(self, unit: int) -> ServedUnit | None:
+        """The listed unit whose device answers for ``unit``; the first of several of a sole device."""
+        return self._served.get(unit)
 
     def find(self, unit: int) -> Device | None:
         """The device that answers for ``unit``."""
-        device = self._units.get(unit)
-        if device is None and self._sole is not None and (self._any or unit in (BROADCAST_UNIT, TCP_DEVICE_UNIT)):
-            return self._sole
-        return device
+        return self._devices.get(unit)
 
-    def listed_unit(self, unit: int) -> int:
-        """The unit as which the device is listed that answers for ``unit``, the first of several."""
-        if unit in self._units or self.find(unit) is None:
-            return unit
-        return next(iter(self._units))
-
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """The compiled answers of the unit's device, by function code; the same for every connection."""
-        answers = self._answers.get(context.unit)
-        if answers is None:
-            answers = self._answers[context.unit] = self._compiled(self.find(context.unit))
-        return answers
-
-    def plans(self, context: RequestContext) -> dict[bytes, ReadPlan]:
-        """Plans of reads, the same for every connection."""
-        return self._plans
-
-    def plan(self, context: RequestContext, pdu: bytes) -> ReadPlan | None:
-        """The plan of a read of registers, if nothing needs to know of it."""
-        device = self.find(context.unit)
-        function = self.functions.find(pdu, 0, len(pdu))
-        if device is None or function is None or not device.enabled(pdu[0]):
-            return None
-        return function.plan(device, context.unit, pdu)
-
-    def _compiled(self, device: Device | None) -> dict[int, Answer]:
-        if device is None:
-            return {}
-        offered = [function for function in self.functions if device.enabled(function.code)]
-        found = {function.code: function.direct(device) for function in offered if function.sub_code is None}
-        return DeviceAnswers(device, {code: answer for code, answer in found.items() if answer is not None})
-
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Execute a request on the unit's device."""
-        device = self._executing(context, request)
-        if not isinstance(device, Device):
-            return device
-        assert isinstance(request, Request)
-        with device.lock:
-            return request.apply(device, context)
-
-    def observe_write(
-        self, context: RequestContext, request: Request, see: Callable[[tuple[bytes | None, ...]], None]
-    ) -> Outcome:
-        """As `WriteObserver.observe_write`: the look and the execution happen under one hold of the device's lock."""
-        device = self._executing(context, request)
-        if not isinstance(device, Device):
-            return device
-        with device.lock:
-            see(_replaced(device, request))
-            return request.apply(device, context)
-
-    def _executing(self, context: RequestContext, request: AnyRequest) -> Device | Message | Deferral:
-        """The device that is to execute a request; or the answer, or `SILENCE`, where none is."""
-        device = self.find(context.unit)
+        device = self._devices.get(context.unit)
         if device is None:
-            if self._silent:
-                return SILENCE
-            return ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+            absent = ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+            return SILENCE if self._silent else absent
         if context.executed is not None:
             if id(device) in context.executed:
+                context.judged = None  # another of its units has executed it: there is nothing to record
                 return SILENCE
             context.executed.add(id(device))
         if isinstance(request, OpaqueRequest) or not device.enabled(context.function):
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_FUNCTION)
         if isinstance(request, MalformedRequest):
             return ExceptionResponse(context.function, request.code)
-        return device
+        with device.lock:
+            if context.judged is not None and context.judged.is_write:
+                context.replacing(_replaced(device, request))
+            return request.apply(device, context)
 
 
-def _replaced(device: Device, request: Request) -> tuple[bytes | None, ...]:
+def _replaced(device: Device, request: Request) -> Replaced:
     """What a write would replace, range by range; the caller holds the device's lock."""
     if isinstance(request, WriteFileRecord):
         return tuple(device.peek_file(group.file, group.record, group.count) for group in request.groups)

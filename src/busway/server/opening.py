@@ -5,7 +5,6 @@ Knows the kinds of listeners and what they are made of; keeps none.
 
 import asyncio
 import logging
-from collections.abc import Container
 from dataclasses import dataclass, field
 
 from ..codes import LAST_SERIAL_UNIT
@@ -13,7 +12,8 @@ from ..errors import ConfigError
 from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
-from ..session.handler import Handler, UnitHolder
+from ..session.pipeline import RequestPipeline
+from ..session.responder import Responder, SerialUnits
 from ..session.slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
@@ -39,7 +39,7 @@ class Opening:
 
     Attributes:
         loop: the event loop they live on.
-        handler: what answers.
+        pipeline: answers the requests.
         parameters: of conversations.
         limits: of connections, where a listener has none of its own.
         sockets: parameters of sockets.
@@ -53,7 +53,7 @@ class Opening:
     """
 
     loop: asyncio.AbstractEventLoop
-    handler: Handler
+    pipeline: RequestPipeline
     parameters: ServerParameters
     limits: ListenerParameters
     sockets: SocketParameters
@@ -103,8 +103,8 @@ class Opening:
         line = SerialListener(
             self.loop,
             settings,
-            self.handler,
-            serial_units(self.handler, settings.endpoint),
+            self.pipeline,
+            serial_units(self.pipeline.responder, settings.endpoint),
             counters=self.counters,
             changes_allowed=self.parameters.diagnostics_changes is not False,
             tap=self.tap,
@@ -116,21 +116,20 @@ class Opening:
         endpoint = settings.endpoint
         return ListenerContext(
             self.loop,
-            self.handler,
+            self.pipeline,
             settings,
             session_parameters=self.parameters,
             counters=self.counters,
             slots=self.slots,
-            units=() if endpoint.framing == "mbap" else serial_units(self.handler, endpoint),
+            units=() if endpoint.framing == "mbap" else serial_units(self.pipeline.responder, endpoint),
             authorise=both(self.authorise, settings.access),
             tap=self.tap,
         )
 
 
-def serial_units(handler: Handler, endpoint: Endpoint) -> Container[int]:
-    """The units that a handler answers for on a line. Raises `ConfigError` where it does not say, or has none."""
-    if not isinstance(handler, UnitHolder):
-        raise ConfigError(f"{endpoint.url}: on a line this handler must say its units (serial_units)", key="handler")
-    if not any(unit in handler.serial_units for unit in range(1, LAST_SERIAL_UNIT + 1)):
+def serial_units(responder: Responder, endpoint: Endpoint) -> SerialUnits:
+    """The units that a responder answers for on a line. Raises `ConfigError` where there is none."""
+    units = SerialUnits(responder)
+    if not any(unit in units for unit in range(1, LAST_SERIAL_UNIT + 1)):
         raise ConfigError(f"{endpoint.url}: at least one unit 1…{LAST_SERIAL_UNIT} is needed on a line", key="units")
-    return handler.serial_units
+    return units

@@ -1,4 +1,4 @@
-"""The server: listeners that pass requests to one handler; start, stop, reset, status (Messaging on TCP/IP §5.1.2).
+"""The server: listeners with one pipeline for requests; start, stop, reset, status (Messaging on TCP/IP §5.1.2).
 
 Knows listeners and their life cycle; knows no request.
 
@@ -17,14 +17,16 @@ from ..errors import ConfigError, LinkDown, ModbusError
 from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
-from ..session.handler import Handler
+from ..pdu.functions import FunctionTable
+from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
+from ..session.responder import Responder
 from ..transport.dialled import dialled_connections
 from ..transport.tcp import network_reason
 from .authorisation import Authorise, allow_all
 from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement
 from .counters import ServerCounters
-from .exposure import Guard, warn_of_exposure
+from .exposure import warn_of_exposure
 from .limits import raise_open_file_limit
 from .line import SerialListener
 from .listener import Listener, as_listeners
@@ -36,7 +38,8 @@ from .tcp import TcpListener, settle
 from .udp import UdpListener
 
 if TYPE_CHECKING:
-    from ..access.audit import AuditLog
+    from ..access.audit_log import AuditLog
+    from ..access.authorizer import PolicyAuthorizer
     from ..access.rules import Policy
     from ..options.tls import TlsParameters
 
@@ -44,12 +47,12 @@ _STOP_SECONDS: Final = 0.5
 
 
 class Server:
-    """A Modbus server: listeners that share one handler. An asynchronous context manager that starts and stops.
+    """A Modbus server: listeners that share one responder. An asynchronous context manager that starts and stops.
 
     Args:
         endpoints: URLs to listen on (``tcp://127.0.0.1:5020``), or `Listener` where one has settings of its own; port 0
             takes a free one, an empty host every interface, IPv4 and IPv6.
-        handler: answers the requests.
+        responder: answers the requests.
         parameters: options of sessions, `ServerParameters`.
         listener: limits of connections, `ListenerParameters`.
         sockets: options of sockets, `SocketParameters`.
@@ -57,6 +60,7 @@ class Server:
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
         policy: which requests are permitted; None permits all requests of hosts that may connect.
         audit: the audit log of writes and denied requests.
+        authorizer: instead of a policy, what permits requests.
         standard_port: whether to listen on port 502 too, beside each other port of ``tcp://`` (Messaging on TCP/IP
             V1.0b §3.1.3). True requires it. None does so if the network can reach the host and the port was given
             explicitly; if port 502 is not available, that is logged.
@@ -75,7 +79,7 @@ class Server:
     def __init__(
         self,
         endpoints: Sequence[str | Endpoint | Listener],
-        handler: Handler,
+        responder: Responder,
         *,
         parameters: ServerParameters | None = None,
         listener: ListenerParameters | None = None,
@@ -84,6 +88,7 @@ class Server:
         tls: "TlsParameters | None" = None,
         policy: "Policy | None" = None,
         audit: "AuditLog | None" = None,
+        authorizer: Authorizer | None = None,
         standard_port: bool | None = None,
         local_connections: Callable[[], int] | None = None,
         tap: ConnectionTap | None = None,
@@ -93,9 +98,11 @@ class Server:
         self._settings = with_standard_port(wanted, standard_port)
         for settings in self._settings:
             if settings.endpoint.framing != "mbap":
-                settings.line_framing(serial_units(handler, settings.endpoint), handler.functions)
+                settings.line_framing(serial_units(responder, settings.endpoint), responder.functions)
         self.authorise = authorise
-        self._handler = handler
+        self._responder = responder
+        self._clock: Callable[[], float] = time.perf_counter
+        self._observers: list[RequestObserver] = []
         self._parameters = parameters or ServerParameters()
         self._sockets = sockets or SocketParameters()
         self._streams: list[TcpListener] = []
@@ -105,10 +112,13 @@ class Server:
         self._started = 0.0
         self._local_connections = local_connections or dialled_connections
         self._tap = tap
-        self._guard: Guard | None = handler if isinstance(handler, Guard) else None
-        self.counters: ServerCounters = ServerCounters()
-        if policy is not None or audit is not None:
-            self._guard_by(policy, audit)
+        self._policy_authorizer: PolicyAuthorizer | None = None
+        self._authorizer = self._authorizer_for(policy, audit) if authorizer is None else authorizer
+        if audit is not None:
+            from ..access.audit_observer import AuditObserver
+
+            self._observers.append(AuditObserver(audit))
+        self.counters = ServerCounters()
 
     @property
     def endpoints(self) -> list[str]:
@@ -120,17 +130,30 @@ class Server:
         """Whether the server is started."""
         return bool(self._streams or self._datagrams or self._lines)
 
-    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Wrap the handler in another one, which may count, record or deny requests. Only while stopped.
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions that it decodes."""
+        return self._responder.functions
+
+    def wrap_responder(self, wrap: Callable[[Responder], Responder]) -> None:
+        """Wrap the responder in another one, which may change replies. Only while stopped.
 
         Raises:
-            ConfigError: the server is running, and its sessions use the handler already.
+            ConfigError: the server is running, and its sessions use the responder already.
         """
         if self.is_running:
-            raise ConfigError("a running server keeps its handler", key="handler")
-        self._handler = wrap(self._handler)
-        if isinstance(self._handler, Guard):
-            self._guard = self._handler
+            raise ConfigError("a running server keeps its responder", key="responder")
+        self._responder = wrap(self._responder)
+
+    def observe(self, observer: RequestObserver) -> None:
+        """Register an observer of requests. Only while stopped.
+
+        Raises:
+            ConfigError: the server is running.
+        """
+        if self.is_running:
+            raise ConfigError("a running server keeps its observers", key="observer")
+        self._observers.append(observer)
 
     def use_tap(self, tap: ConnectionTap) -> None:
         """Register an observer of opened and closed connections. Only while stopped.
@@ -148,9 +171,9 @@ class Server:
         Raises:
             ConfigError: the server was made without one.
         """
-        if self._guard is None:
+        if self._policy_authorizer is None:
             raise ConfigError("the server was made without a policy", key="policy")
-        self._guard.replace_policy(policy)
+        self._policy_authorizer.replace_policy(policy)
 
     def reload_security(self) -> None:
         """Read the certificates, keys and authorities of the ``tls://`` listeners again, for new connections.
@@ -193,7 +216,7 @@ class Server:
         raise_open_file_limit()
         opening = Opening(
             asyncio.get_running_loop(),
-            self._handler,
+            RequestPipeline(self._responder, self._authorizer, self._observers, clock=self._clock),
             self._parameters,
             self._limits,
             self._sockets,
@@ -215,7 +238,7 @@ class Server:
             await self.stop()
             raise
         self._started = time.monotonic()
-        warn_of_exposure(self._bound, guarded=self._guard is not None)
+        warn_of_exposure(self._bound, authorized=self._authorizer is not None)
 
     async def _open(self, opening: Opening, settings: ListenerSettings) -> None:
         carrier = settings.endpoint.carrier
@@ -307,7 +330,7 @@ class Server:
                 *(listener.listener_status() for listener in self._with_peers()),
                 *(line.status() for line in self._lines),
             ),
-            refusals=dict(getattr(self._guard, "refusals", {})),
+            refusals=dict(getattr(self._authorizer, "refusals", {})),
         )
 
     def is_priority(self, listener: str, host: str) -> bool:
@@ -326,14 +349,14 @@ class Server:
             listener.add_living(counters)
         return counters
 
-    def _guard_by(self, policy: "Policy | None", audit: "AuditLog | None") -> None:
-        """Wrap the handler in an authorizer."""
-        from ..access.authorizer import PolicyHandler
-        from ..access.rules import Action, Policy
+    def _authorizer_for(self, policy: "Policy | None", audit: "AuditLog | None") -> "PolicyAuthorizer | None":
+        if policy is None and audit is None:
+            return None
+        from ..access.authorizer import PolicyAuthorizer
+        from ..access.rules import Policy
 
-        everything = Policy(default=Action.ALLOW)
-        guard = PolicyHandler(self._handler, everything if policy is None else policy, audit)
-        self._guard = self._handler = guard
+        self._policy_authorizer = PolicyAuthorizer(Policy.allow_all() if policy is None else policy, audit)
+        return self._policy_authorizer
 
     async def __aenter__(self) -> Self:
         await self.start()

@@ -11,17 +11,17 @@ from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters, UnitParameters, UnitPolicy
 from ..options.sockets import SocketParameters
 from ..pdu.functions import STANDARD, FunctionTable
-from ..session.handler import Handler
+from ..session.responder import Responder
 from .authorisation import Authorise, allow_all
 from .device import Device
 from .listener import Listener
-from .local import LocalHandler
+from .local import DeviceResponder
 from .loops import run as run_on_new_loop
 from .server import Server, ServerStatus
 from .strict import with_server_preset
 
 if TYPE_CHECKING:
-    from ..access.audit import AuditLog
+    from ..access.audit_log import AuditLog
     from ..access.rules import Policy
     from ..options.tls import TlsParameters
     from .option_types import ServerOptions
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         """What the other two take by name: the arguments of `serve` and its options."""
 
         units: Mapping[int, Device] | Device | None
-        handler: Handler | None
+        responder: Responder | None
         functions: FunctionTable
         authorise: Authorise
         tls: "TlsParameters | None"
@@ -45,7 +45,7 @@ DEFAULT_ENDPOINT = "tcp://127.0.0.1:5020"
 def serve(
     *endpoints: str | Endpoint | Listener,
     units: Mapping[int, Device] | Device | None = None,
-    handler: Handler | None = None,
+    responder: Responder | None = None,
     functions: FunctionTable = STANDARD,
     authorise: Authorise = allow_all,
     tls: "TlsParameters | None" = None,
@@ -62,7 +62,7 @@ def serve(
             its URL. A `Listener` has access rules, certificates or limits of its own.
         units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with. On a serial
             line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
-        handler: instead of ``units``, anything that answers requests (`busway.session.handler.Handler`).
+        responder: instead of ``units``, anything that answers requests (`busway.session.responder.Responder`).
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
         authorise: asked with the host of each new connection (``"10.0.0.7"``), before a byte of it is parsed; where it
             gives False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
@@ -80,17 +80,17 @@ def serve(
     """
     places, chosen = with_server_preset(endpoints or (DEFAULT_ENDPOINT,), options)
     parameters = chosen.build(UnitParameters)
-    if (units is None) == (handler is None):
-        raise ConfigError("either units or a handler is needed", key="units")
-    if handler is None:
+    if (units is None) == (responder is None):
+        raise ConfigError("either units or a responder is needed", key="units")
+    if responder is None:
         unit_policy = parameters.unit_policy
         if isinstance(units, Device):
             units, unit_policy = {1: units}, UnitPolicy.ANY
         assert units is not None
-        handler = LocalHandler(units, unit_policy=unit_policy, unlisted=parameters.unlisted, functions=functions)
+        responder = DeviceResponder(units, unit_policy=unit_policy, unlisted=parameters.unlisted, functions=functions)
     return Server(
         places,
-        handler,
+        responder,
         parameters=chosen.build(ServerParameters),
         listener=chosen.build(ListenerParameters),
         sockets=chosen.build(SocketParameters),

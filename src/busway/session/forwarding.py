@@ -21,7 +21,8 @@ from ..pdu.message import Message, Request
 
 if TYPE_CHECKING:
     from .diagnostics import LineDiagnostics
-    from .handler import RequestContext
+    from .pipeline import RequestPipeline
+    from .responder import ClientIdentity, RequestContext
     from .slots import TransactionSlots
 
 READ_SIZE = 12
@@ -126,10 +127,7 @@ class ForwardPlans:
 
 @runtime_checkable
 class ReadForwarder(Protocol):
-    """A handler that can forward reads in batches."""
-
-    def forward_plans(self, context: "RequestContext") -> ForwardPlans:
-        """The plans, for all units, that all clients with the same rights as ``context`` share."""
+    """A responder that can forward reads in batches."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
         """The plan of a read; None if it has to take the generic path."""
@@ -152,9 +150,12 @@ class ForwardedReads:
     """
 
     __slots__ = (
+        "_began",
+        "_client",
         "_deliver",
         "_diagnostics",
         "_is_open",
+        "_observed_by",
         "_ready",
         "_slots",
         "batches",
@@ -168,15 +169,18 @@ class ForwardedReads:
         self,
         plans: ForwardPlans,
         *,
-        peer: str,
-        is_priority: bool = False,
+        client: "ClientIdentity",
         slots: "TransactionSlots",
         diagnostics: "LineDiagnostics",
         deliver: DeliverTogether,
+        observed_by: "RequestPipeline | None" = None,
     ) -> None:
         self.plans: ForwardPlans = plans
-        self.peer: str = peer
-        self.is_priority: bool = is_priority
+        self.peer: str = client.peer
+        self.is_priority: bool = client.is_priority
+        self._client = client
+        self._observed_by = observed_by
+        self._began: dict[bytes, float] | None = None  # by transaction, of the reads that wait; only with observers
         self._slots = slots
         self._diagnostics = diagnostics
         self._deliver = deliver
@@ -213,6 +217,9 @@ class ForwardedReads:
                 end = at + READ_SIZE * count
         slots.used += count
         self.waiting += count
+        if self._observed_by is not None:
+            self._began = self._began or {}
+            self._began.update(dict.fromkeys(transactions, self._observed_by.clock()))
         target = self.plans.sole_target
         if target is not None:
             self._diagnostics.arrived[plans[0].head[_UNIT_ASKED]] += count
@@ -271,11 +278,20 @@ class ForwardedReads:
         if ready:
             self._ready = []
             if self._is_open:
+                if self._observed_by is not None:
+                    self._observe(ready, self._observed_by)
                 self._deliver(ready)
+
+    def _observe(self, adus: list[bytes], pipeline: "RequestPipeline") -> None:
+        began = self._began or {}
+        for adu in adus:
+            pipeline.answered(self._client, [adu], began.pop(adu[:2], pipeline.clock()))
 
     def close(self) -> None:
         """End with the connection: waiting reads get no answer, and their slots are freed."""
         self._is_open = False
+        if self._observed_by is not None and self.waiting:
+            self._observed_by.unanswered(self._client, self.waiting)
         self._slots.used -= self.waiting
         self.waiting = 0
         batches, self.batches = self.batches, {}

@@ -9,7 +9,7 @@ RTU and ASCII differ only in the framing that is passed in.
 3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. One that
    asks for a read, or fails, is only counted: it is one message of the line, and one for each unit.
 4. The answer leaves t3.5 after the last byte on the line at the earliest. If another frame comes before that, or before
-   a slow handler is ready, it is not sent: the master has given up and may be using the line. So of two requests back
+   a slow responder is ready, it is not sent: the master has given up and may be using the line. So of two requests back
    to back both are executed, and the last one is answered. An answer counts when it has left.
 5. A unit in listen-only mode answers and executes nothing, until a restart that is not answered either. The other
    units of the line are not affected.
@@ -25,9 +25,10 @@ from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostics import LineDiagnostics
-from .handler import LATER, Deferral, Handler, Outcome, Refusal, RequestContext
 from .line_framing import LineFraming
-from .server import Deferred, HandlerFailure
+from .pipeline import RequestPipeline, ResponderFailure
+from .responder import LATER, ClientIdentity, Deferral, RequestContext
+from .server import Deferred
 
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
@@ -83,15 +84,13 @@ class SerialServerSession:
     """
 
     __slots__ = (
+        "_client",
         "_deliver",
         "_diagnostics",
         "_framing",
-        "_handler",
-        "_is_priority",
         "_last_byte",
         "_leaving",
-        "_line",
-        "_listener",
+        "_pipeline",
         "_receiver",
         "_sends_at_once",
         "_takes_more",
@@ -107,35 +106,30 @@ class SerialServerSession:
 
     def __init__(
         self,
-        handler: Handler,
+        pipeline: RequestPipeline,
         units: Container[int],
         *,
         framing: LineFraming,
         diagnostics: LineDiagnostics,
         deliver: Callable[[FrameToSend], None],
-        line: str = "",
-        listener: str = "",
+        client: ClientIdentity | None = None,
         sends_at_once: bool = False,
-        is_priority: bool = False,
     ) -> None:
         """Create the session of a line.
 
         Args:
-            handler: answers the requests.
+            pipeline: answers the requests.
             units: the own units, 1…247; may be a live view.
             framing: the framing, in the role of a server with the same units.
             diagnostics: counters and modes of the units of the line.
             deliver: sends late answers.
-            line: name of the line or of the peer, for contexts.
-            listener: URL of the listener, for contexts.
+            client: who sends the requests: the master of the line.
             sends_at_once: whether every answer leaves as soon as it is ready, as over a network: then it counts at
                 once, and `answer_left` is not called.
-            is_priority: whether the master is a priority host.
         """
-        self._handler = handler
+        self._pipeline = pipeline
         self._units = units
-        self._line = line
-        self._listener = listener or line
+        self._client = ClientIdentity() if client is None else client
         self._framing = framing
         self._receiver = framing.receiver
         self._diagnostics = diagnostics
@@ -143,15 +137,14 @@ class SerialServerSession:
         self._waiting: RequestContext | None = None
         self._leaving: _Answer | None = None
         self._sends_at_once = sends_at_once
-        self._is_priority = is_priority
         self._last_byte = 0.0
         self._takes_more = True
         self.deferred: list[Deferred] = []
-        self.failures: list[HandlerFailure] = []
-        self.requests: int = 0
-        self.foreign: int = 0
-        self.damaged_frames: int = 0
-        self.abandoned: int = 0
+        self.failures: list[ResponderFailure] = []
+        self.requests = 0
+        self.foreign = 0
+        self.damaged_frames = 0
+        self.abandoned = 0
 
     @property
     def waiting(self) -> int:
@@ -247,9 +240,9 @@ class SerialServerSession:
             return None
         context = self._waiting = self._context(frame.unit, function)
         context.diagnostics.received()
-        outcome = self._outcome(context, frame.pdu)
+        outcome = self._pipeline.answer(context, frame.pdu, self.failures)
         if context.replied:
-            return None  # by ``reply``, before the handler returned; a request has one answer
+            return None  # by ``reply``, before the responder returned; a request has one answer
         if isinstance(outcome, Message):
             self._settle(context)
             return self._answer(context, outcome)
@@ -265,24 +258,11 @@ class SerialServerSession:
         self._waiting = None
         context._finish = None
 
-    def _outcome(self, context: RequestContext, pdu: bytes) -> Outcome:
-        diagnostics = context.diagnostics
-        was_listen_only = diagnostics.listen_only
-        if was_listen_only and context.function != FunctionCode.DIAGNOSTICS:
-            return Deferral.SILENCE
-        if context.function == 0:
-            return ExceptionResponse(0, ExceptionCode.ILLEGAL_FUNCTION)
-        outcome = self._ask(context, pdu)
-        if was_listen_only or diagnostics.listen_only:
-            # 08/04 and the 08/01 that ends it are not answered; nothing else of 08 is, in between.
-            return Deferral.SILENCE
-        return outcome
-
     def _broadcast(self, pdu: bytes) -> None:
         """Execute a broadcast on every unit that is not in listen-only mode; each counts it and its outcome."""
         units = [unit for unit in range(1, LAST_SERIAL_UNIT + 1) if unit in self._units]
         self._diagnostics.received_broadcast(units)
-        request = self._handler.functions.decode_request(pdu)
+        request = self._pipeline.functions.decode_request(pdu)
         may_be_broadcast = isinstance(request, AnyFunction) and request.broadcast
         executed: set[int] = set()
         for unit in units:
@@ -300,7 +280,7 @@ class SerialServerSession:
         """Execute a broadcast on one unit. Returns whether it succeeded."""
         context = self._context(unit, pdu[0])
         context.executed = executed
-        outcome = self._ask(context, pdu)
+        outcome = self._pipeline.answer(context, pdu, self.failures)
         if isinstance(outcome, ExceptionResponse):
             context.diagnostics.failed(outcome.exception)
             return False
@@ -310,24 +290,12 @@ class SerialServerSession:
         context._finish = None
         return isinstance(outcome, Message)
 
-    def _ask(self, context: RequestContext, pdu: bytes) -> Outcome:
-        handler = self._handler
-        try:
-            return handler.handle(context, handler.functions.decode_request(pdu))
-        except Refusal as refusal:
-            return ExceptionResponse(context.function, refusal.code)
-        except Exception as error:
-            self.failures.append(HandlerFailure(context, error))
-            return ExceptionResponse(context.function, ExceptionCode.SERVER_DEVICE_FAILURE)
-
     def _context(self, unit: int, function: int) -> RequestContext:
         return RequestContext(
             unit=unit,
             function=function,
             diagnostics=self._diagnostics.of(unit),
-            peer=self._line,
-            listener=self._listener,
-            is_priority=self._is_priority,
+            client=self._client,
             finish=self._finish,
         )
 

@@ -4,18 +4,18 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 
 1. A frame with a protocol other than 0 is discarded and the stream goes on; an invalid length ends the
    connection (``broken``), after the requests before it were answered.
-2. Order of checks: protocol → slot (exception 06) → function (01) → the handler's outcome. A request that is answered
+2. Order of checks: protocol → slot (exception 06) → function (01) → the pipeline's outcome. A request that is answered
    within its call holds no slot, and the fast path needs none. In listen-only mode there is no answer of any kind.
 3. A function code above 127 is discarded: it would be a reply. Function 0 is answered 80 01.
 4. Requests start in order. Replies to deferred requests leave when they are ready, each with the unit and the
    transaction of its request, and only while the connection lasts.
 5. Every request that gets no answer is counted.
-6. Known reads that the handler forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
-7. With a share, one call processes at most that many requests, reads on the cached path not counted; bytes after them
+6. Known reads that the responder forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
+7. With a share, one call processes at most that many requests, known reads not counted; bytes after them
    wait (``rest``) until the driver calls `go_on`.
 """
 
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable
 from dataclasses import dataclass
 from operator import itemgetter
 from struct import Struct
@@ -23,22 +23,18 @@ from typing import Protocol
 
 from ..codes import ExceptionCode, FunctionCode
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
-from ..pdu.direct import Answer, ReadPlan
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import LineDiagnostics
-from .forwarding import READ_SIZE, DeliverTogether, ForwardedReads, ForwardPlans, ReadForwarder, is_read
-from .handler import LATER, Deferral, Handler, Outcome, ReadPlanner, Refusal, RequestContext
+from .forwarding import READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
+from .pipeline import MOST_READS, NO_FAST_PATH, RequestPipeline, ResponderFailure
+from .responder import LATER, ClientIdentity, Deferral, RequestContext
 from .slots import TransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
 """Cuts reads of twelve bytes into the transaction and the ten bytes that are the key of a plan."""
-_MEMO_LIMIT = 256
-_PLAN_LIMIT = 4096
-"""Most cached read plans of all connections with the same rights: enough for a poller of 4096 different ranges. Reads
-beyond it take the compiled path, 1.9 µs instead of 0.7."""
 _UNIT = 6
 """Offset of the unit in an ADU."""
 _unit_of = itemgetter(_UNIT)
@@ -59,18 +55,10 @@ class Deliver(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Deferred:
-    """An awaitable reply of a handler: the driver awaits it and calls ``context.reply``."""
+    """An awaitable reply of a responder: the driver awaits it and calls ``context.reply``."""
 
     context: RequestContext
     awaitable: Awaitable[Message]
-
-
-@dataclass(frozen=True, slots=True)
-class HandlerFailure:
-    """An exception raised by a handler other than `Refusal`; the client was answered 04."""
-
-    context: RequestContext
-    error: Exception
 
 
 class TcpServerSession:
@@ -79,30 +67,26 @@ class TcpServerSession:
     Attributes:
         broken: why the stream cannot be decoded any further; empty while it can. The driver closes the connection.
         deferred: replies that the driver has to await; it empties the list.
-        failures: failures of handlers to log; the driver empties the list.
+        failures: failures of the responder to log; the driver empties the list.
         unfinished: bytes of a frame that has begun and not ended.
         requests: requests received so far.
         discarded: frames that got no answer: foreign protocol, function above 127.
         refused_busy: requests answered 06 because all slots were taken.
         rest: received bytes that are not processed yet, because the share was used up or `put_off` was called; at most
             as many as were passed in. Do not pass in more before `go_on` has emptied it.
-        spent: requests processed by the last call, reads on the cached path not counted; the driver resets it to 0.
+        spent: requests processed by the last call, known reads not counted; the driver resets it to 0.
     """
 
     __slots__ = (
         "_buffer",
+        "_client",
         "_deliver",
         "_diagnostics",
+        "_fast",
+        "_forwarder",
         "_generation",
-        "_handler",
-        "_is_priority",
-        "_listener",
-        "_memo",
-        "_peer",
-        "_planner",
-        "_plans",
+        "_pipeline",
         "_reads",
-        "_role",
         "_share",
         "_slots",
         "_waiting",
@@ -119,64 +103,57 @@ class TcpServerSession:
 
     def __init__(
         self,
-        handler: Handler,
+        pipeline: RequestPipeline,
         *,
         diagnostics: LineDiagnostics,
         slots: TransactionSlots,
         deliver: Deliver,
         deliver_together: DeliverTogether | None = None,
-        peer: str = "",
-        listener: str = "",
-        role: str | None = None,
+        client: ClientIdentity | None = None,
         share: int | None = None,
-        is_priority: bool = False,
     ) -> None:
         """Create the session of a new connection.
 
         Args:
-            handler: answers the requests.
+            pipeline: answers the requests.
             diagnostics: counters and mode of the listener.
             slots: limit of requests that wait for their reply.
             deliver, deliver_together: send late replies, one or several.
-            peer, listener, role: passed on in the contexts of requests.
-            share: requests that one call processes, reads on the cached path not counted; None for no limit.
-            is_priority: whether the client is a priority host.
+            client: who sends the requests.
+            share: requests that one call processes, known reads not counted; None for no limit.
         """
-        self._handler = handler
+        self._pipeline = pipeline
+        self._client = ClientIdentity() if client is None else client
         self._diagnostics = diagnostics
         self._slots = slots
         self._deliver = deliver
-        self._peer = peer
-        self._listener = listener
-        self._role = role
-        self._is_priority = is_priority
         self._share = _NO_SHARE if share is None else share
         self._buffer = StreamBuffer()
-        self._memo: dict[int, Mapping[int, Answer]] = {}
-        self._generation = handler.generation
-        self._planner = handler if isinstance(handler, ReadPlanner) else None
-        self._plans = self._planned()
+        self._generation = pipeline.generation
+        self._fast = pipeline.fast_path(self._client)
+        responder = pipeline.responder
+        self._forwarder = responder if isinstance(responder, ReadForwarder) else None
         self._reads = None
-        if isinstance(handler, ReadForwarder):
+        if self._forwarder is not None:
             self._reads = ForwardedReads(
-                self._forwarded(handler),
-                peer=peer,
-                is_priority=is_priority,
+                self._fast.forwards,
+                client=self._client,
                 slots=slots,
                 diagnostics=diagnostics,
                 deliver=deliver_together or self._deliver_each,
+                observed_by=pipeline if pipeline.observers else None,
             )
         # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
         self._waiting: set[RequestContext] | None = None
         self.broken: str = ""
         self.deferred: list[Deferred] = []
-        self.failures: list[HandlerFailure] = []
-        self.unfinished: int = 0
-        self.requests: int = 0
-        self.discarded: int = 0
-        self.refused_busy: int = 0
-        self.rest: bytes = b""
-        self.spent: int = 0
+        self.failures: list[ResponderFailure] = []
+        self.unfinished = 0
+        self.requests = 0
+        self.discarded = 0
+        self.refused_busy = 0
+        self.rest = b""
+        self.spent = 0
 
     @property
     def waiting(self) -> int:
@@ -191,22 +168,20 @@ class TcpServerSession:
         if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
             self.unfinished = 0
-        if self._generation != self._handler.generation:
-            self._generation = self._handler.generation
-            self._memo.clear()
-            self._plans = self._planned()
-            if self._reads is not None and isinstance(self._handler, ReadForwarder):
-                self._reads.plans = self._forwarded(self._handler)
-        diagnostics = self._diagnostics
-        muted = diagnostics.listen_only_units  # one listen-only unit is enough to turn the fast path off
-        plans = self._plans if not muted else {}
+        pipeline = self._pipeline
+        if self._generation != pipeline.generation:
+            self._renew_fast_path()
+        muted = self._diagnostics.listen_only_units  # one listen-only unit is enough to turn the fast path off
+        fast = NO_FAST_PATH if muted else self._fast
+        known = fast.reads
+        began = pipeline.clock() if pipeline.observers else None
         out: list[bytes] = []
         at = 0
-        if plans and not size % READ_SIZE:
+        if known and not size % READ_SIZE:
             # A poller sends only reads, and repeats them. Cut by one call, without copying the buffer, they take
             # 0.47 µs each, of which 0.2 are for building the answer; by the loop below 0.6.
             for transaction, asked in _cut_reads(memoryview(buffer)[:size]):
-                plan = plans.get(asked)
+                plan = known.get(asked)
                 if plan is None:
                     break
                 out.append(transaction + plan.head + plan.block.data[plan.part])
@@ -214,6 +189,8 @@ class TcpServerSession:
             if at == size:
                 if size:
                     self._count(buffer[_UNIT:size:READ_SIZE])
+                if began is not None:
+                    pipeline.answered(self._client, out, began)
                 return out
         reads = self._reads if not muted else None
         if reads is not None and not (out or size % READ_SIZE):
@@ -224,8 +201,9 @@ class TcpServerSession:
                 return out
         if buffer.__class__ is not bytes:
             buffer = bytes(memoryview(buffer)[:size])
-        memo = self._memo if not muted else {}
-        learns = self._planner is not None and len(self._plans) < _PLAN_LIMIT
+        functions = fast.functions
+        client = self._client
+        learns = len(known) < MOST_READS
         left = self._share
         last = size - _LEAST_SIZE
         counted = 0  # answers of ``out``; those after them are of the fast path, and counted together
@@ -233,7 +211,7 @@ class TcpServerSession:
         # of the ten bytes after its transaction. Another request of the fast path takes 1.0 µs, half of it for the call
         # of the compiled answer.
         while at <= last:
-            plan = plans.get(buffer[at + 2 : at + 12])
+            plan = known.get(buffer[at + 2 : at + 12])
             if plan is not None:
                 out.append(buffer[at : at + 2] + plan.head + plan.block.data[plan.part])
                 at += 12
@@ -256,32 +234,35 @@ class TcpServerSession:
                 break
             left -= 1
             if not protocol:
-                answers = memo.get(unit)
-                if answers is None:
-                    answers = self._offers(unit)
-                answer = answers.get(function)
-                if answer is not None:
-                    reply = answer(buffer, at + 7, end)
-                    if reply is not None:
-                        out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
-                        if function <= 4 and learns and length == 6:
-                            learns = self._learn(unit, buffer[at:end])
-                        at = end
-                        continue
+                try:
+                    answer = functions[buffer[at + 6 : at + 8]]
+                except KeyError:
+                    answer = fast.bind(unit, function)
+                reply = None if answer is None else answer(buffer, at + 7, end, client)
+                if reply is not None:
+                    out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
+                    if function <= 4 and learns and length == 6:
+                        learns = fast.learn_read(buffer[at:end])
+                    at = end
+                    continue
                 # Count the answers of the fast path so far: the generic path may read the counters.
                 if len(out) > counted:
                     self._count(bytes(map(_unit_of, out[counted:])))
+                    if began is not None:
+                        pipeline.answered(client, out[counted:], began)
                     counted = len(out)
-                if reads is not None and self._can_forward(reads, unit, buffer[at:end]):
+                if reads is not None and self._can_forward(unit, buffer[at:end]):
                     left += 1  # it is taken in the next round
                     continue
                 adu = self._generic_path(transaction, unit, bytes(buffer[at + 7 : end]))
                 if adu:
                     out.append(adu)
                     counted += 1
+                if began is not None:
+                    began = pipeline.clock()
                 # Function 08 may have muted a unit, or woken it.
-                memo = self._memo if not muted else {}
-                plans = self._plans if not muted else {}
+                fast = NO_FAST_PATH if muted else self._fast
+                known, functions = fast.reads, fast.functions
                 reads = self._reads if not muted else None
             else:
                 self.discarded += 1
@@ -291,6 +272,8 @@ class TcpServerSession:
                 self._count(buffer[_UNIT:at:READ_SIZE])
             else:
                 self._count(bytes(map(_unit_of, out[counted:])))
+            if began is not None:
+                pipeline.answered(client, out[counted:], began)
         self.spent = self._share - left
         if not left and at <= last and not self.broken:
             self.rest = buffer[at:size]
@@ -327,39 +310,15 @@ class TcpServerSession:
             context.diagnostics.kept_silent()
             context.abandon()
 
-    def _offers(self, unit: int) -> Mapping[int, Answer]:
-        if self._diagnostics.listen_only_units:
-            return {}
-        if len(self._memo) >= _MEMO_LIMIT:
-            self._memo.clear()
-        context = self._context(unit, 0, 0)
-        offers = self._memo[unit] = self._handler.direct(context)
-        return offers
+    def _renew_fast_path(self) -> None:
+        self._generation = self._pipeline.generation
+        self._fast = self._pipeline.fast_path(self._client)
+        if self._reads is not None:
+            self._reads.plans = self._fast.forwards
 
-    def _planned(self) -> dict[bytes, ReadPlan]:
-        """The cached read plans that apply to this connection's rights."""
-        return {} if self._planner is None else self._planner.plans(self._context(0, 0, 0))
-
-    def _learn(self, unit: int, adu: bytes) -> bool:
-        """Cache a plan of a read that was just answered. Returns whether there is room for another."""
-        assert self._planner is not None
-        plan = self._planner.plan(self._context(unit, adu[7], 0), adu[7:])
-        if plan is not None:
-            self._plans[adu[2:]] = plan
-        return len(self._plans) < _PLAN_LIMIT
-
-    def _forwarded(self, handler: ReadForwarder) -> ForwardPlans:
-        """The forwarding plans that apply to this connection's rights."""
-        return handler.forward_plans(self._context(0, 0, 0))
-
-    def _can_forward(self, reads: ForwardedReads, unit: int, adu: bytes) -> bool:
-        """Ask the handler for the plan of a new read. Returns whether it is forwarded from now on."""
-        key = adu[2:]
-        if not is_read(adu) or key in reads.plans or not isinstance(self._handler, ReadForwarder):
-            return False  # a known read comes here if no slot is left, or it needs the generic path
-        plan = self._handler.forward_plan(self._context(unit, adu[7], 0), adu[7:])
-        reads.plans.learn(key, plan)
-        return plan is not None
+    def _can_forward(self, unit: int, adu: bytes) -> bool:
+        assert self._forwarder is not None
+        return self._fast.can_forward(self._forwarder, self._context(unit, adu[7], 0), adu)
 
     def _deliver_each(self, adus: list[bytes]) -> None:
         for adu in adus:
@@ -382,10 +341,7 @@ class TcpServerSession:
             unit=unit,
             function=function,
             diagnostics=self._diagnostics.of(unit),
-            peer=self._peer,
-            listener=self._listener,
-            role=self._role,
-            is_priority=self._is_priority,
+            client=self._client,
             transaction=transaction,
             finish=self._finish,
         )
@@ -404,19 +360,9 @@ class TcpServerSession:
         if slots.used >= slots.limit and not diagnostics.listen_only:
             self.refused_busy += 1
             return self._encode(context, ExceptionResponse(function, ExceptionCode.SERVER_DEVICE_BUSY))
-        outcome: Outcome
-        if diagnostics.listen_only and function != FunctionCode.DIAGNOSTICS:
-            outcome = Deferral.SILENCE
-        elif function == 0:
-            outcome = ExceptionResponse(0, ExceptionCode.ILLEGAL_FUNCTION)
-        else:
-            was_listen_only = diagnostics.listen_only
-            outcome = self._ask(context, pdu)
-            if was_listen_only or diagnostics.listen_only:
-                # Function 08 itself is answered neither when it mutes the unit nor when it wakes it.
-                outcome = Deferral.SILENCE
+        outcome = self._pipeline.answer(context, pdu, self.failures)
         if context.replied:
-            return b""  # by ``reply``, before the handler returned; a request has one answer
+            return b""  # by ``reply``, before the responder returned; a request has one answer
         if isinstance(outcome, Message):
             context._finish = None
             return self._encode(context, outcome)
@@ -431,16 +377,6 @@ class TcpServerSession:
         if outcome is not LATER:
             self.deferred.append(Deferred(context, outcome))
         return b""
-
-    def _ask(self, context: RequestContext, pdu: bytes) -> Outcome:
-        handler = self._handler
-        try:
-            return handler.handle(context, handler.functions.decode_request(pdu))
-        except Refusal as refusal:
-            return ExceptionResponse(context.function, refusal.code)
-        except Exception as error:
-            self.failures.append(HandlerFailure(context, error))
-            return ExceptionResponse(context.function, ExceptionCode.SERVER_DEVICE_FAILURE)
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
         """Send a late reply that was given to `RequestContext.reply`."""

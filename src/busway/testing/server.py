@@ -26,11 +26,11 @@ from ..faults.clock import Clock, LoopClock
 from ..faults.connections import FaultyTap
 from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
 from ..faults.profiles import FAULT_PROFILES
-from ..faults.responder import FaultyHandler
+from ..faults.responder import FaultyResponder
 from ..options.server import UnitPolicy
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
-from ..server.local import LocalHandler
+from ..server.local import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
@@ -81,10 +81,10 @@ class FaultyServer:
         for fault in _faults_of(fault_profiles, options):
             self.faults.add(fault)
         self._tap = FaultyTap(self.faults, clock, changed=self._change)
-        handler = LocalHandler(units, unit_policy=policy, functions=functions)
+        responder = DeviceResponder(units, unit_policy=policy, functions=functions)
         self._server = Server(
             [f"tcp://[{host}]:0" if ":" in host else f"tcp://{host}:0"],
-            FaultyHandler(handler, self.faults, self._tap, heard=self._heard),
+            FaultyResponder(responder, self.faults, self._tap, heard=self._heard),
             tap=self._tap,
             standard_port=False,
         )

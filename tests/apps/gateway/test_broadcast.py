@@ -170,7 +170,7 @@ async def test_a_server_on_tcp_hears_it_only_if_it_is_told_to() -> None:
         assert isinstance(request, busway.WriteSingleRegister)
         return request
 
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(answer)) as server:
         lines = {"tcp": server.endpoints[0]}
         async with gateway(Route(upstream="tcp", units=OTHERS), lines=lines) as (_, link):
             assert await refusal(link.unit(0).write_single_register(5, 55)) == 0x0A
@@ -318,8 +318,8 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
         )
         async with Gateway(plan, policy=policy) as made, busway.open(made.endpoints[0], timeout=3) as link:
             for guard in made._running.values():
-                assert guard.guard is not None
-                guard.guard._clock = lambda: 0.0  # no time passes: two are allowed, and no third one
+                assert guard.authorizer is not None
+                guard.authorizer._clock = lambda: 0.0  # no time passes: two are allowed, and no third one
             allow_all = link.unit(0)
             await allow_all.write_single_register(5, 55)
             await allow_all.write_single_register(6, 66)
@@ -372,7 +372,7 @@ async def test_a_serial_listener_whose_route_names_no_units_reaches_a_server_on_
         return request
 
     listener = GatewayListener("office", Listener("rtu+tcp://127.0.0.1:0"))
-    async with bus() as line, busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server:
+    async with bus() as line, busway.serve(ANY_PORT, responder=ScriptedHandler(answer)) as server:
         async with gateway(
             Route(upstream="line", units=frozenset({1, 2})),
             Route(upstream="tcp"),

@@ -19,7 +19,7 @@ from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import LATER, Deferral, RequestContext
+from busway.session.responder import LATER, ClientIdentity, Deferral, RequestContext
 
 UNITS = range(1, 11)
 CLIENTS = 4
@@ -77,9 +77,13 @@ class Pollers:
             self.done(client, unit, reply, begun)
 
         context = RequestContext(
-            unit=unit, function=3, diagnostics=CommunicationState(), peer=f"client {client}", finish=finish
+            unit=unit,
+            function=3,
+            diagnostics=CommunicationState(),
+            finish=finish,
+            client=ClientIdentity(peer=f"client {client}"),
         )
-        outcome = self.handler.handle(context, request)
+        outcome = self.handler.answer(context, request)
         if outcome is not LATER:
             assert isinstance(outcome, Message)
             self.done(client, unit, outcome, begun)

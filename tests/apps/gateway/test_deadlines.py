@@ -69,7 +69,7 @@ class Slow:
 async def test_what_waited_beyond_its_clients_deadline_is_never_sent_and_0a() -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, None), timeout=5) as made,
         client(made, 1) as patient,
         client(made, 0, max_transactions=4) as hurried,
@@ -88,7 +88,7 @@ async def test_what_waited_beyond_its_clients_deadline_is_never_sent_and_0a() ->
 async def test_the_request_on_the_wire_at_the_deadline_is_0b() -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1,), timeout=5) as made,
         client(made) as link,
     ):
@@ -99,7 +99,7 @@ async def test_the_request_on_the_wire_at_the_deadline_is_0b() -> None:
 async def test_a_broadcast_has_the_deadline_of_its_client_too() -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, None), timeout=5, broadcast=True) as made,
         client(made, 1) as patient,
         client(made, 0) as hurried,
@@ -116,7 +116,7 @@ async def test_a_broadcast_has_the_deadline_of_its_client_too() -> None:
 async def test_who_shares_a_read_has_his_own_deadline_and_not_that_of_another(later: float | None) -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, later), timeout=5) as made,
         client(made, 1, max_transactions=2) as patient,
         client(made, 0) as hurried,
@@ -142,7 +142,7 @@ async def test_who_joins_a_read_with_less_time_than_the_first_has_0b_when_his_is
     slow = Slow()
     route = Route(upstream="line", cache=cache)
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, None), route=route, timeout=5) as made,
         client(made, 1) as patient,
         client(made, 0) as hurried,
@@ -162,7 +162,7 @@ async def test_a_read_for_which_nobody_has_time_left_is_taken_back(cache: float 
     slow = Slow()
     route = Route(upstream="line", cache=cache)
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], deadlines=(0.1, 0.15, None), route=route, timeout=5) as made,
         client(made, 2) as patient,
         client(made, 1) as second,

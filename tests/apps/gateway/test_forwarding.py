@@ -2,16 +2,16 @@
 
 import gc
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from authorizing import AuthorizedPipeline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import busway
-from busway.access.authorizer import PolicyHandler
 from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import AddressRange, ListenerRoutes, Route, RouteAction
@@ -19,7 +19,6 @@ from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
 from busway.codes import Table
 from busway.framing.mbap import MbapReceiver, encode_mbap
-from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest, FunctionTable
 from busway.pdu.message import Touch
 from busway.pdu.read_items import ReadRegisters
@@ -27,7 +26,8 @@ from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarding import ReadForwarder
-from busway.session.handler import Outcome, RequestContext
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -163,11 +163,11 @@ class LongRoad:
         self.functions: FunctionTable = inner.functions
         self.generation = 0
 
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        return self.inner.handle(context, request)
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        return self.inner.answer(context, request)
 
 
 class Client:
@@ -183,8 +183,7 @@ class Client:
             slots=self.slots,
             deliver=lambda adu: self.writes.append([adu]),
             deliver_together=self.writes.append,
-            peer=name,
-            is_priority=is_priority,
+            client=ClientIdentity(peer=name, is_priority=is_priority),
         )
         self.transaction = 0
 
@@ -224,9 +223,8 @@ class Plant:
         self.link = WireLink(self.line)
         self.listener = ListenerRouter("office", busway.STANDARD)
         self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.forwarder})
-        self.handler: Any = self.listener if batches else LongRoad(self.listener)
-        if policy is not None:
-            self.handler = PolicyHandler(self.handler, policy)
+        responder = self.listener if batches else LongRoad(self.listener)
+        self.handler: Any = RequestPipeline(responder) if policy is None else AuthorizedPipeline(responder, policy)
 
     def client(self, name: str, **options: Any) -> Client:
         return Client(self.handler, name, **options)
@@ -439,7 +437,9 @@ class ReadKnownValues(ReadRegisters):
 def test_a_reply_that_its_function_does_not_take_is_not_handed_on(batches: bool) -> None:
     plant = Plant(batches=batches)
     plant.listener.functions = FunctionTable(*(one for one in busway.STANDARD if one.code != 3), ReadKnownValues)
-    plant.handler.functions = plant.listener.functions
+    responder = plant.handler.responder
+    responder.functions = plant.listener.functions
+    plant.handler = RequestPipeline(responder)
     client = plant.client("client")
     for _ in range(2):
         client.ask(read(7), read(8))
@@ -575,7 +575,8 @@ def test_the_end_of_a_read_from_before_a_write_leaves_the_one_after_it_to_be_sha
 @pytest.mark.parametrize("first", [0, 1])
 def test_reads_of_the_generic_path_and_of_batches_share_with_each_other(first: int) -> None:
     plant = Plant()
-    clients = [Client(handler, "client") for handler in (plant.listener, LongRoad(plant.listener))]
+    responders = (plant.listener, LongRoad(plant.listener))
+    clients = [Client(RequestPipeline(responder), "client") for responder in responders]
     one, two = clients[first], clients[1 - first]
     one.ask(read(5), read(6))
     two.ask(read(6), read(5))
@@ -665,8 +666,8 @@ def test_reads_that_a_policy_permits_go_together_and_those_that_it_denies_go_now
     plant.handler.replace_policy(busway.Policy.of(default="deny"))
     client.ask(read(0))
     assert list(client.got().values()) == [bytes((0x83, 1))]
-    assert isinstance(plant.handler, ReadForwarder)
-    assert not isinstance(PolicyHandler(LongRoad(plant.listener), POLICY), ReadForwarder)
+    assert isinstance(plant.listener, ReadForwarder)
+    assert not isinstance(LongRoad(plant.listener), ReadForwarder)
 
 
 # Turns.

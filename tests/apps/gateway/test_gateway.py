@@ -75,7 +75,7 @@ async def test_an_unknown_function_is_forwarded_unread() -> None:
         return OpaqueRequest(request.function, request.data[::-1])
 
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(answer)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(answer)) as server,
         through(simple_plan([ANY_PORT], server.endpoints[0])) as (_, link),
     ):
         reply = await link.unit(9).execute(OpaqueRequest(0x65, b"abc"))
@@ -226,7 +226,7 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
 
 async def test_identical_reads_in_flight_are_asked_once() -> None:
     gate = HeldReplies()
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5)
         async with Gateway(made) as gateway, contextlib.AsyncExitStack() as stack:
             links = [
@@ -258,7 +258,7 @@ async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_wri
 async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False)
         async with Gateway(made) as gateway:
             leaving = busway.open(gateway.endpoints[0], max_transactions=8, timeout=5, shared=False)
@@ -276,7 +276,7 @@ async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> No
 
 async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
     gate = HeldReplies()
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
         gateway = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5))
         await gateway.start()
         endpoint = gateway.endpoints[0]
@@ -297,7 +297,7 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
 async def test_draining_takes_nothing_new_from_any_network_listener(scheme: str) -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    async with busway.serve(ANY_PORT, handler=handler) as server:
+    async with busway.serve(ANY_PORT, responder=handler) as server:
         gateway = Gateway(simple_plan([f"{scheme}://127.0.0.1:0"], server.endpoints[0], timeout=5, share_reads=False))
         await gateway.start()
         options = {"timeout": 5, "retries": 0, "shared": False}
@@ -324,7 +324,7 @@ async def test_draining_takes_nothing_new_from_a_serial_listener() -> None:
     handler = ScriptedHandler(gate.decide)
     with PacedLine(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
-        async with busway.serve(ANY_PORT, handler=handler) as server:
+        async with busway.serve(ANY_PORT, responder=handler) as server:
             gateway = Gateway(simple_plan([urls[0]], server.endpoints[0], timeout=5))
             await gateway.start()
             line.inject(encode_rtu(1, busway.ReadHoldingRegisters(1000, 1).encode()))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import busway
-from busway.access.audit import AuditLog
+from busway.access.audit_log import AuditLog
 from busway.apps.gateway.gateway import Gateway, simple_plan
 from busway.client.link import AsyncLinkDriver
 from busway.server.connection import ServerConnection

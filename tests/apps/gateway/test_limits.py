@@ -23,7 +23,7 @@ from busway.options.server import ListenerParameters
 from busway.server.listener import Listener
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import RequestContext
+from busway.session.responder import ClientIdentity, RequestContext
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -124,9 +124,13 @@ def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) 
         contexts = []
         for number in range(first, first + 100):
             context = RequestContext(
-                unit=number % 256, function=3, diagnostics=diagnostics, peer=f"10.0.0.1:{number}", finish=_ignored
+                unit=number % 256,
+                function=3,
+                diagnostics=diagnostics,
+                finish=_ignored,
+                client=ClientIdentity(peer=f"10.0.0.1:{number}"),
             )
-            handler.handle(context, busway.ReadHoldingRegisters(number % 65_000, 10))
+            handler.answer(context, busway.ReadHoldingRegisters(number % 65_000, 10))
             contexts.append(context)
         if goes:
             for context in contexts:
@@ -165,8 +169,10 @@ def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_c
     handler.follow(ListenerRoutes([Route(upstream="line")]), {"line": forwarder})
 
     def ask(peer: str, address: int) -> Taking:
-        context = RequestContext(unit=1, function=3, diagnostics=CommunicationState(), peer=peer, finish=_ignored)
-        handler.handle(context, busway.ReadHoldingRegisters(address, 10))
+        context = RequestContext(
+            unit=1, function=3, diagnostics=CommunicationState(), finish=_ignored, client=ClientIdentity(peer=peer)
+        )
+        handler.answer(context, busway.ReadHoldingRegisters(address, 10))
         (used,) = [link for link in links if link.taken]
         used.answer_all()
         return used

@@ -71,7 +71,7 @@ async def test_reads_never_go_back_behind_a_write_or_another_read(seed: int, cac
     chance = random.Random(seed)
     device = SlowRegister(chance)
     history = History()
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(device.decide)) as server:  # type: ignore[arg-type]
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(device.decide)) as server:  # type: ignore[arg-type]
         plan = GatewayPlan(
             listeners=(GatewayListener("office", Listener(ANY_PORT)),),
             upstreams=(

@@ -19,6 +19,7 @@ from busway.faults.clients import SLOW_LORIS
 from busway.framing.rtu import encode_rtu
 from busway.options.server import ListenerParameters, ServerParameters
 from busway.server.listener import Listener
+from busway.session.responder import ServedUnit
 
 ANY_PORT = "tcp://127.0.0.1:0"
 NETWORK_LISTENERS = ("tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp")
@@ -59,12 +60,12 @@ def only(*units: int, line: str = "line") -> Route:
 @pytest.mark.parametrize("behind", LINES)
 async def test_a_line_that_is_down_is_0a_and_one_that_does_not_answer_is_0b(scheme: str, behind: str) -> None:
     silent = ScriptedHandler(lambda context, request: busway.SILENCE)
-    silent_units = frozenset({1})
 
     class Silent(ScriptedHandler):
-        serial_units = silent_units
+        def serves(self, unit: int) -> ServedUnit | None:
+            return ServedUnit(unit) if unit == 1 else None
 
-    async with busway.serve(f"{behind}://127.0.0.1:0", handler=Silent(silent.decide)) as server:
+    async with busway.serve(f"{behind}://127.0.0.1:0", responder=Silent(silent.decide)) as server:
         port = 9 if behind.endswith("udp") else 1
         async with gateway(
             scheme,
@@ -297,7 +298,7 @@ async def test_two_requests_on_a_serial_listener_the_first_is_given_up_by_its_ma
     """A master that speaks again has given up; the late answer to its first request is not sent any more."""
     gate = HeldReplies()
     async with contextlib.AsyncExitStack() as stack:
-        server = await stack.enter_async_context(busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)))
+        server = await stack.enter_async_context(busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)))
         lines = {"line": server.endpoints[0]}
         made, _ = await stack.enter_async_context(gateway("rtu+tcp", only(1), lines=lines, timeout=5))
         host, port = made.endpoints[0].rpartition("://")[2].split(":")

@@ -15,7 +15,7 @@ from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable
 from busway.pdu.general import ExceptionResponse, OpaqueRequest
 from busway.pdu.message import ReplyMessage, Request
 from busway.server.listener import Listener
-from busway.session.handler import Handler, Outcome
+from busway.session.responder import Outcome, Responder, ServedUnit
 from busway.testing.line import PacedLine
 
 BAUD = 115_200
@@ -28,12 +28,14 @@ pytestmark = [pytest.mark.clause("T32"), pytest.mark.clause("S8"), pytest.mark.r
 class Serving(ScriptedHandler):
     """Says which units are its own, so that it may stand on a line."""
 
-    serial_units = frozenset({3})
+    def serves(self, unit: int) -> ServedUnit | None:
+        """Unit 3."""
+        return ServedUnit(unit) if unit == 3 else None
 
 
 @contextlib.asynccontextmanager
 async def between(
-    listener: str, line: str, handler: Handler, functions: FunctionTable = STANDARD, adaptive_timeout: float = 2.0
+    listener: str, line: str, handler: Responder, functions: FunctionTable = STANDARD, adaptive_timeout: float = 2.0
 ) -> AsyncIterator[busway.AsyncUnit]:
     """Unit 3 of ``handler`` on a line, seen through a gateway."""
     with contextlib.ExitStack() as wires:
@@ -45,7 +47,7 @@ async def between(
             return tuple(f"{scheme}://{path}?baud={BAUD}" for path in wire.paths)  # type: ignore[return-value]
 
         outer, inner = ends(listener), ends(line)
-        async with busway.serve(inner[0], handler=handler) as server:
+        async with busway.serve(inner[0], responder=handler) as server:
             plan = GatewayPlan(
                 (GatewayListener("office", Listener(outer[0])),),
                 (UpstreamSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),

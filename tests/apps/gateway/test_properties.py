@@ -22,7 +22,7 @@ from busway.faults.clock import FakeClock
 from busway.pdu.message import Message
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import LATER, SILENCE, Deferral, RequestContext
+from busway.session.responder import LATER, SILENCE, ClientIdentity, Deferral, RequestContext
 
 SIZE = 3000
 """Items of each table of a device. What lies beyond does not exist."""
@@ -91,10 +91,10 @@ def asked_by(handler: ListenerRouter, unit: int, pdu: bytes, *, peer: str = "cli
         unit=unit,
         function=pdu[0],
         diagnostics=CommunicationState(),
-        peer=peer,
         finish=lambda _, reply: seen.append(reply),
+        client=ClientIdentity(peer=peer),
     )
-    outcome = handler.handle(context, handler.functions.decode_request(pdu))
+    outcome = handler.answer(context, handler.functions.decode_request(pdu))
     if outcome is not LATER:
         assert not seen
         seen.append(outcome)  # type: ignore[arg-type]

@@ -58,7 +58,7 @@ async def test_who_may_not_read_a_range_gets_no_shared_and_no_remembered_read_of
     slow = Slow()
     units = frozenset(range(1, 248))
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         Gateway(plan(server.endpoints[0], units=units, cache=cache), policy=Policy((), default=Action.ALLOW)) as made,
     ):
         permitted, denied = made.endpoints

@@ -90,7 +90,7 @@ class Slow:
 async def test_the_rest_of_a_split_read_is_not_asked_for_a_client_that_has_gone() -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], route=Route(upstream="line", max_registers=10), timeout=5) as made,
     ):
         leaving = client(made)
@@ -112,7 +112,7 @@ async def test_a_split_write_that_has_begun_is_written_to_its_end() -> None:
     slow = Slow()
     route = Route(upstream="line", max_registers=2, split_writes=True, cache=60)
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], route=route, timeout=5) as made,
     ):
         leaving = client(made)
@@ -130,7 +130,7 @@ async def test_a_split_write_that_has_begun_is_written_to_its_end() -> None:
 async def test_a_shared_read_lives_as_long_as_anybody_waits_for_it() -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], timeout=5) as made,
     ):
         links = [client(made) for _ in range(3)]
@@ -158,7 +158,7 @@ async def test_a_shared_read_lives_as_long_as_anybody_waits_for_it() -> None:
 async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None:
     slow = Slow()
     async with (
-        busway.serve(ANY_PORT, handler=ScriptedHandler(slow.decide)) as server,
+        busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
         gateway(server.endpoints[0], timeout=5, max_transactions=4) as made,
     ):
         links = [client(made) for _ in range(2)]
@@ -179,7 +179,7 @@ async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None
 async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | None) -> None:
     before = open_handles()
     gate = HeldReplies()
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
         route = Route(upstream="line", cache=cache, max_registers=3)
         async with gateway(server.endpoints[0], route=route, timeout=5, queue=1000) as made:
             for turn in range(15):
@@ -304,7 +304,7 @@ async def test_a_write_whose_connection_is_lost_is_0b_and_one_that_waited_is_0a(
 async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> None:
     before = open_handles()
     gate = HeldReplies()
-    async with busway.serve(ANY_PORT, handler=ScriptedHandler(gate.decide)) as server:
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
         made = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False))
         await made.start()
         async with client(made, max_transactions=8) as link:

@@ -10,13 +10,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import busway
-from busway.pdu.direct import Answer
 from busway.pdu.functions import AnyRequest
-from busway.session.handler import Outcome
+from busway.session.responder import Outcome, ServedUnit
 
 SLOW = 1000
 
@@ -30,11 +28,10 @@ class HeldReplies:
     def __init__(self) -> None:
         self.opened = asyncio.Event()
 
-    def direct(self, context: busway.RequestContext) -> Mapping[int, Answer]:
-        """No short road."""
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
         """Answer with addresses, or with what was written."""
         if isinstance(request, busway.WriteSingleRegister):
             return busway.WriteSingleRegister.Reply(request.address, request.value)
@@ -78,7 +75,7 @@ async def main(endpoint: str, options: dict[str, Any]) -> None:
     """Serve until the input ends."""
     gate = HeldReplies()
     loop = asyncio.get_running_loop()
-    async with busway.serve(endpoint, handler=gate, **options) as server:
+    async with busway.serve(endpoint, responder=gate, **options) as server:
         print("ready", flush=True)
         while line := await loop.run_in_executor(None, sys.stdin.readline):
             asked = json.loads(line)

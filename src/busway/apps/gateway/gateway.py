@@ -13,14 +13,13 @@ Knows servers, routes and upstreams; knows no file.
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from ...access.authorizer import PolicyHandler
+from ...access.authorizer import PolicyAuthorizer
 from ...access.rates import Rates
-from ...access.rules import Action as PolicyAction
 from ...access.rules import Policy
 from ...client.settings import LinkSettings, link_settings, options_of
 from ...codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
@@ -33,12 +32,13 @@ from ...pdu.functions import STANDARD, FunctionTable
 from ...server.authorisation import Authorise, allow_all
 from ...server.counters import ServerCounters
 from ...server.listener import Listener
-from ...server.local import LocalHandler
+from ...server.local import DeviceResponder
 from ...server.naming import is_loopback
 from ...server.server import Server, ServerStatus
 from ...server.status import ConnectionStatus, ListenerStatus
-from ...session.handler import Handler
+from ...session.pipeline import RequestObserver
 from ...session.reconnect import ConnectionState
+from ...session.responder import Responder
 from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
 from .own_unit import STATES, own_device
@@ -47,7 +47,7 @@ from .routes import RoutingTable
 from .upstream import MAX_CONNECTIONS, Upstream, UpstreamStatus
 
 if TYPE_CHECKING:
-    from ...access.audit import AuditLog
+    from ...access.audit_log import AuditLog
 
 DRAIN_SECONDS = 5.0
 UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
@@ -210,15 +210,15 @@ class GatewayStatus:
 @dataclass(slots=True)
 class _RunningListener:
     listener: GatewayListener
-    handler: ListenerRouter
-    guard: PolicyHandler | None
+    responder: ListenerRouter
+    authorizer: PolicyAuthorizer | None
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
         """Apply changed options that need no new server; connections stay."""
         self.listener = listener
-        self.handler.deadline = listener.deadline
-        self.handler.silent_broadcasts = listener.silent_broadcasts
+        self.responder.deadline = listener.deadline
+        self.responder.silent_broadcasts = listener.silent_broadcasts
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ class Gateway:
         authorise: called at every listener with the host of a new client; decides whether it may connect.
         policy: rules for the requests at every listener; None permits all.
         audit: where denied requests and writes are recorded.
-        wrap: puts a handler around that of each listener (metrics, for example); None for none.
+        observers: see the requests of all listeners (metrics, for example).
 
     Attributes:
         plan: the configuration in force.
@@ -288,21 +288,21 @@ class Gateway:
         authorise: Authorise = allow_all,
         policy: Policy | None = None,
         audit: "AuditLog | None" = None,
-        wrap: Callable[[Handler], Handler] | None = None,
+        observers: Iterable[RequestObserver] = (),
     ) -> None:
         self.plan: GatewayPlan = plan
         self._authorise = authorise
         self._policy = policy
         self._audit = audit
         self._rates: dict[str, Rates] = {}
-        self._wraps: list[Callable[[Handler], Handler]] = [] if wrap is None else [wrap]
+        self._observers = list(observers)
         self._listeners: dict[str, _RunningListener] = {}
         self._forwarders: dict[str, Forwarder] = {}  # by the name of their upstream
         self._started = 0.0
         self._functions: FunctionTable = CachingFunctionTable(plan.functions)
-        self._own: Handler | None = None
+        self._own: Responder | None = None
         if plan.own_unit is not None:
-            self._own = LocalHandler({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
+            self._own = DeviceResponder({plan.own_unit: own_device(self._numbers, registers=plan.own_registers)})
         self._running = {listener.name: self._made(listener, plan, {}, policy) for listener in plan.listeners}
 
     # Start and stop.
@@ -437,17 +437,22 @@ class Gateway:
 
     # Policy, security, counters.
 
-    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Put a handler around that of each listener, of those that a change brings too. Only while stopped.
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions that it decodes."""
+        return self._functions
+
+    def observe(self, observer: RequestObserver) -> None:
+        """Register an observer of the requests of all listeners. Only while stopped.
 
         Raises:
-            ConfigError: it is running, and conversations hold the handlers already.
+            ConfigError: it is running.
         """
         if self.is_running:
-            raise ConfigError("a running gateway keeps its handlers", key="handler")
-        self._wraps.append(wrap)
+            raise ConfigError("a running gateway keeps its observers", key="observer")
+        self._observers.append(observer)
         for each in self._running.values():
-            each.server.wrap_handler(wrap)
+            each.server.observe(observer)
 
     def replace_policy(self, policy: Policy) -> None:
         """Replace the policy of all listeners, from the next request on.
@@ -459,8 +464,8 @@ class Gateway:
             raise ConfigError("the gateway was made without a policy", key="policy")
         self._policy = policy
         for each in self._running.values():
-            if each.guard is not None:
-                each.guard.replace_policy(policy)
+            if each.authorizer is not None:
+                each.authorizer.replace_policy(policy)
 
     def reload_security(self) -> None:
         """As `Server.reload_security`, for every listener."""
@@ -479,7 +484,7 @@ class Gateway:
         """Set the counters of listeners and upstreams to zero."""
         for each in self._running.values():
             each.server.reset_counters()
-            _to_zero(each.handler.counters)
+            _to_zero(each.responder.counters)
         for upstream in self._upstreams:
             _to_zero(upstream.counters)
 
@@ -502,7 +507,7 @@ class Gateway:
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self.endpoints),
             gateway_listeners=tuple(
-                GatewayListenerStatus(name, each.server.status(), each.handler.counters)
+                GatewayListenerStatus(name, each.server.status(), each.responder.counters)
                 for name, each in self._running.items()
             ),
             upstreams=tuple(upstream.status() for upstream in self._upstreams),
@@ -535,7 +540,7 @@ class Gateway:
     def _made(
         self, listener: GatewayListener, plan: GatewayPlan, forwarders: Mapping[str, Forwarder], policy: Policy | None
     ) -> _RunningListener:
-        handler = ListenerRouter(
+        responder = ListenerRouter(
             listener.name,
             self._functions,
             own=self._own,
@@ -543,25 +548,25 @@ class Gateway:
             deadline=listener.deadline,
             silent_broadcasts=listener.silent_broadcasts,
         )
-        handler.follow(plan.table.of_listener(listener.name), forwarders)
-        outer: Handler = handler
-        guard = None
+        responder.follow(plan.table.of_listener(listener.name), forwarders)
+        authorizer = None
         if self._is_guarded:
-            everything = Policy(default=PolicyAction.ALLOW)
-            outer = guard = PolicyHandler(handler, policy or everything, self._audit, rates=self._rates)
-            handler.refusal_of = guard.refusal_of
+            authorizer = PolicyAuthorizer(policy or Policy.allow_all(), self._audit, rates=self._rates)
+            responder.refusal_of = authorizer.refusal_of
         # A client that half-closes has left: its requests must not keep a serial line busy.
         limits = listener.settings.limits or plan.server.get("listener") or ListenerParameters()
         settings = replace(listener.settings, limits=replace(limits, answer_half_closed=False))
         options = {**plan.server, "standard_port": _standard_port(listener, plan)}
-        server = Server((settings,), outer, authorise=self._authorise, **options)
-        for wrap in self._wraps:
-            server.wrap_handler(wrap)
-        return _RunningListener(listener, handler, guard, server)
+        server = Server(
+            (settings,), responder, authorise=self._authorise, authorizer=authorizer, audit=self._audit, **options
+        )
+        for observer in self._observers:
+            server.observe(observer)
+        return _RunningListener(listener, responder, authorizer, server)
 
     def _follow(self, listeners: Iterable[_RunningListener]) -> None:
         for each in listeners:
-            each.handler.follow(self.plan.table.of_listener(each.listener.name), self._forwarders)
+            each.responder.follow(self.plan.table.of_listener(each.listener.name), self._forwarders)
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:

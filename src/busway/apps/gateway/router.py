@@ -5,7 +5,7 @@ Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on
 1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered when it was sent. All
    units of an upstream hear it, so a route must permit the write for each of them, and the policy too.
 2. Requests without a route get 0A. Unit 0 and the own unit are then the gateway itself. A serial listener does not
-   answer for units without a route (`ListenerRouter.serial_units`).
+   answer for units without a route (`ListenerRouter.serves`).
 3. A malformed request is answered here, as by any server: it could not be framed on a serial line. A request with an
    unknown function is forwarded unread.
 """
@@ -15,16 +15,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
-from ...codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
+from ...codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ...errors import InvalidRequest
-from ...pdu.direct import Answer
 from ...pdu.functions import AnyRequest, FunctionTable
 from ...pdu.general import ExceptionResponse, MalformedRequest
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...pdu.wide import MAX_DATA, NARROW
-from ...session.forwarding import ForwardPlan, ForwardPlans
-from ...session.handler import LATER, SILENCE, Deferral, Handler, Outcome, RequestContext
+from ...session.forwarding import ForwardPlan
+from ...session.responder import LATER, SILENCE, Deferral, Outcome, RequestContext, Responder, ServedUnit
 from .forwarding import Batch, Forwarder, ForwardTarget
 from .routes import ListenerRoutes, Route, RouteAction, Straddles
 from .translation import Translated, echo
@@ -63,7 +62,7 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
 
 
 class ListenerRouter:
-    """The handler of one listener.
+    """The responder of one listener.
 
     Attributes:
         refusal_of: what a policy around it says of single units that hear a broadcast.
@@ -82,7 +81,7 @@ class ListenerRouter:
         name: str,
         functions: FunctionTable,
         *,
-        own: Handler | None = None,
+        own: Responder | None = None,
         own_unit: int = TCP_DEVICE_UNIT,
         deadline: float | None = None,
         silent_broadcasts: bool = False,
@@ -98,35 +97,22 @@ class ListenerRouter:
         self.refusal_of: RefusalOf = _no_refusal
         self._routes = ListenerRoutes(())
         self._forwarders: Mapping[str, Forwarder] = {}
-        self._serial_units: set[int] = set()
-        self._plans = ForwardPlans()
+        self._served: dict[int, ServedUnit] = {}
         self._targets: dict[tuple[int, str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
         """Use these routes from now on, with these forwarders by name of upstream. Open requests are still answered."""
         self._routes = routes
         self._forwarders = forwarders
-        self._plans = ForwardPlans()
         self._targets = {}
-        # Always the same set: listeners hold it as a live view.
-        self._serial_units.clear()
-        self._serial_units.update(unit for unit in routes.units if 1 <= unit <= LAST_SERIAL_UNIT)
-        if self._own is not None and self._own_unit <= LAST_SERIAL_UNIT:
-            self._serial_units.add(self._own_unit)
+        self._served = {unit: ServedUnit(unit) for unit in routes.units}
+        if self._own is not None:
+            self._served.setdefault(self._own_unit, ServedUnit(self._own_unit))
         self.generation += 1
 
-    @property
-    def serial_units(self) -> set[int]:
-        """The units that are answered where the listener is a serial line."""
-        return self._serial_units
-
-    def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-        """No compiled answers: every reply comes from an upstream."""
-        return {}
-
-    def forward_plans(self, context: RequestContext) -> ForwardPlans:
-        """The plans of forwarded reads; all clients of a listener have the same rights."""
-        return self._plans
+    def serves(self, unit: int) -> ServedUnit | None:
+        """The unit, if a route or the gateway itself answers for it."""
+        return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         """The plan of a read; None if it is refused, split, remembered, or its reply must be checked."""
@@ -148,7 +134,7 @@ class ListenerRouter:
         asked.prepare()
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Forward a request, answer it for the own unit, or refuse it."""
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
@@ -168,7 +154,7 @@ class ListenerRouter:
             found = None
         if found is None and self._own is not None and unit in (self._own_unit, BROADCAST_UNIT):
             self.counters.own += 1
-            return self._own.handle(context, request)
+            return self._own.answer(context, request)
         return self._no_route(context, found)
 
     def _forwarder_of(self, route: Route) -> Forwarder | None:
@@ -320,7 +306,7 @@ def _for_all_units(route: Route) -> Route:
 
 
 class _SingleRequest:
-    """A single request on its way upstream: its reply is the outcome of `handle`, or comes later by its context."""
+    """A single request on its way upstream: its reply is the outcome of `answer`, or comes later by its context."""
 
     __slots__ = ("_context", "_is_late", "_outcome", "batches", "is_priority", "peer")
 
@@ -389,10 +375,7 @@ class _Broadcast:
             unit=BROADCAST_UNIT,
             function=context.function,
             diagnostics=context.diagnostics,
-            peer=context.peer,
-            listener=context.listener,
-            role=context.role,
-            is_priority=context.is_priority,
+            client=context.client,
             finish=self.one_done,
         )
         self._parts.append(part)

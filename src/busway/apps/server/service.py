@@ -25,11 +25,12 @@ from ...config.files.system import SystemFile
 from ...config.live_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
 from ...config.unhurried import collecting_paused, keep_uncollected, let_go
 from ...errors import ConfigError
+from ...pdu.functions import FunctionTable
 from ...server.listener import Listener
-from ...session.handler import Handler
+from ...session.pipeline import RequestObserver
 
 if TYPE_CHECKING:
-    from ...access.audit import AuditLog
+    from ...access.audit_log import AuditLog
 
 _log = logging.getLogger("busway.service")
 
@@ -52,8 +53,12 @@ class RunningServer(Protocol):
     def status(self) -> Any:  # a dataclass, of its own kind
         """How it stands now."""
 
-    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Put a handler around what answers, before the start."""
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions that it decodes."""
+
+    def observe(self, observer: RequestObserver) -> None:
+        """Register an observer of requests, before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
         """Let another policy hold from the next request on."""
@@ -329,7 +334,7 @@ class Service:
         path = self._wishes.audit or self.configuration.audit
         if path is None:
             return None
-        from ...access.audit import AuditLog
+        from ...access.audit_log import AuditLog
 
         section = self.configuration.file.audit
         if section is None:

@@ -27,8 +27,9 @@ from ...access.rules import AccessRules, Policy
 from ...config.files.simulation import SimulationFile
 from ...errors import ConfigError, InvalidRequest, ModbusError
 from ...faults.switchboard import FaultSwitchboard
+from ...pdu.functions import STANDARD, FunctionTable
 from ...server.listener import Listener
-from ...session.handler import Handler
+from ...session.pipeline import RequestObserver
 from ...values.refusal import shown
 from .builder import build_simulation
 from .engine import Engine
@@ -122,7 +123,7 @@ class Simulation:
         put_on(self.board, self.declaration.file.fault)
         self.warnings: list[str] = []
         self._watchers: tuple[Watcher, ...] = ()
-        self._wraps: list[Callable[[Handler], Handler]] = []
+        self._observers: list[RequestObserver] = []
         self._server: Server | None = None
         self._clock = clock
         self._time = 0.0
@@ -314,17 +315,22 @@ class Simulation:
             listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
         )
         self.board.attach(server)
-        for wrap in self._wraps:
-            server.wrap_handler(wrap)
+        for observer in self._observers:
+            server.observe(observer)
         return server
 
     async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Nothing: units and listeners need a new start."""
         return []
 
-    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Put a handler around what answers, in every server that is made from now on."""
-        self._wraps.append(wrap)
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions that it decodes."""
+        return STANDARD
+
+    def observe(self, observer: RequestObserver) -> None:
+        """Register an observer of requests, of every server that is made from now on."""
+        self._observers.append(observer)
 
     # ---- running
 

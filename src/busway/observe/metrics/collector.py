@@ -42,7 +42,7 @@ _COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "broken_streams": ("broken_streams", "Connections closed because what came could not be followed any more."),
     "frame_timeouts": ("frame_timeouts", "Connections closed because a request began and did not end in time."),
     "reading_paused": ("reading_paused", "Times that a client did not take its replies and was not read from."),
-    "handler_failures": ("handler_failures", "Requests answered 04 because a handler failed."),
+    "responder_failures": ("responder_failures", "Requests answered 04 because a responder failed."),
     "requests": ("received_requests", "Requests that came in, answered or not."),
     "discarded_frames": ("discarded_frames", "Frames that got no answer: foreign, damaged, or replies."),
     "refused_busy": ("requests_refused_busy", "Requests answered 06 because all transaction slots were taken."),
@@ -88,18 +88,15 @@ class ServerCollector(Collector):
     Args:
         ask: gives the status, or None where the server does not say how it is.
         tally: counts of requests, if they are counted.
-        refusals: gives refused requests by name of the rule, if a policy counts them.
     """
 
     def __init__(
         self,
         ask: Callable[[], Any],  # a status: a dataclass like busway.server.server.ServerStatus
         tally: RequestTally | None = None,
-        refusals: Callable[[], Mapping[str, int]] | None = None,
     ) -> None:
         self._ask = ask
         self._tally = tally
-        self._refusals = refusals
 
     def collect(self) -> Iterator[Family]:
         """The families, with the numbers of now."""
@@ -113,12 +110,21 @@ class ServerCollector(Collector):
             yield from security_families(getattr(status, "listeners", ()))
             yield from gateway_listener_families(getattr(status, "gateway_listeners", ()))
             yield from upstream_families(getattr(status, "upstreams", ()))
+            refusals = _refusals(status)
+            if refusals:
+                meaning = "Requests that a rule of the policy refused."
+                yield _by_label("busway_policy_refusals", meaning, "rule", refusals)
         if self._tally is not None:
             yield from request_families(self._tally)
-        if self._refusals is not None:
-            yield _by_label(
-                "busway_policy_refusals", "Requests that a rule of the policy refused.", "rule", self._refusals()
-            )
+
+
+def _refusals(status: Any) -> Counter[str]:
+    """Refused requests by name of the rule: of a server, or of all listeners of a gateway."""
+    servers = [one.server for one in getattr(status, "gateway_listeners", ())] or [status]
+    found: Counter[str] = Counter()
+    for one in servers:
+        found.update(getattr(one, "refusals", {}))
+    return found
 
 
 class ClientCollector(Collector):

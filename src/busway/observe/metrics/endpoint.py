@@ -10,16 +10,16 @@ Knows a source with a status and a collector over it; knows no server.
 
 import asyncio
 import concurrent.futures
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from http import HTTPStatus
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 
 from ...errors import MissingExtra
-from ...session.handler import Handler
+from ...pdu.functions import FunctionTable
+from ...session.pipeline import RequestObserver
 from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
-from .handler import Classify, ClassifyByMark, MeteredHandler, classify_by_listener, metered
+from .observer import Classify, ClassifyByMark, MetricsObserver, classify_by_listener
 from .requests import RequestTally
 
 if TYPE_CHECKING:
@@ -34,17 +34,12 @@ class MetricsSource(Protocol):
     def status(self) -> Any:
         """How it stands: a dataclass like `busway.server.server.ServerStatus`."""
 
-    def wrap_handler(self, wrap: Callable[[Handler], Handler]) -> None:
-        """Put a handler around its handler; before it is started."""
-
-
-@runtime_checkable
-class CountsRefusals(Protocol):
-    """A handler that counts what its rules refuse."""
-
     @property
-    def refusals(self) -> Mapping[str, int]:
-        """Refused requests by name of the rule."""
+    def functions(self) -> FunctionTable:
+        """The functions that it decodes."""
+
+    def observe(self, observer: RequestObserver) -> None:
+        """Register an observer of its requests; before it is started."""
 
 
 @runtime_checkable
@@ -108,13 +103,14 @@ class MetricsEndpoint:
         self._loop = asyncio.get_running_loop()
         bound = bind_tcp(host, port)
         try:
-            handlers = _wrap(source, classify or _classify(source))
+            observer = MetricsObserver(RequestTally(source.functions.codes()), classify=classify or _classify(source))
+            source.observe(observer)
         except BaseException:
             bound.close()
             raise
-        self.tally: RequestTally = handlers[0].tally
+        self.tally = observer.tally
         self._registry = registry_of(
-            ServerCollector(self._ask, self.tally, refusals_of(handlers)),
+            ServerCollector(self._ask, self.tally),
             *(() if links is None else (ClientCollector(links),)),
         )
         self.url: str = f"http://{bound_name(bound)}/metrics"
@@ -180,36 +176,5 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
     return HttpResponse(encode(registry), content_type)
 
 
-def refusals_of(handlers: Sequence[MeteredHandler]) -> Callable[[], Mapping[str, int]] | None:
-    """A function that returns the refusals by rule; None if the handlers count none.
-
-    Args:
-        handlers: those of all listeners; more may come while it runs.
-    """
-    if not isinstance(handlers[0].inner, CountsRefusals):
-        return None
-
-    def together() -> Mapping[str, int]:
-        total: Counter[str] = Counter()
-        for each in list(handlers):
-            if isinstance(each.inner, CountsRefusals):
-                total.update(dict(each.inner.refusals))
-        return total
-
-    return together
-
-
 def _classify(source: MetricsSource) -> Classify:
     return ClassifyByMark(source.is_priority) if isinstance(source, MarksDevices) else classify_by_listener
-
-
-def _wrap(source: MetricsSource, classify: Classify) -> list[MeteredHandler]:
-    """The counting handlers, all on one tally: a gateway has one per listener, and gets more on a reload."""
-    made: list[MeteredHandler] = []
-
-    def wrap(inner: Handler) -> Handler:
-        made.append(metered(inner, made[0].tally if made else None, classify=classify))
-        return made[-1]
-
-    source.wrap_handler(wrap)
-    return made

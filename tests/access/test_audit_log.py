@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from busway.access.audit import AuditLog, time_text
+from busway.access.audit_log import AuditLog, WallClock
 from busway.errors import ConfigError
 
 
@@ -42,7 +42,7 @@ class Disk:
         self.room = room
         self.calls = 0
         self._write = os.write
-        monkeypatch.setattr("busway.access.audit.os.write", self)
+        monkeypatch.setattr("busway.access.audit_log.os.write", self)
 
     def __call__(self, file, data):
         self.calls += 1
@@ -171,7 +171,7 @@ def test_a_full_disk_is_said_once_and_what_is_kept_is_written_when_there_is_room
 
 
 def test_what_can_not_be_kept_is_counted_and_the_file_says_how_much(tmp_path, time, monkeypatch):
-    monkeypatch.setattr("busway.access.audit._KEPT", 100)
+    monkeypatch.setattr("busway.access.audit_log._KEPT", 100)
     disk = Disk(monkeypatch, room=0)
     log = opened(tmp_path, time)
     for _ in range(100):
@@ -279,8 +279,8 @@ def test_lines_of_several_threads_are_whole(tmp_path, time):
 
 
 def test_the_time_is_utc_with_milliseconds():
-    assert time_text(1_772_366_400.25) == "2026-03-01T12:00:00.250Z"
-    assert time_text(0) == "1970-01-01T00:00:00.000Z"
+    assert WallClock(lambda: 1_772_366_400.25)() == "2026-03-01T12:00:00.250Z"
+    assert WallClock(lambda: 0)() == "1970-01-01T00:00:00.000Z"
 
 
 # ---- denials
@@ -412,7 +412,7 @@ def test_denials_that_left_no_line_are_told_at_the_end_and_before_a_rotation(tmp
 
 
 def test_what_is_kept_while_the_disk_is_full_has_room_for_writes_however_much_is_denied(tmp_path, time, monkeypatch):
-    monkeypatch.setattr("busway.access.audit._KEPT", 4000)
+    monkeypatch.setattr("busway.access.audit_log._KEPT", 4000)
     disk = Disk(monkeypatch, room=0)
     log = opened(tmp_path, time, repeat_interval=0)
     deny = Denier(log)

@@ -4,7 +4,8 @@ from busway.codes import FunctionCode
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.handler import LATER, Outcome, RequestContext
+from busway.session.pipeline import RequestPipeline
+from busway.session.responder import LATER, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -19,10 +20,10 @@ class _Promises:
         self.contexts: list[RequestContext] = []
         self.gone: list[int] = []
 
-    def direct(self, context: RequestContext) -> dict[int, object]:
-        return {}
+    def serves(self, unit: int) -> ServedUnit | None:
+        return ServedUnit(unit)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         self.contexts.append(context)
         context.gone = lambda: self.gone.append(context.transaction)
         return LATER
@@ -30,10 +31,7 @@ class _Promises:
 
 def _session(handler: _Promises, sent: list[bytes]) -> TcpServerSession:
     return TcpServerSession(
-        handler,
-        diagnostics=LineDiagnostics(),
-        slots=TransactionSlots(16),
-        deliver=sent.append,  # type: ignore[arg-type]
+        RequestPipeline(handler), diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=sent.append
     )
 
 
@@ -66,9 +64,9 @@ def test_who_watches_a_reply_learns_of_it_or_that_the_client_has_gone():
     seen: list[object] = []
 
     class Watched(_Promises):
-        def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
-            context.watch(seen.append, gone=lambda: seen.append("gone"))
-            return super().handle(context, request)
+        def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+            context.watch(seen.append)
+            return super().answer(context, request)
 
     handler, sent = Watched(), list[bytes]()
     session = _session(handler, sent)
@@ -77,5 +75,5 @@ def test_who_watches_a_reply_learns_of_it_or_that_the_client_has_gone():
     handler.contexts[0].reply(reply)
     session.close()
     handler.contexts[1].reply(reply)
-    assert seen == [reply, "gone"]
+    assert seen == [reply, None]
     assert handler.gone == [2]

@@ -1,6 +1,6 @@
 """The audit log: an append-only file with one JSON object per line.
 
-Knows a file and lines; knows nothing of what they say (`busway.access.entries`).
+Knows a file and lines; knows nothing of what they say (`busway.access.audit_line`).
 
 1. Lines are buffered for at most ``interval`` seconds and then written together. Buffered lines are lost when the
    process is killed; ``interval=0`` writes each line before the request is answered.
@@ -19,7 +19,6 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Protocol, Self
@@ -65,6 +64,34 @@ def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
     return True
 
 
+class WallClock:
+    """The time as text, ``2026-03-01T12:00:00.250Z``, formatted at most once a millisecond. From any thread."""
+
+    __slots__ = ("_now", "_second", "_text")
+
+    def __init__(self, now: Callable[[], float] = time.time) -> None:
+        self._now = now
+        # Each replaced as a whole: a second and its text; from when until when a text is right for certain, and it.
+        self._second = (-1, "")
+        self._text = (0.0, 0.0, "")
+
+    def __call__(self) -> str:
+        now = self._now()
+        since, until, text = self._text
+        if since <= now < until:
+            return text
+        whole = int(now)
+        second, prefix = self._second
+        if second != whole:
+            prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(whole))
+            self._second = whole, prefix
+        milliseconds = int((now - whole) * 1000)
+        text = f"{prefix}.{milliseconds:03d}Z"
+        # Numbers of this size are exact to 0.2 µs: the last microsecond of each millisecond is looked at anew.
+        self._text = now, whole + (milliseconds + 1) / 1000 - 1e-6, text
+        return text
+
+
 Room = Callable[[int], tuple[int, int]]
 """Bytes that are free on the file system of an open file, and all that it has."""
 
@@ -89,12 +116,14 @@ class AuditLog:
             leaves its own.
         schedule: calls a function later; the running event loop by default.
         clock: seconds, monotonic.
+        now: seconds since 1970, for the time of lines.
         room: how much room the file system has.
 
     Raises:
         ConfigError: the file cannot be opened or is no regular file, or an argument cannot be.
 
     Attributes:
+        timestamp: gives the time of a line as text.
         written: lines that stand in the file.
         lost: lines that could be neither written nor kept.
         failures: attempts to write that failed.
@@ -111,6 +140,7 @@ class AuditLog:
         repeat_interval: float = 60.0,
         schedule: FlushSchedule = by_event_loop,
         clock: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = time.time,
         room: Room = room_of_file,
     ) -> None:
         if not 0 <= interval <= 10:
@@ -119,12 +149,13 @@ class AuditLog:
             raise ConfigError(f"one of serve, refuse is needed, not {shown(on_failure)}", key="on_failure")
         if not 0 <= repeat_interval <= 3600:
             raise ConfigError(f"seconds are 0…3600, not {shown(repeat_interval)}", key="repeat_interval")
-        self.path: Path = Path(path)
-        self.written: int = 0
-        self.lost: int = 0
-        self.failures: int = 0
-        self.is_failing: bool = False
-        self.denials_left_out: int = 0
+        self.path = Path(path)
+        self.timestamp = WallClock(now)
+        self.written = 0
+        self.lost = 0
+        self.failures = 0
+        self.is_failing = False
+        self.denials_left_out = 0
         self._interval = interval
         self._repeat_interval = repeat_interval
         self._repeated = RepeatedDenials()
@@ -256,7 +287,7 @@ class AuditLog:
                 self._append_denied(line, count)
             others = self._repeated.take_others()
             if others:
-                self._append_denied(_others_line, others)
+                self._append_denied(lambda repeated: _others_line(self.timestamp(), repeated), others)
             if self._repeated and self._file is not None:
                 self._repeated_due = self._clock() + self._repeat_interval
                 self._schedule(self._repeat_interval, self._tell_repeated)
@@ -265,7 +296,7 @@ class AuditLog:
         """Append a line with the number of denials that were not recorded, if there were any."""
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
-            self.append(f'{{"time":"{time_text(time.time())}","outcome":"denials left out","lines":{left_out}}}\n')
+            self.append(f'{{"time":"{self.timestamp()}","outcome":"denials left out","lines":{left_out}}}\n')
 
     def _has_room_for_denials(self) -> bool:
         if self._size >= _KEPT * _KEPT_OF_DENIALS:
@@ -334,18 +365,13 @@ class AuditLog:
             _log.warning("%s: the audit log is written again; %d lines were lost", self.path, self._untold)
         if self._untold:
             lost, self._untold = self._untold, 0
-            self.append(f'{{"time":"{time_text(time.time())}","outcome":"lost","lines":{lost}}}\n')
+            self.append(f'{{"time":"{self.timestamp()}","outcome":"lost","lines":{lost}}}\n')
 
     def _lose(self, lines: int) -> None:
         self.lost += lines
         self._untold += lines
 
 
-def _others_line(repeated: int) -> str:
+def _others_line(time: str, repeated: int) -> str:
     """The audit line for denials beyond the number of combinations that are counted separately."""
-    return f'{{"time":"{time_text(time.time())}","outcome":"denied","repeated":{repeated}}}\n'
-
-
-def time_text(seconds: float) -> str:
-    """UTC with milliseconds, ``2026-03-01T12:00:00.250Z``, of seconds since 1970."""
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00") + "Z"
+    return f'{{"time":"{time}","outcome":"denied","repeated":{repeated}}}\n'

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from message_strategies import any_request
 
-from busway.access.entries import Entry, WallClock, outcome_of, who_text
+from busway.access.audit_line import audit_line, outcome_of
+from busway.access.audit_log import WallClock
 from busway.pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
@@ -18,15 +19,17 @@ from busway.pdu.write_items import (
     WriteSingleCoil,
 )
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import SILENCE, RequestContext
+from busway.session.responder import SILENCE, ClientIdentity, Judged, RequestContext
 
 
 def line(request, replaced=None, *, outcome="done", code=None, rule="default", who=("10.0.0.7:1", None, "")):
     function = request.code if hasattr(request, "code") and isinstance(request.code, int) else 0
-    context = RequestContext(unit=5, function=function, diagnostics=CommunicationState())
-    entry = Entry(who_text(*who), context, request)
-    entry.replaced, entry.rule = replaced, rule
-    text = entry.line("now", outcome, code)
+    peer, role, listener = who
+    client = ClientIdentity(peer=peer, role=role, listener=listener)
+    context = RequestContext(unit=5, function=function, diagnostics=CommunicationState(), client=client)
+    context.judged = Judged(rule)
+    context.judged.replaced = replaced
+    text = audit_line(context, request, "now", outcome, code)
     assert text.endswith("}\n")
     assert text.isascii()
     assert text.count("\n") == 1
@@ -90,6 +93,7 @@ def test_outcomes():
     assert outcome_of(ExceptionResponse(6, 2)) == ("exception", 2)
     assert outcome_of(WriteSingleCoil(7, 0)) == ("done", None)
     assert outcome_of(SILENCE) == ("no answer", None)
+    assert outcome_of(None) == ("no answer", None)
 
 
 def test_the_clock_keeps_its_text_for_a_second_and_no_longer():

@@ -3,19 +3,19 @@
 import json
 import os
 import struct
-from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from authorizing import AuthorizedPipeline
 
-from busway.access.audit import AuditLog
-from busway.access.authorizer import PolicyHandler
+from busway.access.audit_log import AuditLog
 from busway.access.rules import Policy, Rule
-from busway.pdu.direct import Answer
+from busway.pdu.general import ExceptionResponse
 from busway.server.device import Device
-from busway.server.local import LocalHandler
+from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.handler import RequestContext
+from busway.session.responder import ClientIdentity, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.slots import TransactionSlots
 
@@ -24,16 +24,6 @@ ZONES = Policy.of(
     Rule.of(name="free", addresses=["holding:5-9", "coil:0-3"]),
     Rule.of(name="slow", addresses="holding:10-11", rate=1),
 )
-
-
-class Counting(PolicyHandler):
-    """A policy that counts what takes the long road."""
-
-    long = 0
-
-    def handle(self, context: RequestContext, request: Any) -> Any:
-        self.long += 1
-        return super().handle(context, request)
 
 
 @pytest.fixture
@@ -46,14 +36,13 @@ def log(tmp_path: Any) -> AuditLog:
     return AuditLog(tmp_path / "audit.jsonl", interval=0)
 
 
-def session(handler: PolicyHandler, peer: str = "10.0.0.7:5000") -> TcpServerSession:
+def session(handler: AuthorizedPipeline, peer: str = "10.0.0.7:5000") -> TcpServerSession:
     return TcpServerSession(
         handler,
         diagnostics=LineDiagnostics(),
         slots=TransactionSlots(16),
         deliver=lambda adu: None,
-        peer=peer,
-        listener="tcp://0.0.0.0:502",
+        client=ClientIdentity(peer=peer, listener="tcp://0.0.0.0:502"),
     )
 
 
@@ -81,10 +70,10 @@ def lines(log: AuditLog) -> list[dict[str, Any]]:
     ],
 )
 def test_a_write_within_a_zone_takes_the_short_road_and_leaves_its_line(device, log, pdu, facts):
-    handler = Counting(LocalHandler({1: device}), ZONES, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
     assert ask(one, pdu).startswith(bytes.fromhex(pdu)[:5].hex(" "))
-    assert handler.long == 0
+    assert handler.handled == 0
     (line,) = lines(log)
     assert {key: line[key] for key in facts} == facts
     assert (line["outcome"], line["code"], line["peer"], line["unit"]) == ("done", None, "10.0.0.7:5000", 1)
@@ -103,39 +92,41 @@ def test_a_write_within_a_zone_takes_the_short_road_and_leaves_its_line(device, 
     ],
 )
 def test_all_else_takes_the_long_road_and_leaves_its_line_there(device, log, pdu, reply, outcome, rule):
-    handler = Counting(LocalHandler({1: device}), ZONES, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     assert ask(session(handler), pdu) == reply
-    assert handler.long == 1
+    assert handler.handled == 1
     (line,) = lines(log)
     assert (line["outcome"], line["rule"]) == (outcome, rule)
 
 
 @pytest.mark.parametrize("pdu", ["06 0002 000A", "10 0001 0002 04 0001000A", "10 0004 0002 04 0001FFFF"])
 def test_limits_are_judged_on_the_short_road_without_a_log_too(device, pdu):
-    handler = Counting(LocalHandler({1: device}), ZONES)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES)
     one = session(handler)
     assert ask(one, "06 0002 0009") == "06 00 02 00 09"
     assert ask(one, "10 0001 0002 04 00010009") == "10 00 01 00 02"
-    assert handler.long == 0
+    assert handler.handled == 0
     device.holding_registers[0:6] = [7] * 6
     reply = ask(one, pdu)
-    assert handler.long == 1
+    assert handler.handled == 1
     assert (reply[:2] == "90" or reply[:2] == "86") == (device.holding_registers[0:6] == [7] * 6)
 
 
 def test_each_client_leaves_its_own_name(device, log):
-    handler = Counting(LocalHandler({1: device}), ZONES, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     for peer in ("10.0.0.7:1", "10.0.0.8:2", "10.0.0.7:1"):
         ask(session(handler, peer), "06 0005 0001")
     assert [line["peer"] for line in lines(log)] == ["10.0.0.7:1", "10.0.0.8:2", "10.0.0.7:1"]
-    assert handler.long == 0
+    assert handler.handled == 0
 
 
 def test_the_line_stands_in_the_file_before_the_request_is_answered_where_that_is_asked(device, log, monkeypatch):
     order = []
     write = os.write
-    monkeypatch.setattr("busway.access.audit.os.write", lambda file, data: order.append("line") or write(file, data))
-    one = session(PolicyHandler(LocalHandler({1: device}), ZONES, log))
+    monkeypatch.setattr(
+        "busway.access.audit_log.os.write", lambda file, data: order.append("line") or write(file, data)
+    )
+    one = session(AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log))
     for _ in range(2):
         ask(one, "06 0005 0001")
         order.append("answer")
@@ -143,7 +134,7 @@ def test_the_line_stands_in_the_file_before_the_request_is_answered_where_that_i
 
 
 def test_lines_are_in_the_order_of_what_was_written_on_whatever_road(device, log):
-    one = session(PolicyHandler(LocalHandler({1: device}), ZONES, log))
+    one = session(AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log))
     adus = b""
     for value, address in enumerate([5, 5, 12, 5, 10, 5], 1):
         adus += struct.pack(">HHHBBHH", value, 0, 6, 1, 6, address, value)
@@ -160,16 +151,16 @@ def test_lines_are_in_the_order_of_what_was_written_on_whatever_road(device, log
 
 def test_a_log_that_takes_no_writes_has_them_refused_on_the_long_road(device, tmp_path):
     log = AuditLog(tmp_path / "log", interval=0, on_failure="refuse")
-    handler = Counting(LocalHandler({1: device}), ZONES, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
     assert ask(one, "06 0005 0001") == "06 00 05 00 01"
     log.close()
     assert ask(one, "06 0005 0002") == "86 04"
-    assert (device.holding_registers[5], handler.long) == (1, 1)
+    assert (device.holding_registers[5], handler.handled) == (1, 1)
 
 
 def test_a_policy_that_is_replaced_holds_for_writes_that_were_compiled(device, log):
-    handler = Counting(LocalHandler({1: device}), ZONES, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
     ask(one, "06 0005 0001")
     handler.replace_policy(Policy.of(Rule.of(name="other", addresses="holding:0-9")))
@@ -181,31 +172,35 @@ def test_a_policy_that_is_replaced_holds_for_writes_that_were_compiled(device, l
 
 
 def test_a_hook_takes_writes_back_to_the_long_road(device, log):
-    handler = Counting(LocalHandler({1: device}), ZONES, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
     ask(one, "06 0005 0001")
     seen = []
     device.on_write("holding_registers", seen.append)
     ask(one, "06 0005 0002")
     ask(one, "05 0001 FF00")
-    assert (len(seen), handler.long, len(lines(log))) == (1, 1, 3)
+    assert (len(seen), handler.handled, len(lines(log))) == (1, 1, 3)
 
 
 def test_whoever_changes_the_answers_of_a_device_is_not_led_around(device, log):
-    class Refusing(LocalHandler):
-        def direct(self, context: RequestContext) -> Mapping[int, Answer]:
-            return {**super().direct(context), 6: lambda buffer, at, end: b"\x86\x04"}
+    class Refusing(DeviceResponder):
+        def serves(self, unit: int) -> ServedUnit | None:
+            served = super().serves(unit)
+            return served and replace(served, is_direct=False)
 
-    handler = Counting(Refusing({1: device}), ZONES, log)
-    ask(session(handler), "06 0005 0001")
-    assert handler.long == 1
-    ask(session(Counting(Refusing({1: device}), ZONES)), "06 0002 0001")
+        def answer(self, context: RequestContext, request: Any) -> Any:
+            return ExceptionResponse(context.function, 4)
+
+    handler = AuthorizedPipeline(Refusing({1: device}), ZONES, log)
+    assert ask(session(handler), "06 0005 0001") == "86 04"
+    assert handler.handled == 1
+    assert ask(session(AuthorizedPipeline(Refusing({1: device}), ZONES)), "06 0002 0001") == "86 04"
     assert lines(log)[0]["rule"] == "free"
 
 
 def test_what_one_unit_may_is_not_what_another_may(device, log):
     policy = Policy.of(Rule.of(name="one", units=1, addresses="holding:0-9"))
-    handler = Counting(LocalHandler({1: device, 2: Device(holding_registers=10)}), policy, log)
+    handler = AuthorizedPipeline(DeviceResponder({1: device, 2: Device(holding_registers=10)}), policy, log)
     one = session(handler)
     assert ask(one, "06 0005 0001") == "06 00 05 00 01"
     assert ask(one, "06 0005 0001", unit=2) == "86 01"

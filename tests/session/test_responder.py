@@ -3,7 +3,7 @@
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.diagnostics import CommunicationState
-from busway.session.handler import SILENCE, Deferral, RequestContext
+from busway.session.responder import SILENCE, Deferral, RequestContext
 
 
 def test_a_late_reply_goes_its_way_once() -> None:
@@ -39,14 +39,14 @@ def test_a_late_reply_is_seen_by_all_who_watch_and_once() -> None:
     assert not context.replied
     context.refuse(6)
     context.refuse(6)
-    assert order == ["second", "first", "gone"]
+    assert order == ["first", "second", "gone"]
 
 
-def test_where_no_reply_can_be_given_there_is_none_to_watch() -> None:
+def test_who_watches_learns_once_that_no_reply_can_be_given() -> None:
     context = RequestContext(unit=1, function=3, diagnostics=CommunicationState(), finish=lambda who, reply: None)
     seen: list[object] = []
     context.watch(seen.append)
     context.abandon()
     context.watch(seen.append)
     context.refuse(6)
-    assert seen == []
+    assert seen == [None]

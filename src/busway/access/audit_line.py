@@ -1,7 +1,7 @@
 """One line of the audit log: a request and its outcome as JSON.
 
 Knows requests and their outcome; writes nothing. Lines are formatted by hand from prepared parts, because a plant may
-write thousands of times a second. For writes on the compiled path (`busway.access.writes`) all but time, address and
+write thousands of times a second. For writes on the fast path (`busway.access.fast_path`) all but time, address and
 items is prepared.
 
 ===============  =====================================================================================
@@ -28,11 +28,11 @@ Beside these: ``masks`` of function 22, ``records`` (``[file, record, count]``) 
 what is not understood.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from json.encoder import encode_basestring_ascii as quoted
 from typing import Any, Final
 
+from ..pdu.direct import Requester
 from ..pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
@@ -46,92 +46,43 @@ from ..pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from ..session.handler import Deferral, RequestContext
+from ..session.responder import Deferral, Replaced, RequestContext
 from .question import masked
 
 DENIED: Final = "denied"
 NO_ANSWER: Final = "no answer"
 _NULL: Final = "null"
 
-Replaced = tuple[bytes | None, ...]
+
+def who_text(client: Requester) -> str:
+    """The part of an audit line that is equal for all requests of a client: peer, role and listener. Made once."""
+    role = _NULL if client.role is None else quoted(client.role)
+    client.audit_text = f'"peer":{quoted(client.peer)},"role":{role},"listener":{quoted(client.listener)}'
+    return client.audit_text
 
 
-def who_text(peer: str, role: str | None, listener: str) -> str:
-    """The part of an audit line that is equal for all requests of a connection: peer, role and listener."""
-    return f'"peer":{quoted(peer)},"role":{_NULL if role is None else quoted(role)},"listener":{quoted(listener)}'
+def audit_line(
+    context: RequestContext, request: AnyRequest, when: str, outcome: str, code: int | None, repeated: int = 0
+) -> str:
+    """The line of a request as JSON. ``repeated`` is the number of denials that it counts; 0 for this request alone."""
+    judged = context.judged
+    assert judged is not None  # or there would be no line
+    what, old, new = _facts(request, None if outcome == DENIED else judged.replaced)
+    so_often = f',"repeated":{repeated}' if repeated else ""
+    who = context.client.audit_text or who_text(context.client)
+    return (
+        f'{{"time":"{when}",{who},"unit":{context.unit},{what},"old":{old},"new":{new},'
+        f'"outcome":"{outcome}","code":{_NULL if code is None else code},"rule":{quoted(judged.rule)}{so_often}}}\n'
+    )
 
 
-class WallClock:
-    """The time as text, ``2026-03-01T12:00:00.250Z``, formatted at most once a millisecond. From any thread."""
+def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
+    """The fixed parts of the line of an executed write: the part after time and client, and the end.
 
-    __slots__ = ("_now", "_second", "_text")
-
-    def __init__(self, now: Callable[[], float] = time.time) -> None:
-        self._now = now
-        # Each replaced as a whole: a second and its text; from when until when a text is right for certain, and it.
-        self._second = (-1, "")
-        self._text = (0.0, 0.0, "")
-
-    def __call__(self) -> str:
-        now = self._now()
-        since, until, text = self._text
-        if since <= now < until:
-            return text
-        whole = int(now)
-        second, prefix = self._second
-        if second != whole:
-            prefix = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(whole))
-            self._second = whole, prefix
-        milliseconds = int((now - whole) * 1000)
-        text = f"{prefix}.{milliseconds:03d}Z"
-        # Numbers of this size are exact to 0.2 µs: the last microsecond of each millisecond is looked at anew.
-        self._text = now, whole + (milliseconds + 1) / 1000 - 1e-6, text
-        return text
-
-
-class Entry:
-    """A request that will be recorded in the audit log; rule and old values are filled in while it is handled.
-
-    Args:
-        who: from `who_text`.
-        context: of the request.
-        request: the request.
-
-    Attributes:
-        replaced: the old values, as `WriteObserver.observe_write` shows them; None if unknown.
-        rule: name of the rule that decided.
-        is_awaited: whether the authorizer awaits its answer.
-        is_noted: whether its line is written already.
-    """
-
-    __slots__ = ("_request", "_unit", "_who", "is_awaited", "is_noted", "replaced", "rule")
-
-    def __init__(self, who: str, context: RequestContext, request: AnyRequest) -> None:
-        self._who = who
-        self._unit = context.unit
-        self._request = request
-        self.replaced: Replaced | None = None
-        self.rule: str = ""
-        self.is_awaited: bool = False
-        self.is_noted: bool = False
-
-    def line(self, when: str, outcome: str, code: int | None, repeated: int = 0) -> str:
-        """The line as JSON. ``repeated`` is the number of denials that it counts; 0 for this request alone."""
-        what, old, new = _facts(self._request, None if outcome == DENIED else self.replaced)
-        so_often = f',"repeated":{repeated}' if repeated else ""
-        return (
-            f'{{"time":"{when}",{self._who},"unit":{self._unit},{what},"old":{old},"new":{new},"outcome":"{outcome}",'
-            f'"code":{_NULL if code is None else code},"rule":{quoted(self.rule)}{so_often}}}\n'
-        )
-
-
-def done_line(who: str, unit: int, function: int, rule: str) -> tuple[str, str]:
-    """The fixed parts of the line of an executed write: the part after the time, and the end.
-
-    Between the two comes the text from `DONE` for the function. The line then equals that of `Entry.line`, to the byte.
+    Between the two comes the text from `DONE` for the function. The line then equals that of `audit_line`, to the byte.
     """
     return (
-        f'",{who},"unit":{unit},"function":{function:d},"address":',
+        f',"unit":{unit},"function":{function:d},"address":',
         f',"outcome":"done","code":{_NULL},"rule":{quoted(rule)}}}\n',
     )
 
@@ -162,10 +113,10 @@ DONE: Final[dict[type[Request], Done]] = {
 """Formatters for functions that write one range and do nothing else: address, count, old and new values as JSON."""
 
 
-def outcome_of(reply: Message | Deferral) -> tuple[str, int | None]:
+def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
     """Outcome and exception code of an answer, as an audit line has them."""
     if isinstance(reply, ExceptionResponse):
-        return "exception", reply.exception
+        return "exception", int(reply.exception)
     return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)
 
 

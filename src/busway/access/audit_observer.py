@@ -1,0 +1,47 @@
+"""Records writes and denied requests in the audit log.
+
+Knows the outcome of requests; decides nothing. Writes on the fast path record themselves (`busway.access.fast_path`).
+"""
+
+from collections.abc import Sequence
+from functools import partial
+
+from ..options.networks import host_of_peer
+from ..pdu.functions import AnyRequest
+from ..pdu.message import Message
+from ..session.responder import ClientIdentity, Deferral, RequestContext
+from .audit_line import DENIED, audit_line, outcome_of
+from .audit_log import AuditLog
+
+
+class AuditObserver:
+    """A `RequestObserver` that appends the line of each write and each denied request.
+
+    Repeated denials of a client are recorded as one line with their number.
+    """
+
+    def __init__(self, log: AuditLog) -> None:
+        self._log = log
+
+    def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
+        """Nothing: reads are not recorded, and writes of the fast path are already."""
+
+    def unanswered(self, client: ClientIdentity, requests: int) -> None:
+        """Nothing: only reads are forwarded on the fast path."""
+
+    def ended(
+        self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
+    ) -> None:
+        """Record a write, or a denied request."""
+        judged = context.judged
+        if judged is None:
+            return
+        text, code = outcome_of(outcome)
+        if judged.is_denied:
+            about = host_of_peer(context.peer), context.role or "", judged.rule
+            self._log.append_denied(about, partial(self._denied_line, context, request, code))
+        elif judged.is_write:
+            self._log.append(audit_line(context, request, self._log.timestamp(), text, code))
+
+    def _denied_line(self, context: RequestContext, request: AnyRequest, code: int | None, repeated: int) -> str:
+        return audit_line(context, request, self._log.timestamp(), DENIED, code, repeated)

@@ -1,0 +1,262 @@
+"""The functions that rights leave to the fast path: answers limited to what is permitted, and writes with audit lines.
+
+Knows zones of rights, declarations of functions and blocks of devices; knows no client, no session.
+
+1. An answer that is permitted everywhere is bound unchanged; one that is permitted in some address ranges gets one
+   check before it. A write with value limits or with an audit line gets a block that checks what is written
+   (`Block.put`), so the request itself is validated where it always is, before the check.
+2. Functions under a rate, and requests that are not one plain range, are not bound: they take the generic path.
+3. A request that fails a check changes nothing and takes the generic path, where it is decided, counted and recorded:
+   denied requests, writes across several zones, and all writes while the audit log cannot take lines.
+4. An audited write reads the old values in the same step. Its line equals that of the generic path, to the byte (a
+   property test compares them).
+"""
+
+import struct
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from typing import Final, cast
+
+from ..codes import Table
+from ..pdu.direct import Answer, Block, DirectModel, ExchangingBlock, Requester
+from ..pdu.fields import FixedField
+from ..pdu.message import Request, Touch
+from ..session.responder import ServedUnit
+from .audit_line import DONE, done_line, who_text
+from .audit_log import AuditLog
+from .notation import Range
+from .question import counts_as_write
+from .rights import EVERYWHERE, Rights, UnitAccess, Zone, ranges_of
+
+_unpack_address = struct.Struct(">H").unpack_from
+_unpack_two = struct.Struct(">HH").unpack_from
+
+
+def bind(
+    rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: AuditLog | None = None
+) -> Answer | None:
+    """The answer of a function, limited to what clients with these rights may do.
+
+    Args:
+        rights: of the clients.
+        unit: the unit asked, 0…255.
+        served: what answers for it.
+        kind: the function, of a device that offers it.
+        audit: where each write is recorded.
+
+    Returns:
+        The answer; None where all requests take the generic path.
+    """
+    device = served.device
+    if device is None:
+        return None
+
+    def access(space: Table | None, writes: bool) -> UnitAccess:
+        return UnitAccess(unit, served.unit, kind.code, None, space, writes)
+
+    if kind in DONE:
+        assert kind.writes is not None
+        zones = rights.permitted(access(kind.writes.table, True))
+        if zones and audit is not None:
+            return _audited(kind, device, zones, unit, audit)
+        if any(zone.limits is not None for zone in zones):
+            return kind.direct(_CheckedDevice(device, lambda block: _limited(block, zones)))
+    elif audit is not None and counts_as_write(kind):
+        return None
+    answer = kind.direct(device)
+    return None if answer is None else _within(kind, answer, rights, access)
+
+
+def _within(
+    kind: type[Request], answer: Answer, rights: Rights, access: Callable[[Table | None, bool], UnitAccess]
+) -> Answer | None:
+    """An answer with a check of what the request touches."""
+    if kind.spans is not Request.spans:
+        return None  # it says for itself what it touches: only a request can tell
+    touches = [(touch, writes) for touch, writes in ((kind.writes, True), (kind.reads, False)) if touch is not None]
+    accesses = [access(touch.table, writes) for touch, writes in touches]
+    if not touches or (counts_as_write(kind) and kind.writes is None):
+        accesses.append(access(None, counts_as_write(kind)))
+    found = [ranges_of(_unlimited(rights.permitted(one))) for one in accesses]
+    if all(ranges == EVERYWHERE for ranges in found):
+        return answer
+    if len(found) != 1 or not found[0] or not touches or not _is_plain(kind, touches[0][0]):
+        return None
+    if touches[0][0].count is None:
+        return _within_single(answer, found[0])
+    return _within_range(answer, found[0][0]) if len(found[0]) == 1 else _within_ranges(answer, found[0])
+
+
+def _unlimited(zones: tuple[Zone, ...]) -> tuple[Zone, ...]:
+    return tuple(zone for zone in zones if zone.limits is None)
+
+
+def _is_plain(kind: type[Request], touch: Touch) -> bool:
+    """Whether the request begins with the address and, if it has one, the count of what it touches."""
+    names = ("address",) if touch.count is None else ("address", "count")
+    fields = kind.layout.fields[: len(names)]
+    return (
+        kind.sub_code is None
+        and (touch.address, touch.count or "count") == ("address", "count")
+        and tuple(kind.layout.names[: len(names)]) == names
+        and all(isinstance(field, FixedField) and field.width == 2 for field in fields)
+    )
+
+
+def _within_range(answer: Answer, permitted: Range) -> Answer:
+    first, last = permitted
+
+    def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+        try:  # what is cut off reaches into the next frame, or beyond the buffer; the answer judges the length
+            address, count = _unpack_two(buffer, at + 1)
+        except struct.error:
+            return None
+        return answer(buffer, at, end, client) if first <= address <= last - count else None
+
+    return within
+
+
+def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
+    firsts, ends = zip(*permitted, strict=True)
+
+    def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+        try:
+            address, count = _unpack_two(buffer, at + 1)
+        except struct.error:
+            return None
+        index = bisect_right(firsts, address) - 1
+        return answer(buffer, at, end, client) if index >= 0 and address <= ends[index] - count else None
+
+    return within
+
+
+def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
+    """An answer with a check of the address before it, for functions that touch one item and have no count."""
+    firsts, ends = zip(*permitted, strict=True)
+
+    def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+        try:
+            (address,) = _unpack_address(buffer, at + 1)
+        except struct.error:
+            return None
+        index = bisect_right(firsts, address) - 1
+        return answer(buffer, at, end, client) if index >= 0 and address < ends[index] else None
+
+    return within
+
+
+Put = Callable[[int, int, bytes], bool | None]
+
+
+class _CheckedDevice:
+    """A device whose blocks check what is written to them.
+
+    Args:
+        device: the device.
+        checked: makes the checking ``put`` of a block; None if the block cannot have one.
+    """
+
+    __slots__ = ("_checked", "_device")
+
+    def __init__(self, device: DirectModel, checked: Callable[[Block], Put | None]) -> None:
+        self._device = device
+        self._checked = checked
+
+    def plain_block(self, table: Table, *, writes: bool) -> Block | None:
+        """As `busway.pdu.direct.DirectModel.plain_block`."""
+        block = self._device.plain_block(table, writes=writes)
+        put = None if block is None else self._checked(block)
+        return None if block is None or put is None else _CheckedBlock(block, put)
+
+
+class _CheckedBlock:
+    """A block with a checking ``put``: a closure, since a method would look everything up again at each write."""
+
+    __slots__ = ("_block", "count", "first", "put")
+
+    def __init__(self, block: Block, put: Put) -> None:
+        self._block = block
+        self.first = block.first
+        self.count = block.count
+        self.put = put
+
+    @property
+    def data(self) -> bytearray:
+        """The items."""
+        return self._block.data
+
+
+def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes], int | None]:
+    """A function that finds the zone of a write; None if it is in no zone, in several, or outside the limits.
+
+    Args:
+        first: the address of the block's first item; positions count from there.
+        zones: what may be written, by address.
+    """
+    firsts, ends = [zone.first for zone in zones], [zone.end for zone in zones]
+    limits = [zone.limits for zone in zones]
+
+    def zone_of(position: int, count: int, data: bytes) -> int | None:
+        address = first + position
+        index = bisect_right(firsts, address) - 1
+        if index < 0 or address + count > ends[index]:
+            return None
+        limit = limits[index]
+        return index if limit is None or limit.permit_all(data) else None
+
+    return zone_of
+
+
+def _limited(block: Block, zones: Sequence[Zone]) -> Put:
+    """Writes within zones and limits."""
+    zone_of, plain_put = _zone_finder(block.first, zones), block.put
+
+    def put(position: int, count: int, data: bytes) -> bool | None:
+        return True if zone_of(position, count, data) is None else plain_put(position, count, data)
+
+    return put
+
+
+_Done = tuple[int, int, int, bytes, bytes]
+"""What a write has done: index of its zone, address, count, old and new items."""
+_NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
+
+
+def _audited(
+    kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: AuditLog
+) -> Answer | None:
+    """Writes within zones and limits, each with its line."""
+    done = _NOTHING_DONE
+
+    def recorded(block: Block) -> Put | None:
+        if not hasattr(block, "exchange"):  # not by isinstance, which would look at the items too
+            return None
+        exchange, begin = cast(ExchangingBlock, block).exchange, block.first
+        zone_of = _zone_finder(begin, zones)
+
+        def put(position: int, count: int, data: bytes) -> bool | None:
+            nonlocal done
+            index = zone_of(position, count, data)
+            if index is None or not audit.takes_writes:
+                return True
+            done = index, begin + position, count, exchange(position, count, data), data
+            return None
+
+        return put
+
+    answer = kind.direct(_CheckedDevice(device, recorded))
+    if answer is None:
+        return None
+    lines = [done_line(unit, kind.code, zone.rule_name) for zone in zones]
+    append, now, text_of = audit.append, audit.timestamp, DONE[kind]
+
+    def audited(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+        reply = answer(buffer, at, end, client)
+        if reply is not None:
+            index, address, count, old, new = done
+            begin, rest = lines[index]
+            who = client.audit_text or who_text(client)
+            append(f'{{"time":"{now()}",{who}{begin}{text_of(address, count, old, new)}{rest}')
+        return reply
+
+    return audited

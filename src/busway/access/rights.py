@@ -1,0 +1,250 @@
+"""What a set of clients may do: the rules that apply to them, compiled once and asked for every decision.
+
+Knows rules and the facts of one request (`busway.access.question`); knows no client, no connection and no store.
+
+1. For every kind of access to a unit (function, space, read or write) the rules are compiled into *zones*: ranges of
+   items that cover all addresses, each with the one rule that decides there. The generic path finds the zones of a
+   request, the fast path is made of the zones that permit (`busway.access.fast_path`).
+2. For every item that a request touches, the first rule that fits decides; where none fits, the default does. The
+   request is permitted if all of its items are. A range that straddles rules is judged part by part: where 100…109
+   are denied, a read of 95…104 is denied.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from ..codes import ExceptionCode, Table
+from .notation import Range, merged
+from .question import END, Question, Space, TouchedRange
+
+if TYPE_CHECKING:
+    from .rules import Action, Limits, Rule
+
+EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
+DEFAULT_RULE: Final = "default"
+"""The name by which logs call the decision of no rule."""
+_MOST_ACCESSES: Final = 4096
+"""Most kinds of access whose zones are kept; beyond that, all are dropped and compiled anew."""
+
+
+@dataclass(slots=True)
+class Decision:
+    """The decision of a policy about one request.
+
+    Attributes:
+        allowed: whether it may be executed.
+        code: exception code of the refusal; 0 if allowed.
+        rule: the rule that decided: the one that refused, or the first that permitted; None for the default.
+        reason: why, in words; empty if allowed.
+        rates: the rules with a rate through which it went.
+        needs_current: whether it was refused without knowing what function 22 would write; whoever knows the register
+            asks again with `Question.with_current`.
+    """
+
+    allowed: bool
+    code: int = 0
+    rule: "Rule | None" = None
+    reason: str = ""
+    rates: "tuple[Rule, ...]" = ()
+    needs_current: bool = False
+
+    @property
+    def rule_name(self) -> str:
+        """The name of the rule; ``default`` where none decided."""
+        return DEFAULT_RULE if self.rule is None else self.rule.name
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """Address range in which one rule decides about one kind of access.
+
+    Attributes:
+        first, end: the items, to before ``end``.
+        rule: the rule that decides there; None for the default.
+        order: place of the rule in the policy.
+        action: what the rule or the default does.
+        permits: whether the access is permitted there, within limits and rate of the rule.
+        limits: what may be written to each register; None where all may, and for other accesses.
+    """
+
+    first: int
+    end: int
+    rule: "Rule | None"
+    order: int
+    action: "Action"
+    permits: bool
+    limits: "Limits | None"
+
+    @property
+    def rule_name(self) -> str:
+        """The name of the rule; ``default`` where none decides."""
+        return DEFAULT_RULE if self.rule is None else self.rule.name
+
+    @property
+    def rate(self) -> float | None:
+        """Requests per second that the rule lets through; None for all."""
+        return None if self.rule is None else self.rule.rate
+
+
+@dataclass(frozen=True, slots=True)
+class UnitAccess:
+    """One kind of access to a unit.
+
+    Attributes:
+        unit: the unit asked, 0…255.
+        listed: the unit under which its device is configured; None for ``unit``.
+        function: the function code.
+        sub_function: of 08 and 43; None for the others, and where it is truncated.
+        space: a table, files, or None for requests that touch no items.
+        writes: whether it is a write.
+    """
+
+    unit: int
+    listed: int | None
+    function: int
+    sub_function: int | None
+    space: Space
+    writes: bool
+
+
+class Rights:
+    """The rules that apply to some clients, and what they decide.
+
+    Args:
+        rules: in their order; all of them apply to the clients.
+        default: decides where no rule fits.
+
+    Attributes:
+        permits_all: whether no rule limits anything.
+    """
+
+    def __init__(self, rules: "tuple[Rule, ...]", default: "Action") -> None:
+        self._rules = rules
+        self._default = default
+        self.permits_all = not rules and default.permits(True)
+        self._of_units: dict[tuple[int, int | None], tuple[tuple[int, Rule], ...]] = {}
+        self._zones: dict[UnitAccess, tuple[list[int], tuple[Zone, ...]]] = {}
+
+    def zones(self, access: UnitAccess) -> tuple[Zone, ...]:
+        """The zones of an access, ascending; they cover all addresses."""
+        return self._compiled(access)[1]
+
+    def permitted(self, access: UnitAccess) -> tuple[Zone, ...]:
+        """The zones where an access is permitted whenever it is asked: no rate limits it."""
+        return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
+
+    def decide(self, question: Question) -> Decision:
+        """Decide about a request."""
+        rates: list[Rule] = []
+        first_rule: Rule | None = None
+        is_first = True
+        for piece in question.pieces:
+            for zone in self._touched(question, piece):
+                rule = zone.rule
+                if not zone.permits:
+                    reason = "writing is not permitted" if zone.action.permits(False) else "it is not permitted"
+                    return Decision(False, _code(rule), rule, reason)
+                if is_first:
+                    first_rule, is_first = rule, False
+                if rule is None:
+                    continue
+                if rule.rate is not None and rule not in rates:
+                    rates.append(rule)
+                if zone.limits is not None:
+                    start, end = max(zone.first, piece.first) - piece.first, min(zone.end, piece.end) - piece.first
+                    reason = _beyond(zone.limits, question, start, end)
+                    if reason:
+                        return Decision(False, _code(rule), rule, reason, needs_current=question.masks is not None)
+        return Decision(True, rule=first_rule, rates=tuple(rates))
+
+    def _touched(self, question: Question, piece: TouchedRange) -> list[Zone]:
+        """The zones that a piece of a request touches, in the order of their rules."""
+        access = UnitAccess(
+            question.unit, question.listed, question.function, question.sub_function, piece.space, piece.writes
+        )
+        firsts, zones = self._compiled(access)
+        begin = bisect_right(firsts, piece.first) - 1
+        end = bisect_left(firsts, piece.end)
+        touched = list(zones[begin:end])
+        if len(touched) > 1:
+            touched.sort(key=lambda zone: zone.order)
+        return touched
+
+    def _compiled(self, access: UnitAccess) -> tuple[list[int], tuple[Zone, ...]]:
+        found = self._zones.get(access)
+        if found is None:
+            if len(self._zones) >= _MOST_ACCESSES:
+                self._zones.clear()
+            zones = self._compile(access)
+            found = self._zones[access] = [zone.first for zone in zones], zones
+        return found
+
+    def _compile(self, access: UnitAccess) -> tuple[Zone, ...]:
+        """Give every address to the first rule that fits: each takes what the rules before it have left."""
+        found: list[Zone] = []
+        firsts, ends = [0], [END]  # what no rule has taken yet
+        for order, rule in self._of_unit(access.unit, access.listed):
+            if not rule.access.fits(access.writes) or not rule.names(access.function, access.sub_function):
+                continue
+            for low, high in rule.ranges(access.space):
+                begin, stop = bisect_right(ends, low), bisect_left(firsts, high)
+                if begin >= stop:
+                    continue
+                found += [
+                    self._zone(access, max(firsts[at], low), min(ends[at], high), rule, order)
+                    for at in range(begin, stop)
+                ]
+                left = [(firsts[begin], low)] if firsts[begin] < low else []
+                left += [(high, ends[stop - 1])] if high < ends[stop - 1] else []
+                firsts[begin:stop] = [first for first, _ in left]
+                ends[begin:stop] = [end for _, end in left]
+            if not firsts:
+                break
+        found += [
+            self._zone(access, first, end, None, len(self._rules)) for first, end in zip(firsts, ends, strict=True)
+        ]
+        return tuple(sorted(found, key=lambda zone: zone.first))
+
+    def _zone(self, access: UnitAccess, first: int, end: int, rule: "Rule | None", order: int) -> Zone:
+        action = self._default if rule is None else rule.action
+        limits = None
+        if rule is not None and access.writes and access.space is Table.HOLDING_REGISTERS:
+            limits = rule.limits
+        return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
+
+    def _of_unit(self, unit: int, listed: int | None) -> "tuple[tuple[int, Rule], ...]":
+        """The rules about a unit, with their order: many thousand rules are looked at once, not for each function."""
+        key = unit, listed
+        found = self._of_units.get(key)
+        if found is None:
+            if len(self._of_units) >= _MOST_ACCESSES:
+                self._of_units.clear()
+            found = self._of_units[key] = tuple(
+                (order, rule)
+                for order, rule in enumerate(self._rules)
+                if rule.units is None or unit in rule.units or listed in rule.units
+            )
+        return found
+
+
+def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
+    """The addresses of zones, neighbours joined."""
+    return merged([(zone.first, zone.end) for zone in zones])
+
+
+def _code(rule: "Rule | None") -> int:
+    return int(ExceptionCode.ILLEGAL_FUNCTION) if rule is None else int(rule.code)
+
+
+def _beyond(limits: "Limits", question: Question, start: int, end: int) -> str:
+    """Why the written registers ``start``…``end`` are outside the limits, in words; empty if they are within."""
+    bounds = f"{limits.low}…{limits.high}"
+    if question.masks is not None:
+        return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"
+    if question.written is None or len(question.written) < end:
+        return "what it would write is not known, and there are limits"
+    for register in question.written[start:end]:
+        if not limits.permit(register):
+            return f"a value outside {bounds}"
+    return ""

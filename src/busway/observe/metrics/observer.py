@@ -1,0 +1,108 @@
+"""An observer of requests that counts what is answered, and how long it took.
+
+Knows outcomes; knows nothing of the content of requests, nor of how counts are shown.
+
+1. Every request that the pipeline answers is counted once, when the answer is there: on the fast path, on the generic
+   path, or later. What a session answers by itself (06 while all slots are taken, function 0) is counted by the server.
+2. Requests that one call has answered on the fast path share the time of that call evenly.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from ...pdu.functions import AnyRequest
+from ...pdu.general import ExceptionResponse
+from ...pdu.message import Message
+from ...session.responder import ClientIdentity, Deferral, RequestContext
+from .requests import Durations, PeerClass, RequestTally, Series, Unanswered
+
+Classify = Callable[[ClientIdentity], PeerClass]
+
+_MEMO_LIMIT: Final = 512
+_LINES: Final = ("rtu://", "ascii://")
+
+
+class ClassifyByMark:
+    """`PeerClass.PRIORITY` for priority hosts; otherwise as `classify_by_listener`.
+
+    Args:
+        is_priority: whether the host of a peer's address has priority at a listener; asked once for each peer.
+    """
+
+    def __init__(self, is_priority: Callable[[str, str], bool]) -> None:
+        self._is_priority = is_priority
+        self._memo: dict[tuple[str, str], PeerClass] = {}
+
+    def __call__(self, client: ClientIdentity) -> PeerClass:
+        """The class of a client."""
+        key = client.listener, client.peer.rpartition(":")[0].strip("[]")
+        found = self._memo.get(key)
+        if found is None:
+            if len(self._memo) >= _MEMO_LIMIT:
+                self._memo.clear()
+            found = PeerClass.PRIORITY if self._is_priority(*key) else classify_by_listener(client)
+            self._memo[key] = found
+        return found
+
+
+def classify_by_listener(client: ClientIdentity) -> PeerClass:
+    """`PeerClass.LINE` on serial lines, otherwise `PeerClass.OTHER`."""
+    return PeerClass.LINE if client.listener.startswith(_LINES) else PeerClass.OTHER
+
+
+class MetricsObserver:
+    """Counts the requests of a server, or of all listeners of a gateway.
+
+    Args:
+        tally: where they are counted; a new one if left out.
+        classify: the class of a client.
+    """
+
+    def __init__(self, tally: RequestTally | None = None, *, classify: Classify = classify_by_listener) -> None:
+        self.tally = tally or RequestTally()
+        self._classify = classify
+        self._counted: dict[tuple[PeerClass, bytes], tuple[Series, Durations]] = {}  # by unit and function
+
+    def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
+        """Count replies of the fast path."""
+        if not replies:
+            return
+        peer_class = self._classify(client)
+        each = seconds / len(replies)
+        for reply in replies:
+            key = peer_class, reply[6:8]
+            known = self._counted.get(key)
+            if known is None:
+                known = self._series(peer_class, reply)
+                if reply[7] < 0x80:
+                    self._counted[key] = known
+            series, durations = known
+            series.count += 1
+            durations.add(each)
+
+    def _series(self, peer_class: PeerClass, reply: bytes) -> tuple[Series, Durations]:
+        if len(self._counted) >= _MEMO_LIMIT:
+            self._counted.clear()
+        function = reply[7] & 0x7F
+        exception = reply[8] if reply[7] & 0x80 else None
+        return self.tally.series(peer_class, reply[6], function, exception), self.tally.durations(function)
+
+    def unanswered(self, client: ClientIdentity, requests: int) -> None:
+        """Count requests whose client left before they were answered."""
+        for _ in range(requests):
+            self.tally.unanswered(Unanswered.GONE)
+
+    def ended(
+        self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
+    ) -> None:
+        """Count a request of the generic path."""
+        if context.executed is not None:  # a broadcast: each unit executes it, and none answers
+            self.tally.unanswered(Unanswered.BROADCAST)
+        elif outcome is None:
+            self.tally.unanswered(Unanswered.GONE)
+        elif not isinstance(outcome, Message) or context.diagnostics.listen_only:
+            self.tally.unanswered(Unanswered.SILENT)
+        else:
+            exception = outcome.exception if isinstance(outcome, ExceptionResponse) else None
+            self.tally.series(self._classify(context.client), context.unit, context.function, exception).count += 1
+            self.tally.durations(context.function).add(seconds)

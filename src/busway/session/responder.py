@@ -1,0 +1,291 @@
+"""The interface of responders, which answer the requests of a server: two methods.
+
+Knows no device, policy or gateway.
+
+1. `Responder.answer` gives the reply, an awaitable of it, `LATER` (then `RequestContext.reply` is called once), or
+   `SILENCE`. Raising `Refusal` answers with its exception code.
+2. `Responder.serves` says which units are served, and by which device of this process, if it is one. Requests to such a
+   device may take the fast path, which does not pass `answer` (`busway.session.pipeline`).
+"""
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Protocol
+
+from ..codes import LAST_SERIAL_UNIT
+from ..pdu.direct import DirectModel
+from ..pdu.functions import AnyRequest, FunctionTable
+from ..pdu.general import ExceptionResponse
+from ..pdu.message import Message
+from ..pdu.model import Refusal
+from .diagnostics import CommunicationState
+
+
+class Deferral(Enum):
+    """The two outcomes of a responder that carry no reply: `LATER` and `SILENCE`."""
+
+    LATER = "later"
+    SILENCE = "silence"
+
+
+LATER: Final = Deferral.LATER
+"""The responder will call `RequestContext.reply` exactly once."""
+SILENCE: Final = Deferral.SILENCE
+"""No reply is sent."""
+
+Outcome = Message | Awaitable[Message] | Deferral
+Replaced = tuple[bytes | None, ...]
+"""What a write replaces, an element for each range: items in wire order, or None where they do not exist."""
+
+
+class ClientIdentity:
+    """Who sends the requests of a connection, and by which listener they come.
+
+    Attributes:
+        peer: ``host:port`` of the client, or the name of a serial line.
+        listener: URL of the listener.
+        role: role of the client's certificate; None without one.
+        is_priority: whether the client is a priority host.
+        audit_text: how audit lines name the client; filled in by what writes them.
+    """
+
+    __slots__ = ("audit_text", "is_priority", "listener", "peer", "role")
+
+    def __init__(self, peer: str = "", listener: str = "", role: str | None = None, is_priority: bool = False) -> None:
+        self.peer = peer
+        self.listener = listener
+        self.role = role
+        self.is_priority = is_priority
+        self.audit_text = ""
+
+
+_UNKNOWN: Final = ClientIdentity()
+
+
+class Judged:
+    """What the authorizer says of a request.
+
+    Attributes:
+        rule: name of the rule by which the request is permitted or denied.
+        is_denied: whether it is refused.
+        is_write: whether the responder is to show what the request replaces, and the audit log records it.
+        check: called with what the request replaces; may raise `Refusal`. None permits every value.
+        replaced: what the request replaces; None where that is not known.
+    """
+
+    __slots__ = ("check", "is_denied", "is_write", "replaced", "rule")
+
+    def __init__(self, rule: str, *, is_denied: bool = False, is_write: bool = False) -> None:
+        self.rule = rule
+        self.is_denied = is_denied
+        self.is_write = is_write
+        self.check: Callable[[Replaced], None] | None = None
+        self.replaced: Replaced | None = None
+
+
+class RequestContext:
+    """The client, unit and listener of one request, and the way to give a late reply.
+
+    Attributes:
+        client: who sent it; also as ``peer``, ``listener``, ``role`` and ``is_priority``.
+        unit: the unit identifier asked, 0…255.
+        function: the function code.
+        transaction: the identifier of the request; 0 where the framing has none.
+        diagnostics: counters, event log and mode of the unit asked.
+        executed: for a broadcast, which goes to every unit of a line: ``id`` of each device that has executed it, so
+            that a device with several units executes it once. None otherwise.
+        gone: called if the client disconnects before its late reply; a responder that returned `LATER` may set it.
+        judged: what the authorizer says of it; None without one.
+    """
+
+    __slots__ = (
+        "_finish",
+        "_watchers",
+        "client",
+        "diagnostics",
+        "executed",
+        "function",
+        "gone",
+        "judged",
+        "transaction",
+        "unit",
+    )
+
+    def __init__(
+        self,
+        *,
+        unit: int,
+        function: int,
+        diagnostics: CommunicationState,
+        client: ClientIdentity = _UNKNOWN,
+        transaction: int = 0,
+        finish: Callable[["RequestContext", Message | Deferral], None] | None = None,
+    ) -> None:
+        self.unit = unit
+        self.function = function
+        self.diagnostics = diagnostics
+        self.client = client
+        self.transaction = transaction
+        self.executed: set[int] | None = None
+        self.gone: Callable[[], None] | None = None
+        self.judged: Judged | None = None
+        self._watchers: tuple[Callable[[Message | Deferral | None], None], ...] = ()
+        self._finish = finish
+
+    @property
+    def peer(self) -> str:
+        """``host:port`` of the client, or the name of a serial line."""
+        return self.client.peer
+
+    @property
+    def listener(self) -> str:
+        """URL of the listener that received the request."""
+        return self.client.listener
+
+    @property
+    def role(self) -> str | None:
+        """Role of the client's certificate; None without one."""
+        return self.client.role
+
+    @property
+    def is_priority(self) -> bool:
+        """Whether the client is a priority host."""
+        return self.client.is_priority
+
+    def replacing(self, values: Replaced) -> None:
+        """Called by a responder, in one step with the execution of a write: what the write replaces.
+
+        There is one element for each range to be written, in the order of `Request.spans` (for file records, for each
+        group). Raises `Refusal` where a rule forbids the write because of these values; then it is not executed.
+        """
+        judged = self.judged
+        if judged is not None:
+            judged.replaced = values
+            if judged.check is not None:
+                judged.check(values)
+
+    def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
+        """A context for a responder inside another one, whose late reply goes to ``finish``."""
+        made = RequestContext(
+            unit=self.unit,
+            function=self.function,
+            diagnostics=self.diagnostics,
+            client=self.client,
+            transaction=self.transaction,
+            finish=finish,
+        )
+        made.executed = self.executed
+        made.judged = self.judged
+        return made
+
+    @property
+    def replied(self) -> bool:
+        """Whether the late reply was given, or cannot be given any more."""
+        return self._finish is None
+
+    def reply(self, reply: Message | Deferral) -> None:
+        """Give the reply that `LATER` promised. Does nothing the second time, or after the client disconnected."""
+        finish, self._finish = self._finish, None
+        if finish is not None:
+            self.end(reply)
+            finish(self, reply)
+
+    def refuse(self, code: int) -> None:
+        """Give an exception code as the late reply."""
+        self.reply(ExceptionResponse(self.function, code))
+
+    def abandon(self) -> None:
+        """The client disconnected or gave up: no reply can be given any more, and work on it may stop."""
+        self._finish = None
+        self.end(None)
+        gone, self.gone = self.gone, None
+        if gone is not None:
+            gone()
+
+    def watch(self, ended: Callable[[Message | Deferral | None], None]) -> None:
+        """Have ``ended`` called once: with the reply, `SILENCE`, or None if the client disconnects before it."""
+        self._watchers = (*self._watchers, ended)
+
+    def end(self, outcome: Message | Deferral | None) -> None:
+        """The outcome is known: tell those who watch, unless they were told before."""
+        watchers, self._watchers = self._watchers, ()
+        for ended in watchers:
+            ended(outcome)
+
+
+class DirectDevice(DirectModel, Protocol):
+    """A device of this process that requests may reach by the fast path."""
+
+    def enabled(self, code: int) -> bool:
+        """Whether the device offers a function."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServedUnit:
+    """A unit that a responder serves.
+
+    Attributes:
+        unit: the unit as which its device is configured. A sole device also answers as others, such as 0 and 255, and
+            rights are checked for both: a client denied on unit 1 must not reach the same device by another unit.
+        device: the device, if it is one of this process: then `Responder.answer` calls `RequestContext.replacing`
+            before it executes a write.
+        is_direct: whether requests may reach the device by the fast path.
+    """
+
+    unit: int
+    device: DirectDevice | None = None
+    is_direct: bool = True
+
+
+class Responder(Protocol):
+    """Answers requests."""
+
+    @property
+    def functions(self) -> FunctionTable:
+        """The functions it decodes."""
+
+    @property
+    def generation(self) -> int:
+        """A number that changes when earlier results of `serves`, or what was compiled from them, become invalid."""
+
+    def serves(self, unit: int) -> ServedUnit | None:
+        """The unit that answers for ``unit``, 0…255; None where there is none."""
+
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """Answer a request (rule 1). Requests to units that are not served come here too."""
+
+
+class SerialUnits:
+    """The units 1…247 that a responder answers for on a serial line, as a live view: those configured as such."""
+
+    def __init__(self, responder: Responder) -> None:
+        self._responder = responder
+        self._renew()
+
+    def __contains__(self, unit: object) -> bool:
+        if self._generation != self._responder.generation:
+            self._renew()
+        return unit in self._units
+
+    def _renew(self) -> None:
+        self._generation = self._responder.generation
+        served = {unit: self._responder.serves(unit) for unit in range(1, LAST_SERIAL_UNIT + 1)}
+        self._units = frozenset(unit for unit, one in served.items() if one is not None and one.unit == unit)
+
+
+__all__ = [
+    "LATER",
+    "SILENCE",
+    "ClientIdentity",
+    "Deferral",
+    "DirectDevice",
+    "Judged",
+    "Outcome",
+    "Refusal",
+    "Replaced",
+    "RequestContext",
+    "Responder",
+    "SerialUnits",
+    "ServedUnit",
+]
