@@ -145,7 +145,7 @@ def test_a_strict_server_has_every_setting_of_the_preset() -> None:
     server = busway.serve(
         "tcp://127.0.0.1:5020", "rtu:///dev/x", units={1: Device(coils=1)}, preset="strict", max_transactions=4
     )
-    handler, parameters = server._handler, server._parameters
+    handler, parameters = server._responder, server._parameters
     assert isinstance(handler, DeviceResponder)
     assert handler._silent
     assert (parameters.scope, parameters.diagnostics_changes, parameters.max_transactions) == (Scope.SERVER, True, 4)
@@ -194,8 +194,8 @@ async def test_a_strict_server_and_a_strict_client_converse() -> None:
 
 def test_a_server_without_a_preset_is_as_it_was() -> None:
     server = busway.serve(units={1: Device(coils=1)}, unit_policy=UnitPolicy.LISTED)
-    assert isinstance(server._handler, DeviceResponder)
-    assert not server._handler._silent
+    assert isinstance(server._responder, DeviceResponder)
+    assert not server._responder._silent
     assert [one.endpoint.url for one in server._settings] == ["tcp://127.0.0.1:5020"]
     assert server._parameters.scope is Scope.CONNECTION
 
