@@ -66,7 +66,7 @@ def test_check_opens_the_files_that_are_named(run: Callable[..., Any], file: Pat
     file.write_text(GOOD + '[security]\ncertificate = "none.pem"\n')
     result = run("config", "check", str(file))
     assert result.code == 2
-    assert result.err.startswith(f"{file}:19: security.certificate: {file.parent / 'none.pem'} can not be read: ")
+    assert result.err.startswith(f"{file}:19: security.certificate: {file.parent / 'none.pem'} cannot be read: ")
 
 
 def test_show_prints_every_value_that_holds_in_the_words_of_the_file(run: Callable[..., Any], file: Path) -> None:
@@ -96,7 +96,7 @@ def test_the_schema_is_json_and_judges_files(
         (["schema", "x.toml"], "schema takes no file"),
         (["check", "x.toml", "--device"], "--device: is for schema"),
         (["explain"], "must be check, show, schema or options, not 'explain'"),
-        (["check", "nothing.toml"], "nothing.toml: can not be read: no such file"),
+        (["check", "nothing.toml"], "nothing.toml: cannot be read: no such file"),
     ],
 )
 def test_wrong_use_costs_one_sentence(run: Callable[..., Any], arguments: list[str], words: str) -> None:

@@ -124,7 +124,7 @@ def test_urls_are_enough_for_the_common_case() -> None:
     [
         (["tcp://127.0.0.1:0"], "add the URL of a serial line or server to forward to"),
         (["tcp://127.0.0.1:0", "plant.toml"], "either URLs or one file"),
-        (["/not/there.toml"], "/not/there.toml: can not be read: no such file"),
+        (["/not/there.toml"], "/not/there.toml: cannot be read: no such file"),
         (["tcp://127.0.0.1:0", "tcp://10.0.0.5?speed=3"], "speed: unknown option"),
         (["check"], "check needs one file"),
         (

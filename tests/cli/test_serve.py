@@ -90,7 +90,7 @@ def test_a_url_in_the_place_of_the_file_is_sent_to_its_option(run: Callable[...,
 def test_a_file_that_can_not_be_read_is_named(run: Callable[..., Any], tmp_path: Path) -> None:
     result = run("serve", str(tmp_path / "nothing.toml"))
     assert result.code == 2
-    assert result.err.splitlines() == [f"{tmp_path / 'nothing.toml'}: can not be read: no such file or directory"]
+    assert result.err.splitlines() == [f"{tmp_path / 'nothing.toml'}: cannot be read: no such file or directory"]
 
 
 def test_a_file_that_is_no_text_is_refused_with_its_line(run: Callable[..., Any], tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ def test_a_file_that_can_not_be_written_is_said(tank: str, points: Path, run: Ca
         (["--device", "meter", "--force"], "--force: goes with --clone only"),
         (["--clone", "tcp://127.0.0.1:1", "--force"], "--force: goes with --out only"),
         (["--device", "meter", "--unit", "3"], "--unit: goes with --clone and --map only"),
-        (["--map", "gone.csv"], "gone.csv: can not be read: no such file"),
+        (["--map", "gone.csv"], "gone.csv: cannot be read: no such file"),
         (["--device", "meter", "--out", "x"], "--out: goes with --clone only"),
         (["--device", "meter", "--thorough"], "--thorough: goes with --clone only"),
         (["--clone", "tcp://127.0.0.1:1", "--device", "meter"], "--clone: names what is recorded"),

@@ -337,7 +337,7 @@ def test_a_place_that_can_not_be_listened_on_is_an_error_of_the_call() -> None:
         ({"4x1": None}, "4x1: a value is a number, a text, a bool"),
         ({"4x1": 2.5, "4x2": 1}, "4x2: 4x2 is taken by '4x1'"),
         ("device:toaster", "there is no such device, but meter"),
-        ("gone.toml", "gone.toml: can not be read"),
+        ("gone.toml", "gone.toml: cannot be read"),
     ],
 )
 def test_what_can_not_be_served_is_refused_with_a_sentence(content: object, said: str) -> None:

@@ -59,7 +59,7 @@ def _check(file: str) -> None:
     from ..apps.server.configuration import load_configuration
     from ..apps.server.overview import overview
 
-    configuration = load_configuration(file, examine=True)
+    configuration = load_configuration(file, preflight=True)
     print_aligned(list(overview(configuration)))
     for warning in configuration.warnings:
         print(warning, file=sys.stderr)

@@ -161,7 +161,7 @@ def _check(words: list[str]) -> None:
 
     if len(words) != 1:
         raise ConfigError("check needs one file", key="FILE")
-    configuration = load_gateway(words[0], examine=True)
+    configuration = load_gateway(words[0], preflight=True)
     print_aligned(list(gateway_rows(configuration)))
     print()
     print_aligned([ROUTING_HEADINGS, *routing_rows(configuration)])

@@ -2,12 +2,12 @@
 
 ==================  ==========================================================================
 `files`             the schemas: TOML text to frozen values, with every error at its line
-`devices`           the devices of a device file, built
+`devices`           device files → devices that can be served
 `links`             the options of a named link
-`certificates`      those of a listener, as they hold in the end
-`live_access`       who may do what while a server runs: rules that can be replaced
-`preflight`         what can be said before anything runs
-`report`            what components say about the values of a file, each with the line of its key
+`certificates`      the certificates that a listener uses
+`live_access`       allow lists and default rules that can be replaced while a server runs
+`preflight`         checks before anything runs: roles that no client can have, files that cannot be read
+`report`            the problems and warnings of a file, each with the line of its key
 `paths`, `reading`  files by their names
 ==================  ==========================================================================
 """

@@ -1,4 +1,4 @@
-"""The certificates of a listener as they hold in the end: its URL goes before its section, that before the rest."""
+"""The certificates that a listener uses: options of its URL go before its section, those before ``[security]``."""
 
 from ..options.server import ListenerParameters
 from ..options.tls import TlsParameters
@@ -7,12 +7,12 @@ from ..server.listener_settings import listener_settings
 
 
 def tls_of(listener: Listener) -> TlsParameters | None:
-    """What a listener does about TLS; None where its carrier is another. Raises `ConfigError`."""
+    """The TLS options of a listener; None without TLS. Raises `ConfigError`."""
     return listener_settings(listener, limits=ListenerParameters()).tls
 
 
 def try_certificates(listener: Listener) -> None:
-    """Read the certificates of a listener, to see whether they can be used. Raises `ConfigError` with the file."""
+    """Load the certificates of a listener. Raises `ConfigError` with the file if they cannot be used."""
     tls = tls_of(listener)
     if tls is not None:
         from ..transport.tls.context import server_context

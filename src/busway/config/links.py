@@ -1,10 +1,10 @@
 """The named links of a configuration: endpoint and options, checked as `busway.open` would.
 
-Knows which options go before which; what they mean is known by the client.
+Knows the order of precedence of options; the client knows what they mean.
 
 1. An option of the link itself goes before one in its URL, and that before one of ``[client]``; defaults of the program
-   that uses the links come behind these.
-2. An option of ``[client]`` holds for the links whose scheme has it, and for no other; so do the certificates of
+   that uses the links come last.
+2. An option of ``[client]`` applies to the links whose scheme has it, and to no other; so do the certificates of
    ``[security]``, behind all.
 """
 
@@ -18,7 +18,7 @@ from ..options.offer import options_for
 from ..options.tls import TlsParameters
 from .files.lines import Path
 from .files.system import LinkSection, SystemFile
-from .report import Judge, nearest
+from .report import ConfigurationReport, nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +39,17 @@ class NamedLink:
 
 
 def named_links(
-    file: SystemFile, root: Callable[[Mapping[str, Any]], dict[str, Any]], judge: Judge, defaults: Mapping[str, Any]
+    file: SystemFile,
+    root: Callable[[Mapping[str, Any]], dict[str, Any]],
+    report: ConfigurationReport,
+    defaults: Mapping[str, Any],
 ) -> dict[str, NamedLink]:
-    """The links of a file by name; what is wrong with one is told to the judge.
+    """The links of a file by name; problems of a link go to the report.
 
     Args:
         file: the file.
         root: makes paths among options independent of the file's folder.
-        judge: collects what is wrong.
+        report: collects what is wrong.
         defaults: options of the program that uses the links, where they differ from those of links.
     """
     offered = options_for("client", TlsParameters)
@@ -54,7 +57,7 @@ def named_links(
     general = {**defaults, **file.client.options()}
     links: dict[str, NamedLink] = {}
     for index, section in enumerate(file.link):
-        made = _named_link(section, general, security, root, ("link", index), judge)
+        made = _named_link(section, general, security, root, ("link", index), report)
         if made is not None:
             links[made.name] = made
     return links
@@ -66,16 +69,16 @@ def _named_link(
     security: Mapping[str, Any],
     root: Callable[[Mapping[str, Any]], dict[str, Any]],
     at: Path,
-    judge: Judge,
+    report: ConfigurationReport,
 ) -> NamedLink | None:
-    """A link as its section declares it; None, and a word to the judge, where it cannot be.
+    """A link as its section declares it; None, with a problem in the report, if it is invalid.
 
     Args:
         section: its own options.
         general, security: those for all links, and certificates for all.
         root: makes paths among options independent of the file's folder.
         at: where the section stands.
-        judge: collects what is wrong.
+        report: collects what is wrong.
     """
     endpoint = parse_endpoint(section.url)
     offered = options_of(endpoint)
@@ -100,5 +103,5 @@ def _named_link(
             made.security.check_client()
         return made
 
-    settings = judge.make(make, place)
+    settings = report.make(make, place)
     return None if settings is None else NamedLink(section.name, section.url, options, settings)

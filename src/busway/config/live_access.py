@@ -1,10 +1,10 @@
-"""Who may connect and who may do what, while a server runs: rules that can be replaced.
+"""Allow lists and default rules that can be replaced while a server runs.
 
 Knows rules and listeners; knows no connection.
 
 1. A listener that the network can reach, and for which no policy was written, is read-only unless writes were allowed
    by name. Serial lines are not concerned, since they have to take broadcast writes; nor are loopback addresses.
-2. Until a server is bound nobody knows which listeners those are: until then all network listeners are.
+2. Which listeners those are is only known when the server is bound: until then all network listeners are read-only.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,13 +16,13 @@ from ..options.endpoints import SCHEMES, parse_endpoint
 from ..server.naming import is_loopback
 
 UNASKED: Final = "beyond-loopback"
-"""The name of the rule that makes a listener read-only for which nobody wrote a policy."""
+"""The name of the rule that makes a listener without a policy read-only."""
 NETWORK_SCHEMES: Final = tuple(f"{name}://" for name, scheme in SCHEMES.items() if scheme.carrier != "serial")
 _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 
 class ReloadableAllowList:
-    """Whether a host may connect, by lists that can be replaced: what a server asks with ``authorise``.
+    """Decides whether a host may connect, by lists that can be replaced; a server calls it as ``authorise``.
 
     Attributes:
         lists: all of them must permit a host.
@@ -36,12 +36,12 @@ class ReloadableAllowList:
 
 
 def reaches_network(url: str) -> bool:
-    """Whether a listener on a URL can be reached by other hosts."""
+    """Whether other hosts can reach a listener on a URL."""
     endpoint = parse_endpoint(url)
     return endpoint.carrier != "serial" and endpoint.host not in _LOCAL_NAMES and not is_loopback(endpoint.url)
 
 
 def read_only_for(listeners: Sequence[str]) -> Policy:
-    """Everybody may do everything, except by these listeners (URLs, or schemes): there only read."""
+    """A policy that allows everything, except at these listeners (URLs, or schemes), which are read-only."""
     rules = (Rule(name=UNASKED, action=Action.READ_ONLY, listeners=tuple(listeners)),) if listeners else ()
     return Policy(rules, Action.ALLOW)

@@ -1,4 +1,4 @@
-"""What can be said about a configuration before it runs: rules that can never fit, files that cannot be used.
+"""Checks of a configuration before it runs: rules that can never match, files that cannot be used.
 
 Knows what goes together; opens files, and no connection.
 """
@@ -15,31 +15,31 @@ from .certificates import try_certificates
 from .files.lines import Path as Place
 from .files.system import SystemFile
 from .paths import TLS_FILES, within
-from .report import Judge, nearest
+from .report import ConfigurationReport, nearest
 
 
-def judge_roles(file: SystemFile, judge: Judge) -> None:
+def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
     """Warn of rules for roles where no client can have one."""
     if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
         return
     for index, rule in enumerate(file.policy.rule):
         if rule.roles is not None:
-            judge.warn(("policy", "rule", index, "roles"), "nobody has a role: there is no tls:// listener")
+            report.warn(("policy", "rule", index, "roles"), "no client can have a role: there is no tls:// listener")
 
 
-def examine_files(file: SystemFile, name: str, listeners: Sequence[Listener], judge: Judge) -> None:
-    """Open what the file names, and tell the judge what cannot be used."""
-    wrong = len(judge.problems)
+def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:
+    """Open what the file names, and report what cannot be used."""
+    wrong = len(report.problems)
     for place, path in _named_files(file):
-        _readable(place, within(name, path), judge)
+        _readable(place, within(name, path), report)
     if file.audit is not None:
         folder = Path(within(name, file.audit.path)).parent
         if not folder.is_dir() or not os.access(folder, os.W_OK):
-            judge.refuse(("audit", "path"), f"nothing can be written in {folder}")
-    if len(judge.problems) > wrong:
+            report.refuse(("audit", "path"), f"nothing can be written in {folder}")
+    if len(report.problems) > wrong:
         return
     for (place, _), listener in zip(file.places(), listeners, strict=True):
-        _usable(listener, _Keys(file, place), judge)
+        _usable(listener, _Keys(file, place), report)
 
 
 class _Keys:
@@ -65,8 +65,8 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
                 yield (*place, key), path
 
 
-def _readable(place: Place, path: str, judge: Judge) -> None:
-    """Open a file, or a folder of authorities, and tell the judge where it cannot be read."""
+def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
+    """Open a file, or a folder of authorities, and report it where it cannot be read."""
     if Path(path).is_dir() and place[-1] == "authority":
         return
     try:
@@ -74,12 +74,12 @@ def _readable(place: Place, path: str, judge: Judge) -> None:
             pass
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        judge.refuse(place, f"{path} can not be read: {reason[:1].lower()}{reason[1:]}")
+        report.refuse(place, f"{path} cannot be read: {reason[:1].lower()}{reason[1:]}")
 
 
-def _usable(listener: Listener, place: Callable[[str | None], Place], judge: Judge) -> None:
-    """Certificates and keys that can be read, but do not fit."""
+def _usable(listener: Listener, place: Callable[[str | None], Place], report: ConfigurationReport) -> None:
+    """Report certificates and keys that can be read, but do not belong together."""
     try:
         try_certificates(listener)
     except ConfigError as error:
-        judge.refuse(place(error.key), f"{error.file}: {error.message}" if error.file else error.message)
+        report.refuse(place(error.key), f"{error.file}: {error.message}" if error.file else error.message)

@@ -1,4 +1,4 @@
-"""The text of a file that people write."""
+"""Reads the text of a configuration file."""
 
 from typing import Final
 
@@ -10,7 +10,7 @@ MOST_BYTES: Final = 32 * 1024 * 1024
 
 
 def read_text(name: str) -> str:
-    """The text of a file in UTF-8 that was named by who started the program: a pipe will do.
+    """The text of a UTF-8 file that was named on the command line or by the program; it may be a pipe.
 
     Raises:
         ConfigError: it cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; names the file.
@@ -20,14 +20,14 @@ def read_text(name: str) -> str:
             data = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"can not be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
+        raise ConfigError(f"cannot be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
     if len(data) > MOST_BYTES:
         raise ConfigError(f"is larger than {size_text(MOST_BYTES)}, the limit for such a file", file=name)
     return _decoded(data, name)
 
 
 def read_named_text(name: str) -> str:
-    """The text of a file in UTF-8 whose name stands in another file: a regular one, by no link of another user.
+    """The text of a UTF-8 file that another file names: it must be regular and not reached by another user's link.
 
     Raises:
         ConfigError: as of `read_text`, or as `read_safely` refuses it; names the file.
@@ -37,7 +37,7 @@ def read_named_text(name: str) -> str:
 
 def _decoded(data: bytes, name: str) -> str:
     try:
-        # Line ends as they are: the reader of TOML judges them.
+        # Line ends as they are: the TOML reader checks them.
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1

@@ -1,4 +1,4 @@
-"""What components say about the values that a file gives them, each with the line of its key.
+"""The configuration report: what is wrong with the values of a file, each with the line of its key.
 
 Knows how an error of a component names its key; knows no component.
 """
@@ -14,15 +14,15 @@ from .files.schema import Source, in_order
 Made = TypeVar("Made")
 
 
-class Judge:
-    """Collects what is wrong, so that all of it is said at once.
+class ConfigurationReport:
+    """Collects problems and warnings of a file, so that one error names all of them.
 
     Args:
         source: the file.
 
     Attributes:
         problems: what is wrong so far.
-        warnings: what is odd, but can be.
+        warnings: what is odd, but possible.
     """
 
     def __init__(self, source: Source) -> None:
@@ -31,7 +31,7 @@ class Judge:
         self.warnings: list[ConfigError] = []
 
     def make(self, make: Callable[[], Made], place: Callable[[str | None], Path]) -> Made | None:
-        """What ``make`` gives, or None where it refuses; ``place`` says where the key stands that it names."""
+        """Return what ``make`` returns; on `ConfigError` add a problem at ``place(key)`` and return None."""
         try:
             return make()
         except FileError as error:
@@ -41,22 +41,22 @@ class Judge:
         return None
 
     def refuse(self, path: Path, sentence: str) -> None:
-        """Something is wrong."""
+        """Add a problem."""
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:
-        """Something is odd."""
+        """Add a warning."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:
-        """The warnings. Raises `FileError` if anything is wrong."""
+        """Return the warnings. Raises `FileError` with all problems if there are any."""
         if self.problems:
             raise FileError(in_order(self.problems))
         return tuple(in_order(self.warnings))
 
 
 def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
-    """Where a key stands: among a part's own keys, or among those for all parts, or else the part itself."""
+    """The path of a key: in the part itself, or in the section for all parts; the part where it is in neither."""
     if key is not None and key in own:
         return (*at, key)
     if key is not None and key in general:

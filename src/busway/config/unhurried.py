@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 _AT_ONCE: Final = 256
-"""Elements that are freed without letting others on."""
+"""Elements that are freed before other threads run."""
 
 
 @contextmanager
 def collecting_paused() -> Iterator[None]:
-    """Let the garbage collector rest while many objects are made that all stay, or go by themselves."""
+    """Switch the garbage collector off while many objects are made that stay or are freed without it."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -35,8 +35,8 @@ def let_go(lists: list[list[Any]]) -> None:  # Any: nothing is asked of them
 
 
 def keep_uncollected() -> None:
-    """Take all that exists from the garbage collector: it is freed when nothing refers to it, but no circle of it is.
+    """Exclude all existing objects from garbage collection: reference counting still frees them, but no cycles.
 
-    For a program that has read much which stays. What is in a circle now, and goes later, costs its memory.
+    For a program that has read much data which stays. Cycles that exist now are never freed.
     """
     gc.freeze()

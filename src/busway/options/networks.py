@@ -1,6 +1,6 @@
 """Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one.
 
-Knows the texts of addresses; asks no name server: who may be let in is not for a name server to say.
+Knows the texts of addresses; asks no name server, which must not decide who may connect.
 
 1. ``::ffff:10.0.0.7`` is 10.0.0.7, in a list and as a host: it is how a socket for both families names an IPv4 client.
 2. A zone (``fe80::1%eth0``) in a list is part of what must fit; an entry without one fits in every zone.

@@ -3,7 +3,7 @@
 Knows the characters of a line and the wires that switch its direction; knows no port and no Modbus.
 
 1. Even parity is the default (Serial Line V1.02 §2.5.1). Stop bits follow by rule, one with parity and two without, so
-   that a character keeps its length; who must can still say how many.
+   that a character keeps its length; the option sets another number.
 2. A setting that has no effect beside the others is refused: it would be believed to work.
 """
 
@@ -30,7 +30,7 @@ _DIRECTION_DELAY = Range(0, LONGEST_DIRECTION_DELAY, "seconds")
 class Rs485(Word):
     """Who switches the direction of an RS-485 driver.
 
-    OFF: nobody here; the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
+    OFF: the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
     RS-485 mode, which is exact. RTS: this program, by the RTS wire; the operating system's delays add to it.
     AUTOMATIC: the kernel where the port has that mode, RTS otherwise.
     """

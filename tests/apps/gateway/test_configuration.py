@@ -76,7 +76,7 @@ def test_certificates_of_lines_that_can_not_be_read_are_found_where_files_are_ex
     file.write_text(text)
     assert load_gateway(file).plan.upstreams
     with pytest.raises(busway.ConfigError, match=r"gateway\.toml:5: link\[0\]\.authority: .*ca\.pem can ?not be read"):
-        load_gateway(file, examine=True)
+        load_gateway(file, preflight=True)
 
 
 def test_the_overview_names_listeners_lines_and_what_becomes_of_requests() -> None:

@@ -299,7 +299,7 @@ def test_a_listener_that_the_network_reaches_and_roles_without_tls_are_warned_of
     rules = '[policy]\ndefault = "deny"\n[[policy.rule]]\nname = "x"\nroles = ["a"]\n'
     assert warned(text, rules) == [
         "3: listener[0].url: warning: tcp://0.0.0.0:5020 listens on every interface of this host",
-        "11: policy.rule[0].roles: warning: nobody has a role: there is no tls:// listener",
+        "11: policy.rule[0].roles: warning: no client can have a role: there is no tls:// listener",
     ]
 
 

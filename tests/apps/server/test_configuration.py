@@ -100,7 +100,7 @@ def test_what_has_no_unit_can_not_be_served() -> None:
 
 
 def test_a_file_that_can_not_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(busway.ConfigError, match=r"nothing\.toml: can not be read: no such file"):
+    with pytest.raises(busway.ConfigError, match=r"nothing\.toml: cannot be read: no such file"):
         busway.load_configuration(tmp_path / "nothing.toml")
 
 
@@ -133,7 +133,7 @@ def test_examining_opens_the_files_that_are_named(tmp_path: Path) -> None:
     file.write_text(SYSTEM.replace("audit.jsonl", "there/is/none/audit.jsonl"), encoding="utf-8")
     (tmp_path / "ca.pem").write_text("no certificate")
     with pytest.raises(FileError) as caught:
-        load_configuration(file, examine=True)
+        load_configuration(file, preflight=True)
     said = str(caught.value).splitlines()
     assert [sentence.split(": ")[1] for sentence in said] == [
         "listener[1].certificate",
@@ -142,7 +142,7 @@ def test_examining_opens_the_files_that_are_named(tmp_path: Path) -> None:
         "security.key",
         "audit.path",
     ]
-    assert said[0].endswith(f"{tmp_path / 'other.pem'} can not be read: no such file or directory")
+    assert said[0].endswith(f"{tmp_path / 'other.pem'} cannot be read: no such file or directory")
 
 
 def test_examining_tries_whether_certificates_can_be_used(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_examining_tries_whether_certificates_can_be_used(tmp_path: Path) -> Non
     )
     load_configuration(file)  # not examined
     with pytest.raises(FileError, match=r"plant\.toml:4: security\.certificate: .*host\.pem: there is no"):
-        load_configuration(file, examine=True)
+        load_configuration(file, preflight=True)
 
 
 def test_changes_go_before_what_the_file_says() -> None:

@@ -39,7 +39,7 @@ def declared(text: str, **files: str) -> SimulationDeclaration:
     def read(name: str) -> str:
         stem = Path(name).stem
         if stem not in files:
-            raise ConfigError("can not be read: no such file", file=name)
+            raise ConfigError("cannot be read: no such file", file=name)
         return files[stem]
 
     return parse_declaration(text, "plant.toml", read=read)
@@ -122,7 +122,7 @@ def test_parameters_keep_their_type_where_nothing_stands_around_them() -> None:
         ),
         ('required = ["a"]\n[[unit]]\nunit = 1\n', METER, "plant.toml:1: required: can only be given by who includes"),
         ('[[unit]]\nunit = [1, 2]\nname = "${unit}"\n', METER, "plant.toml:3: unit[0].name: there is no parameter"),
-        ('[[include]]\nfile = "away.toml"\n', METER, "plant.toml:2: include[0].file: away.toml: can not be read"),
+        ('[[include]]\nfile = "away.toml"\n', METER, "plant.toml:2: include[0].file: away.toml: cannot be read"),
         ('[[include]]\nfile = "plant.toml"\n', METER, "plant.toml:2: include[0].file: plant.toml would include itself"),
         ("[server]\nunit_policy = 'any'\n" + including(), METER, "plant.toml:2: server.unit_policy: any needs exactly"),
     ],

@@ -159,7 +159,7 @@ def test_all_that_is_wrong_is_said_at_once_in_the_order_of_the_lines() -> None:
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"gone\.csv: can not be read: no such file"):
+    with pytest.raises(ConfigError, match=r"gone\.csv: cannot be read: no such file"):
         read_register_map(tmp_path / "gone.csv")
 
 

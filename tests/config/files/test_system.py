@@ -195,7 +195,10 @@ def test_two_listeners_on_one_address_are_found(one: str, other: str, clash: boo
 def test_rules_for_roles_that_nobody_can_have_are_odd_but_can_be() -> None:
     text = UNIT + '[policy]\ndefault = "deny"\n[[policy.rule]]\nroles = ["operator"]\n'
     (warning,) = parse_configuration(text, "x.toml").warnings
-    assert str(warning) == "x.toml:6: policy.rule[0].roles: warning: nobody has a role: there is no tls:// listener"
+    assert (
+        str(warning)
+        == "x.toml:6: policy.rule[0].roles: warning: no client can have a role: there is no tls:// listener"
+    )
     assert parse_configuration(SYSTEM, "x.toml").warnings == ()
 
 

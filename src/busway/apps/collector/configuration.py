@@ -26,7 +26,7 @@ from ...config.parameters import FilledSource, declared_parameters
 from ...config.paths import within
 from ...config.profiles import DEVICES, PREFIX, read_included
 from ...config.reading import read_text
-from ...config.report import Judge
+from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
 from ...framing.timing import Parity, SerialTiming
 from ...points.point import Point
@@ -160,15 +160,15 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
         FileError: all that is wrong, each with file, line and key.
     """
     file, source = read_collector_file(text, name)
-    judge = Judge(source)
-    common = put_together(file, name, judge, link_defaults=LINK_DEFAULTS)
+    report = ConfigurationReport(source)
+    common = put_together(file, name, report, link_defaults=LINK_DEFAULTS)
     devices: dict[str, CollectedDevice] = {}
     profiles = _Profiles(name)
     for index, section in enumerate(file.device):
-        made = _device(file, section, ("device", index), common.links, profiles, source, judge)
+        made = _device(file, section, ("device", index), common.links, profiles, source, report)
         if made is not None:
             devices[made.name] = made
-    judge.end()
+    report.end()
     periods = {key: each.period for key, each in file.poll_class.items()}
     return CollectorConfiguration(common, file, text, within(name, file.collector.store), periods, devices)
 
@@ -247,21 +247,21 @@ def _device(
     links: Mapping[str, NamedLink],
     profiles: _Profiles,
     source: Source,
-    judge: Judge,
+    report: ConfigurationReport,
 ) -> CollectedDevice | None:
     try:
         profile = profiles.of(section, (source, at))
     except FileError as error:
-        judge.problems += error.problems
+        report.problems += error.problems
         return None
-    items = _by_class(file, section, profile.points, at, judge)
+    items = _by_class(file, section, profile.points, at, report)
     link = links.get(section.link)
     if link is None or items is None:
         return None
     try:
         unit = default_unit(link.settings.endpoint, section.unit)
     except InvalidRequest as error:
-        judge.refuse((*at, "unit"), error.message.replace(": link.unit(1)", ""))
+        report.refuse((*at, "unit"), error.message.replace(": link.unit(1)", ""))
         return None
     cost, fixed = _cost(link.settings, section.line_baud, profile.rules.pause)
     return CollectedDevice(
@@ -279,7 +279,7 @@ def _device(
 
 
 def _by_class(
-    file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, judge: Judge
+    file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, report: ConfigurationReport
 ) -> dict[str, list[Point]] | None:
     """The points that are read, by class; None and a word to the judge where a class is missing."""
     usual = file.class_of(section)
@@ -290,14 +290,14 @@ def _by_class(
     there = ", ".join(file.poll_class)
     for name, of_class in found.items():
         if not name:
-            judge.refuse((*at, "poll_class"), f"is missing: {of_class[0].name} is in no class; there are {there}")
+            report.refuse((*at, "poll_class"), f"is missing: {of_class[0].name} is in no class; there are {there}")
         elif name not in file.poll_class:
-            judge.refuse((*at, "profile"), f"{of_class[0].name} is in class {name!r}, which is not there, but {there}")
+            report.refuse((*at, "profile"), f"{of_class[0].name} is in class {name!r}, which is not there, but {there}")
         else:
             continue
         return None
     if not found:
-        judge.refuse((*at, "profile"), f"{section.profile} has no points")
+        report.refuse((*at, "profile"), f"{section.profile} has no points")
         return None
     return found
 

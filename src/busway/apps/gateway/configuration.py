@@ -19,7 +19,7 @@ from ...config.files.problems import FileError
 from ...config.files.schema import Source
 from ...config.links import NamedLink
 from ...config.reading import read_text
-from ...config.report import Judge
+from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE
 from ...options.endpoints import Endpoint, parse_endpoint
@@ -32,7 +32,7 @@ from ...server.strict import with_server_preset
 from ..server.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import UPSTREAM_DEFAULTS, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
-from .route_checks import judge_routes
+from .route_checks import check_routes
 from .routes import RoutingTable
 
 COMMAND = "busway gateway"
@@ -141,13 +141,13 @@ class GatewayConfiguration:
 
 
 def load_gateway(
-    path: str | os.PathLike[str], *, examine: bool = False, changes: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str], *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> GatewayConfiguration:
     """The gateway that a file declares.
 
     Args:
         path: the file, in TOML.
-        examine: whether to open the files that it names too, to report now what would fail later.
+        preflight: whether to open the files that it names too, to report now what would fail later.
         changes: options of listeners that override those of the file.
 
     Raises:
@@ -155,24 +155,24 @@ def load_gateway(
             file, line and key.
     """
     name = os.fspath(path)
-    return parse_gateway(read_text(name), name, examine=examine, changes=changes)
+    return parse_gateway(read_text(name), name, preflight=preflight, changes=changes)
 
 
 def parse_gateway(
-    text: str, name: str, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+    text: str, name: str, *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> GatewayConfiguration:
     """The gateway that a text in TOML declares.
 
     Args:
         text: the content of the file.
         name: its name, for messages; paths in it are relative to its folder.
-        examine, changes: as of `load_gateway`.
+        preflight, changes: as of `load_gateway`.
 
     Raises:
         FileError: all problems, each with file, line and key.
     """
     file, source = read_gateway_file(text, name)
-    return _put_together(file, source, examine=examine, changes=changes)
+    return _put_together(file, source, preflight=preflight, changes=changes)
 
 
 def simple_gateway(
@@ -208,27 +208,27 @@ def _put_together(
     file: GatewayFile,
     source: Source,
     *,
-    examine: bool = False,
+    preflight: bool = False,
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
     """``client_deadline`` is that of listeners without a section."""
     name = source.name
-    judge = Judge(source)
-    common = put_together(file, name, judge, examine=examine, changes=changes, link_defaults=UPSTREAM_DEFAULTS)
+    report = ConfigurationReport(source)
+    common = put_together(file, name, report, preflight=preflight, changes=changes, link_defaults=UPSTREAM_DEFAULTS)
     listeners = _named_apart(
         [_placed_listener(file, place, parse_endpoint(url), client_deadline) for place, url in file.places()]
     )
     upstreams = {}
     for index, section in enumerate(file.link):
         link = common.links.get(section.name)
-        upstream = None if link is None else _upstream(section, link, ("link", index), judge)
+        upstream = None if link is None else _upstream(section, link, ("link", index), report)
         if upstream is not None:
             upstreams[upstream.name] = upstream
-    routes = placed_routes(file, upstreams, judge)
-    judge_routes(file, routes, listeners, upstreams, None if common.access is None else common.access.policy, judge)
+    routes = placed_routes(file, upstreams, report)
+    check_routes(file, routes, listeners, upstreams, None if common.access is None else common.access.policy, report)
     served, server = _as_served(common)
-    warnings = judge.end()
+    warnings = report.end()
     plan = GatewayPlan(
         listeners=tuple(
             GatewayListener(listener.name, settings, listener.deadline, _is_silent(file, listener.place))
@@ -272,8 +272,10 @@ def _is_silent(file: GatewayFile, place: Place) -> bool:
     return section is not None and section.silent_broadcasts
 
 
-def _upstream(section: UpstreamSection, link: NamedLink, at: Place, judge: Judge) -> UpstreamSettings | None:
-    return judge.make(
+def _upstream(
+    section: UpstreamSection, link: NamedLink, at: Place, report: ConfigurationReport
+) -> UpstreamSettings | None:
+    return report.make(
         lambda: UpstreamSettings(
             section.name,
             link.settings,

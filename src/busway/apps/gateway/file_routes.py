@@ -9,7 +9,7 @@ from functools import partial
 
 from ...config.files.gateway import GatewayFile, RouteSection
 from ...config.files.lines import Path as Place
-from ...config.report import Judge
+from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint
 from .gateway import UpstreamSettings
@@ -56,7 +56,9 @@ class PlacedListener:
         return self.endpoint.framing != "mbap"
 
 
-def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], judge: Judge) -> list[PlacedRoute]:
+def placed_routes(
+    file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], report: ConfigurationReport
+) -> list[PlacedRoute]:
     """The routes of a file; invalid ones are reported and left out."""
     if not file.route:
         return [
@@ -68,7 +70,7 @@ def placed_routes(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], 
         at: Place = ("route", index)
         if section.link is not None and section.link not in upstreams:
             continue  # reported with the section of the upstream
-        made = judge.make(partial(_route, section, upstreams), partial(_key_of, section, at))
+        made = report.make(partial(_route, section, upstreams), partial(_key_of, section, at))
         if made is not None:
             found.append(PlacedRoute(made, at, section))
     return found

@@ -17,7 +17,7 @@ from ...client.conversation import timing_of
 from ...codes import LAST_SERIAL_UNIT
 from ...config.files.gateway import GatewayFile
 from ...config.files.lines import Path as Place
-from ...config.report import Judge
+from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.naming import is_loopback
@@ -50,13 +50,13 @@ class WorstCase:
 # What cannot work.
 
 
-def judge_routes(
+def check_routes(
     file: GatewayFile,
     routes: Sequence[PlacedRoute],
     listeners: Sequence[PlacedListener],
     upstreams: Mapping[str, UpstreamSettings],
     policy: Policy | None,
-    judge: Judge,
+    report: ConfigurationReport,
 ) -> None:
     """Report errors and warnings about routes, listeners, upstreams and the policy."""
     for at, sentence in (
@@ -69,7 +69,7 @@ def judge_routes(
         *_listeners_without_units(file, routes, listeners),
         *_loops(file, listeners, upstreams),
     ):
-        judge.refuse(at, sentence)
+        report.refuse(at, sentence)
     for at, sentence in (
         *_overlaps(routes),
         *_idle_upstreams(file, routes, upstreams),
@@ -79,7 +79,7 @@ def judge_routes(
         *(() if policy is None else policy_gaps(policy, routes)),
         *_same_servers(file, upstreams),
     ):
-        judge.warn(at, sentence)
+        report.warn(at, sentence)
 
 
 Faults = Iterator[tuple[Place, str]]

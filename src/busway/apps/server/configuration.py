@@ -22,9 +22,9 @@ from ...config.files.problems import FileError
 from ...config.files.system import SystemFile, read_system_file
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
-from ...config.preflight import examine_files, judge_roles
+from ...config.preflight import check_files, check_roles
 from ...config.reading import read_text
-from ...config.report import Judge, nearest
+from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint, parse_endpoint
 from ...options.offer import options_for
@@ -136,13 +136,13 @@ class Configuration:
 
 
 def load_configuration(
-    path: str | os.PathLike[str], *, examine: bool = False, changes: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str], *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> Configuration:
     """The configuration of a file: server, listeners, client, security, policy and units.
 
     Args:
         path: the file, in TOML. Every device file is one.
-        examine: whether the files that it names are opened too, to say now what would fail later.
+        preflight: whether the files that it names are opened too, to say now what would fail later.
         changes: options of listeners that go before those of the file.
 
     Raises:
@@ -150,18 +150,18 @@ def load_configuration(
             file, line and key.
     """
     name = os.fspath(path)
-    return parse_configuration(read_text(name), name, examine=examine, changes=changes)
+    return parse_configuration(read_text(name), name, preflight=preflight, changes=changes)
 
 
 def parse_configuration(
-    text: str, name: str, *, examine: bool = False, changes: Mapping[str, Any] | None = None
+    text: str, name: str, *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> Configuration:
     """The configuration that a text declares.
 
     Args:
         text: the content of the file.
         name: its name, for sentences; paths in it are relative to its folder.
-        examine, changes: as of `load_configuration`.
+        preflight, changes: as of `load_configuration`.
 
     Raises:
         FileError: all that is wrong, each with file, line and key.
@@ -170,9 +170,9 @@ def parse_configuration(
         file, source = read_system_file(text, name)
     except FileError as error:
         raise _what_reads_it(error) from None
-    judge = Judge(source)
-    made = put_together(file, name, judge, examine=examine, changes=changes)
-    return replace(made, warnings=judge.end())
+    report = ConfigurationReport(source)
+    made = put_together(file, name, report, preflight=preflight, changes=changes)
+    return replace(made, warnings=report.end())
 
 
 def _what_reads_it(error: FileError) -> FileError:
@@ -189,28 +189,28 @@ def _what_reads_it(error: FileError) -> FileError:
 def put_together(
     file: SystemFile,
     name: str,
-    judge: Judge,
+    report: ConfigurationReport,
     *,
-    examine: bool = False,
+    preflight: bool = False,
     changes: Mapping[str, Any] | None = None,
     link_defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> Configuration:
-    """What a file declares, as far as the judge lets it: of use only after `Judge.end`.
+    """What a file declares, as far as it is right: of use only after `ConfigurationReport.end`.
 
     Args:
         file: its sections.
         name: its name; paths in it are relative to its folder.
-        judge: collects what is wrong, and what is odd.
-        examine, changes: as of `load_configuration`.
+        report: collects what is wrong, and what is odd.
+        preflight, changes: as of `load_configuration`.
         link_defaults: options of the links, where the program that uses them has other defaults.
     """
-    makers = _Makers(file, name, judge, changes or {})
+    makers = _Makers(file, name, report, changes or {})
     limits = makers.limits()
     listeners = [makers.listener(place, parse_endpoint(url)) for place, url in file.places()]
-    links = named_links(file, lambda options: rooted(options, name), judge, link_defaults)
-    judge_roles(file, judge)
-    if examine:
-        examine_files(file, name, listeners, judge)
+    links = named_links(file, lambda options: rooted(options, name), report, link_defaults)
+    check_roles(file, report)
+    if preflight:
+        check_files(file, name, listeners, report)
     return Configuration(
         name,
         file,
@@ -237,10 +237,10 @@ def _control(file: SystemFile, name: str) -> str | None:
 class _Makers:
     """Makes listeners of what stands in a file: each part's own settings go before the general ones."""
 
-    def __init__(self, file: SystemFile, name: str, judge: Judge, changes: Mapping[str, Any]) -> None:
+    def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file
         self._name = name
-        self._judge = judge
+        self._check_options = report
         self._changes = changes
         self._general = file.server.options()
         offered = options_for("server", TlsParameters)
@@ -260,15 +260,15 @@ class _Makers:
         known = option_names(ListenerParameters)
         general = {key: value for key, value in self._general.items() if key in known}
         chosen = {**general, **own, **self._changes}
-        return self._judge.make(
+        return self._check_options.make(
             lambda: build_parameters(ListenerParameters, chosen),
             lambda key: nearest(key, own, at, general, ("server",)),
         )
 
     def listener(self, place: Place, endpoint: Endpoint) -> Listener:
-        """The listener whose URL stands at a place; without what the judge had to refuse."""
+        """The listener whose URL stands at a place; without what was refused."""
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
-            self._judge.warn(place, f"{endpoint.url} listens on every interface of this host")
+            self._check_options.warn(place, f"{endpoint.url} listens on every interface of this host")
         if endpoint.carrier == "serial":
             return self._checked(Listener(endpoint), place)
         section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
@@ -276,7 +276,7 @@ class _Makers:
         tls = self._tls(own, at) if endpoint.carrier == "tls" else None
         if section is None:
             return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
-        access = self._judge.make(
+        access = self._check_options.make(
             lambda: AddressList(section.allow, section.deny, section.secure),
             lambda key: nearest(key, ("allow", "deny"), at, (), at),
         )
@@ -291,12 +291,12 @@ class _Makers:
         def place_of(key: str | None) -> Place:
             return place if key in options else nearest(key, own or {}, place[:2], self._security, ("security",))
 
-        self._judge.make(lambda: tls_of(listener), place_of)
+        self._check_options.make(lambda: tls_of(listener), place_of)
         return listener
 
     def _tls(self, own: Mapping[str, Any], at: Place) -> TlsParameters | None:
         chosen = rooted({**self._security, **own}, self._name)
-        return self._judge.make(
+        return self._check_options.make(
             lambda: build_parameters(TlsParameters, chosen),
             lambda key: nearest(key, own, at, self._security, ("security",)),
         )

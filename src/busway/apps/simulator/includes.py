@@ -37,7 +37,7 @@ from ...config.files.simulation import (
 from ...config.parameters import OF_UNITS, FilledSource, declared_parameters, own_units
 from ...config.paths import within
 from ...config.profiles import PREFIX, read_included, read_profile
-from ...config.report import Judge
+from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ..server.configuration import Configuration, put_together
 from .fault_sections import fault_problems
@@ -127,9 +127,9 @@ def parse_declaration(
     units = [*own, *_Including(read, (_identity(name),), _Count(MOST_INCLUDES)).all_of(file, source)]
     _refuse_repeated(file, units, source)
     whole = file.model_copy(update={"unit": [each.section for each in units]})
-    judge = Judge(source)
-    made = put_together(whole, name, judge, changes=changes)
-    made = replace(made, warnings=judge.end())
+    report = ConfigurationReport(source)
+    made = put_together(whole, name, report, changes=changes)
+    made = replace(made, warnings=report.end())
     state = None if file.simulation.keep is None else within(name, file.simulation.keep)
     return SimulationDeclaration(made, whole, tuple(units), state)
 

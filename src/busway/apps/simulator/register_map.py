@@ -113,7 +113,7 @@ def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSectio
         data = Path(name).read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"can not be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
+        raise ConfigError(f"cannot be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
     return parse_register_map(data, name)
 
 

@@ -1,7 +1,7 @@
 """The schema of behaviours: what makes the value of a simulated point change.
 
 Knows the keys of each kind and what they may be; computes no value (`apps.simulator.behaviours` does) and reads no
-formula (it says where one stands; who knows the points judges it).
+formula (only their position; the simulator, which knows the points, checks them).
 
 ::
 

@@ -130,7 +130,7 @@ class ServerSection(OptionSection):
     """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
 
     retired: ClassVar[dict[str, str]] = {"shared_places": "shared_slots"}
-    judged_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
+    checked_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
 
     preset: Literal["standard", "strict"] = "standard"
 

@@ -1,7 +1,7 @@
 """The schema of faults that a simulated device has: ``[[fault]]``.
 
-Knows what can be written, and which requests a section chooses; what goes wrong is known by the fault profiles, which
-are looked up, with their parameters, by who builds the faults (`busway.apps.simulator.fault_sections`).
+Knows the keys, and which requests a section chooses; what goes wrong is in the fault profiles, which
+`busway.apps.simulator.fault_sections` looks up with their parameters.
 
 ::
 

@@ -1,6 +1,6 @@
 """The schema of gateway files: listeners, links to what is behind the gateway, and routes between them.
 
-Knows what can be written; what goes together is judged by `busway.apps.gateway.configuration`.
+Knows the keys; `busway.apps.gateway.configuration` checks what goes together.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
 are the same here.
 
@@ -83,7 +83,7 @@ class GatewayListenerSection(ListenerSection):
 
     @property
     def title(self) -> str:
-        """What routes call it."""
+        """Its name in routes."""
         return self.name or self.url
 
 
@@ -97,7 +97,7 @@ class UpstreamSection(LinkSection):
 
 
 class RouteSection(Section):
-    """``[[route]]``: which requests, and what becomes of them."""
+    """``[[route]]``: which requests it is for, and what is done with them."""
 
     retired: ClassVar[dict[str, str]] = {"line": "link"}
 
@@ -172,7 +172,7 @@ class RouteSection(Section):
 
 
 class GatewaySection(Section):
-    """``[gateway]``: what concerns all of it."""
+    """``[gateway]``: options of the whole gateway."""
 
     own_unit: CountOrNone = Field(default=255, ge=1, le=255)
     own_registers: bool = False

@@ -1,6 +1,6 @@
 """Where a file says to listen: URLs, and what holds for the connections of a listener.
 
-Knows keys and what goes with which scheme; knows no server. What the values of limits must be is judged by the
+Knows keys and what goes with which scheme; knows no server. The values of limits are checked by the
 server's own class when the configuration is put together (`busway.config`).
 """
 
@@ -34,7 +34,7 @@ class ListenerSection(OptionSection):
     Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
     """
 
-    judged: ClassVar[bool] = False  # together with those of [security], where the listener is put together
+    checked_here: ClassVar[bool] = False  # together with those of [security], where the listener is put together
     on_lines: ClassVar[frozenset[str]] = frozenset({"url"})
     """Keys that have an effect on a serial line too."""
 

@@ -3,7 +3,7 @@
 Knows declared options (`busway.options.declaration`) and pydantic; knows no particular option.
 
 1. A key has the name and the type of the option; the text ``none`` is the value of an option that has none.
-2. What a value must be is judged by the parameter class, when all of its keys are there; a JSON Schema has its range.
+2. The parameter class checks values when all of its keys are there; the JSON Schema repeats their ranges.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -39,11 +39,11 @@ class OptionSection(Section):
     """A section whose keys are options of components, beside what else it declares."""
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
-    """The classes that judge the values."""
-    judged: ClassVar[bool] = True
-    """Whether they judge what this section says by itself."""
-    judged_later: ClassVar[tuple[type[Any], ...]] = ()
-    """Those that judge when the section is put together with others."""
+    """The classes that check the values."""
+    checked_here: ClassVar[bool] = True
+    """Whether they check this section by itself."""
+    checked_later: ClassVar[tuple[type[Any], ...]] = ()
+    """Those that check when the section is combined with others."""
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options that are set here, by name."""
@@ -55,15 +55,15 @@ class OptionSection(Section):
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     @model_validator(mode="after")
-    def _judge(self) -> "OptionSection":
-        for kind in self.kinds if self.judged else ():
-            if kind not in self.judged_later:
+    def _check_options(self) -> "OptionSection":
+        for kind in self.kinds if self.checked_here else ():
+            if kind not in self.checked_later:
                 build(kind, self.options_of(kind))
         return self
 
 
 def build(kind: type[Any], options: Mapping[str, Any]) -> None:
-    """Let a parameter class judge options; what it refuses becomes a fault of the key."""
+    """Let a parameter class check options; an error becomes a fault of the key."""
     try:
         build_parameters(kind, options)
     except ConfigError as error:
@@ -113,14 +113,14 @@ def _plain(kind: Any) -> Any:  # both are types as annotations have them
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
-    """A validator of an option that takes numbers and words, so that one sentence says all that there is."""
+    """A validator of an option that takes numbers and words, so that one sentence lists all of them."""
 
-    def judge(value: object) -> object:
+    def report(value: object) -> object:
         if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):
             return value
         raise ValueError(f"must be {option.expected}, not {shown(value)}")
 
-    return judge
+    return report
 
 
 def _field(option: Option) -> Any:  # what pydantic makes of it

@@ -1,6 +1,6 @@
-"""The schema of policies: who may connect, and rules on what may be asked. A file of its own, or a part of another.
+"""The schema of policies: who may connect, and rules on requests. A file of its own, or a section of another.
 
-Knows what can be written; what it means, and what goes together, is said by `busway.access`.
+Knows the keys; `busway.access` knows what they mean and what goes together.
 
 ::
 
@@ -86,7 +86,7 @@ class ValuesSection(Section):
 
 
 class RuleSection(Section):
-    """``[[policy.rule]]``: one rule. What is left out is not asked."""
+    """``[[policy.rule]]``: one rule. A key that is left out matches everything."""
 
     name: str = ""
     action: ActionWord = "allow"

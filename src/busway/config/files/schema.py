@@ -2,9 +2,9 @@
 
 Knows pydantic and TOML texts; knows no particular file.
 
-1. A file is read as a whole, and all that is wrong with it is said at once.
-2. Unknown keys are refused; the sentence names those that there are.
-3. Nothing is converted: a text is no number, a number with a fraction no whole number.
+1. A file is read as a whole, and one error names everything that is wrong with it.
+2. Unknown keys are refused; the sentence names the known ones.
+3. Nothing is converted: a text is not a number, and a number with a fraction is not a whole number.
 """
 
 import re
@@ -125,7 +125,7 @@ def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
         return ConfigError("it is nested too deeply", file=name, line=_densest_line(text))
     longest = _LONG_NUMBER.search(text)
     if longest is None:
-        return ConfigError(f"it can not be read: {error}", file=name, line=_densest_line(text))
+        return ConfigError(f"it cannot be read: {error}", file=name, line=_densest_line(text))
     sentence = f"a whole number of {len(longest[0].replace('_', ''))} digits stands there; no value has so many"
     return ConfigError(sentence, file=name, line=1 + text.count("\n", 0, longest.start()))
 

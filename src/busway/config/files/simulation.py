@@ -169,7 +169,7 @@ class IncludeSection(Section):
 
 
 class ParameterKeys(Section):
-    """What a file takes from whoever includes it, and what it includes itself."""
+    """The parameters that a file takes from the file that includes it, and its own includes."""
 
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     required: list[str] = Field(default_factory=list)

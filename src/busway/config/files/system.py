@@ -105,7 +105,7 @@ class LinkKeys(OptionSection):
 class LinkSection(LinkKeys):
     """``[[link]]``: one endpoint that requests go to, under a name, with options of its own."""
 
-    judged: ClassVar[bool] = False  # together with its scheme, where the link is put together
+    checked_here: ClassVar[bool] = False  # together with its scheme, where the link is put together
 
     name: str = Field(min_length=1)
     url: Url
