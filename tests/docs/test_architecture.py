@@ -2,14 +2,23 @@
 
 import ast
 import re
+import sys
+import tomllib
 from pathlib import Path
+from types import FrameType
 
 import pytest
+
+import busway
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "src" / "busway"
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 STEPS = re.findall(r"^\| \d+ \| `([\w/.]+)` \| `([\w.]+)` \|", PAGE, re.MULTILINE)
+
+
+ELSEWHERE = {"6", "7", "8", "11"}
+"""Steps of the first journey that a read of an idle link does not take: it need not wait, and its reply is not odd."""
 
 
 def defined_in(file: Path) -> set[str]:
@@ -60,3 +69,48 @@ def test_every_part_of_the_package_is_named() -> None:
 def test_methods_named_in_sentences_are_there(name: str) -> None:
     assert f"`{name}`" in PAGE
     assert any(name in defined_in(file) for file in SOURCES.rglob("*.py"))
+
+
+def test_the_rooms_are_drawn_in_the_order_that_the_contract_holds() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    layers = [re.findall(r"busway\.(\w+)", layer) for layer in contracts[0]["layers"]]
+    rank = {room: number for number, layer in enumerate(layers) for room in layer}
+    picture = re.search(r"## The rooms\n\n```\n(.*?)```", PAGE, re.DOTALL)
+    assert picture is not None
+    drawn = [
+        room
+        for line in picture[1].splitlines()
+        for room in line[:41].replace("/", "").split()
+        if room in rank and line.startswith(" ") and not line.startswith("  ")
+    ]
+    ranks = [rank[room] for room in drawn if room not in ("web", "gateway", "simulator", "tls", "epoll")]
+    assert ranks == sorted(ranks), drawn
+    assert {room for room in rank if (SOURCES / room).is_dir()} <= set(drawn)
+
+
+async def test_a_read_takes_the_steps_of_the_first_journey_in_their_order() -> None:
+    journey = PAGE.partition("## Journey 1")[2].partition("execute_many")[0]
+    steps = re.findall(r"^\| (\d+) \| `([\w/.]+)` \| `([\w.]+)` \|", journey, re.MULTILINE)
+    expected = [(file, name) for number, file, name in steps if number not in ELSEWHERE]
+    taken: list[tuple[str, str]] = []
+
+    def note(frame: FrameType, event: str, argument: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(str(SOURCES)):
+            taken.append((Path(code.co_filename).relative_to(SOURCES).as_posix(), code.co_qualname))
+
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=10)}) as server:
+        async with busway.open(server.endpoints[0]) as link:
+            unit = link.unit(1)
+            await unit.read_holding_registers(0, count=10)
+            sys.setprofile(note)
+            try:
+                await unit.read_holding_registers(0, count=10)
+            finally:
+                sys.setprofile(None)
+    passed = iter(taken)
+    missing = [step for step in expected if step not in passed]
+    assert not missing, taken
+    named = {file for file, _ in expected} | set(re.findall(r"`((?:\w+/)+\w+\.py)`", journey))
+    assert {file for file, _ in taken} <= named | {"transport/epoll/watcher.py"}
+    assert len({file for file, _ in taken}) <= 9
