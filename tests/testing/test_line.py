@@ -9,8 +9,9 @@ from statistics import median
 import pytest
 
 from busway.errors import LinkDown
+from busway.options.ports import SerialSettings
 from busway.testing.line import NOISE, PacedLine
-from busway.transport.serial import BlockingSerialPort, SerialConnection, SerialSettings
+from busway.transport.serial import BlockingSerialPort, SerialConnection
 
 pytestmark = pytest.mark.real_time
 
