@@ -104,6 +104,8 @@ def _say_what_runs(collector: "Collector") -> None:
         f"collects into {configuration.store}: links {len(configuration.links)},"
         f" devices {len(configuration.devices)}, points {points}"
     )
+    for page in collector.pages:
+        say(f"last values for Prometheus on {page}")
     for load in configuration.loads(collector.knowledge):
         for problem in load.problems:
             say(f"warning: {problem}")
@@ -131,6 +133,11 @@ def _print_status(collector: "Collector", *, as_json: bool) -> None:
                 "waiting": store.waiting,
                 "lost": store.lost,
                 "error": store.error,
+                "sinks": [
+                    {"name": each.name, "sent": each.sent, "lost": each.lost, "set_aside": each.set_aside,
+                     "error": each.error}
+                    for each in collector.sink_statuses()
+                ],
                 "links": {
                     name: {"busy": round(busy, 4), "probing": round(probing, 4)}
                     for name, (busy, probing) in collector.loads().items()
@@ -148,6 +155,9 @@ def _print_status(collector: "Collector", *, as_json: bool) -> None:
     print(f"{store.samples} samples kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
     for name, (busy, probing) in collector.loads().items():
         print(f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % with silent devices", flush=True)
+    for sink in collector.sink_statuses():
+        error = f": {sink.error}" if sink.error else ""
+        print(f"  sink {sink.name}: {sink.sent} samples sent, {sink.lost} lost{error}", flush=True)
     for each in devices:
         if each.state != "polled" or each.skipped:
             skipped = f", {each.skipped} rounds skipped" if each.skipped else ""

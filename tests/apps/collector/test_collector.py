@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from waiting import until
@@ -168,3 +169,25 @@ async def test_watched_points_are_read_more_often(tmp_path: Path) -> None:
             collector.watch("pump", ["level"], period=0.02, seconds=5)
             found = await first_values(collector, ["pump"], 2)
             assert found["pump/level"] == 7
+
+
+async def test_samples_are_handed_on_to_sinks_and_shown_to_prometheus(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
+        with file.open("a") as text:
+            text.write('[[sink]]\nname = "lines"\nurl = "file://lines.jsonl"\nage = 0.1\n')
+            text.write('[[sink]]\nname = "page"\nurl = "prometheus://127.0.0.1:0"\npoints = ["pump/*"]\n')
+        async with busway.collect(file) as collector:
+            await first_values(collector, ["pump"], 3)
+            await until(lambda: collector.sink_statuses()[0].sent >= 3, 20)
+            loop = asyncio.get_running_loop()
+            page = await loop.run_in_executor(None, lambda: urlopen(collector.pages[0]).read().decode())
+            assert 'busway_point_value{device="pump",point="speed"} 1.5' in page
+            file.write_text(file.read_text().replace("lines.jsonl", "others.jsonl"))
+            with pytest.raises(ConfigError, match="restart it"):
+                await collector.reload(load_collector(file))
+        assert '"speed"' in _text_of(tmp_path, "lines*")
+
+
+def _text_of(folder: Path, pattern: str) -> str:
+    return next(folder.glob(pattern)).read_text()

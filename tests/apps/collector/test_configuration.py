@@ -48,9 +48,9 @@ with = { base = 100 }
 poll_class = "fast"
 
 [[sink]]
-name = "broker"
-url = "mqtts://broker.example:8883"
-topic = "plant/{device}"
+name = "lines"
+url = "file://samples.jsonl"
+points = ["pump/*"]
 """
 PUMP = """\
 required = ["base"]
@@ -163,8 +163,7 @@ def test_faults_of_profiles_are_said_with_their_own_lines(plant: Path) -> None:
 
 def test_a_parameter_that_is_missing_is_named(plant: Path) -> None:
     (found,) = problems(plant, PLANT.replace("with = { base = 100 }\n", ""))
-    assert "needs base" in found
-    assert found.startswith("plant.toml:30: ")
+    assert found.startswith("plant.toml:33: device[2].profile: pump.toml: needs the parameter 'base'")
 
 
 def test_a_class_of_a_point_that_is_not_there_is_said(plant: Path) -> None:
@@ -214,3 +213,14 @@ def test_a_preview_lists_what_a_bridge_would_touch_and_what_was_learnt(plant: Pa
     shown = preview(made, known)
     assert [(device, point) for device, point, _ in shown.unreadable] == [("pump", "speed")]
     assert ("pump", "holding register 100: exception 02") in shown.learnt
+
+
+def test_sinks_are_judged_with_their_lines_and_their_paths_are_those_of_the_file(plant: Path) -> None:
+    made = load_collector(plant)
+    assert list(made.sinks) == ["lines"]
+    assert made.sinks["lines"][1].points == ("pump/*",)
+    text = PLANT.replace("file://samples.jsonl", "fyle://samples.jsonl") + '[[sink]]\nname = "page"\n'
+    text += 'url = "prometheus://127.0.0.1:0"\npoints = []\n'
+    first, second = problems(plant, text)
+    assert first.startswith("plant.toml:39: sink[0].url: ")
+    assert second.startswith("plant.toml:44: sink[1].points: needs a list of patterns")

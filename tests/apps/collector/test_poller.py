@@ -3,12 +3,15 @@
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import pytest
+from waiting import until
 
 import busway
 from busway.apps.collector.cost import network_cost
+from busway.apps.collector.derived_points import DerivedPoints
 from busway.apps.collector.plans import PlanBook
 from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, SampleClock
@@ -328,3 +331,55 @@ async def test_a_write_wakes_an_engine_that_sleeps() -> None:
 
 async def _set(event: asyncio.Event) -> None:
     event.set()
+
+
+async def test_members_of_a_group_are_read_once_their_number_is_known() -> None:
+    members = [number(f"m{at}", 10 + at, exists=(("count", at),)) for at in range(1, 10)]
+    points = [number("count", 4), *members]
+    bench = Bench(points)
+    bench.poller.add(
+        "counted", 8, PlanBook({"c": points}, bench.rules, network_cost()), {"c": 1.0}, DerivedPoints("counted", points)
+    )
+    await bench.until(110)
+    widest = max((each for each in bench.batches if each.device == "counted"), key=len)
+    assert widest.points == ("count", "m1", "m2", "m3", "m4")
+
+
+async def test_computed_points_are_samples_of_their_round() -> None:
+    points = [number("a", 4), number("b", 900), Point("sum", H, 0, formula="a + b")]
+    bench = Bench(points[:2])
+    bench.poller.remove("meter")
+    bench.poller.add("meter", 7, bench.book, {"c": 1.0}, DerivedPoints("meter", points))
+    await bench.until(110)
+    found = [each for each in bench.batches if each.points == ("sum",)]
+    assert len(found) >= 8
+    assert {each.values[0] for each in found} == {904.0}
+
+
+async def test_a_device_that_needs_a_pause_gets_it() -> None:
+    loop = asyncio.get_running_loop()
+    asked: list[float] = []
+
+    class Slow(Device):
+        async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+            asked.append(loop.time())
+            return [self.answer(request) for request in requests]
+
+    poller = LinkPoller(
+        "plc",
+        Slow(),
+        LinkSchedule(1.0),
+        SampleClock(loop.time(), START),
+        lambda batch: None,
+        print,
+        numbered=True,
+        now=loop.time,
+    )
+    book = PlanBook({"c": [number("a", 1)]}, ReadRules(), network_cost())
+    poller.add("plc", 1, book, {"c": 0.01}, pause=0.05)
+    task = asyncio.create_task(poller.run())
+    await until(lambda: len(asked) >= 4)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert min(b - a for a, b in pairwise(asked)) >= 0.05

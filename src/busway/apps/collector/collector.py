@@ -15,7 +15,7 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -25,11 +25,15 @@ from ...client.aio import AsyncLink, open_link
 from ...config.reading import read_text
 from ...errors import ConfigError
 from .configuration import CollectedDevice, CollectorConfiguration, load_collector
+from .derived_points import DerivedPoints
 from .knowledge import Knowledge, read_knowledge
 from .poller import LinkPoller
 from .sample_clock import SampleClock
 from .samples import SampleBatch
 from .schedule import LinkSchedule
+from .sinks.delivery import SinkStatus
+from .sinks.prometheus import LastValues, PrometheusPage
+from .sinks.running import SinkThread
 from .store.committing import Committer, StoreStatus
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
@@ -114,6 +118,8 @@ class Collector:
         self._links: dict[str, _RunningLink] = {}
         self._readers: list[_Reader] = []
         self._upkeep: asyncio.Task[None] | None = None
+        self._sinks: SinkThread | None = None
+        self._pages: list[PrometheusPage] = []
         self._started = 0.0
 
     async def __aenter__(self) -> Self:
@@ -139,6 +145,11 @@ class Collector:
         self._clock = SampleClock(loop.time(), time.time_ns())
         self._committer = Committer(writer)
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
+        try:
+            self._start_sinks(writer, self._committer)
+        except BaseException:
+            await self._close_store()
+            raise
         for name in configuration.links:
             self._start_link(name, configuration)
         self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
@@ -153,10 +164,33 @@ class Collector:
         for name in list(self._links):
             await self._stop_link(name)
         self._write_learnt()
-        if self._committer is not None:
-            await asyncio.get_running_loop().run_in_executor(None, self._committer.close)
+        await self._close_store()
         for reader in self._readers:
             reader.arrived.set()
+
+    def _start_sinks(self, writer: StoreWriter, committer: Committer) -> None:
+        """Hand samples on. Raises `ConfigError` for a name of a sink that cannot be, `LinkDown` for a page."""
+        configuration = self.configuration
+        if configuration.sinks:
+            self._sinks = SinkThread(writer, configuration.sinks)
+        if configuration.pages:
+            values = LastValues()
+            committer.subscribe(values.update)
+            for page in configuration.pages.values():
+                self._pages.append(PrometheusPage(page.where, page.points, values, stale=page.stale))
+
+    async def _close_store(self) -> None:
+        """Commit what waits, give sinks a moment to take it, and close."""
+        loop = asyncio.get_running_loop()
+        committer, sinks = self._committer, self._sinks
+        for page in self._pages:
+            page.close()
+        if committer is not None:
+            await loop.run_in_executor(None, committer.flush)
+        if sinks is not None:
+            await loop.run_in_executor(None, sinks.close)
+        if committer is not None:
+            await loop.run_in_executor(None, committer.close)
 
     # What programs use.
 
@@ -200,6 +234,15 @@ class Collector:
         """How the store does."""
         assert self._committer is not None
         return self._committer.status()
+
+    def sink_statuses(self) -> Sequence[SinkStatus]:
+        """How each sink does."""
+        return () if self._sinks is None else self._sinks.statuses()
+
+    @property
+    def pages(self) -> list[str]:
+        """URLs of the pages for Prometheus."""
+        return [page.url for page in self._pages]
 
     def status(self) -> list[CollectedDeviceStatus]:
         """How each device does."""
@@ -252,8 +295,12 @@ class Collector:
             What changed, each as a sentence.
 
         Raises:
-            ConfigError: the store is another; nothing was changed.
+            ConfigError: the store or a sink is another; nothing was changed.
         """
+        if configuration.file.sink != self.configuration.file.sink:
+            raise ConfigError(
+                "sinks cannot change while the collector runs: restart it", file=configuration.name, key="sink"
+            )
         if configuration.store != self.configuration.store:
             raise ConfigError(
                 "the store cannot be another while the collector runs: restart it", file=configuration.name, key="store"
@@ -301,7 +348,15 @@ class Collector:
         )
         for device in configuration.devices_of(name):
             known = self.knowledge.of(device.name, device.profile, device.firmware)
-            poller.add(device.name, device.unit, device.book(known), configuration.periods)
+            derived = DerivedPoints(device.name, device.points)
+            poller.add(
+                device.name,
+                device.unit,
+                device.book(known),
+                configuration.periods,
+                None if derived.is_empty else derived,
+                device.rules.pause,
+            )
         task = asyncio.create_task(poller.run(), name=f"busway collector link {name}")
         task.add_done_callback(_log_defect)
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)

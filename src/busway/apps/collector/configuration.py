@@ -5,26 +5,25 @@ that this names.
 """
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Final
-
-from pydantic import ValidationError
 
 from ...client.checks import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
-from ...config.files.collector import CollectedDeviceSection, CollectorFile, SinkSection, read_collector_file
+from ...config.files.collector import CollectedDeviceSection, CollectorFile, read_collector_file, sink_options
 from ...config.files.device import UnitSection
 from ...config.files.lines import Path
 from ...config.files.problems import FileError
-from ...config.files.schema import Source, faults_of, in_order, read_source
-from ...config.files.simulation import SimulatedUnitSection
+from ...config.files.schema import Source
 from ...config.links import NamedLink
-from ...config.parameters import FilledSource, declared_parameters
 from ...config.paths import within
-from ...config.profiles import DEVICES, PREFIX, read_included
+from ...config.profiles import DEVICES, PREFIX, read_profile
+from ...config.profiles.loading import load_profile
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
@@ -37,6 +36,9 @@ from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .knowledge import DeviceKnowledge, Knowledge
 from .plans import PlanBook
 from .samples import PointDescription
+from .sinks.delivery import DeliveryOptions
+from .sinks.interface import Sink
+from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
 """Options of links that have another default here: nobody waits for a port that is not there, and silent devices are
@@ -83,6 +85,21 @@ class CollectedDevice:
 
 
 @dataclass(frozen=True, slots=True)
+class PrometheusOptions:
+    """A page of last values for Prometheus.
+
+    Attributes:
+        where: ``127.0.0.1:9503``.
+        points: patterns of the points that it shows.
+        stale: seconds after which a value is left out.
+    """
+
+    where: str
+    points: tuple[str, ...]
+    stale: float
+
+
+@dataclass(frozen=True, slots=True)
 class CollectorConfiguration:
     """Everything that a collector file says, checked as a whole.
 
@@ -93,6 +110,8 @@ class CollectorConfiguration:
         store: the folder of the store.
         periods: seconds by class.
         devices: by name.
+        sinks: by name, where samples are handed on, and how.
+        pages: by name, the pages for Prometheus.
     """
 
     common: Configuration
@@ -101,6 +120,8 @@ class CollectorConfiguration:
     store: str
     periods: Mapping[str, float]
     devices: Mapping[str, CollectedDevice] = field(default_factory=dict)
+    sinks: Mapping[str, tuple[Sink, DeliveryOptions]] = field(default_factory=dict)
+    pages: Mapping[str, "PrometheusOptions"] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -111,11 +132,6 @@ class CollectorConfiguration:
     def links(self) -> Mapping[str, NamedLink]:
         """The links by name."""
         return self.common.links
-
-    @property
-    def sinks(self) -> Sequence[SinkSection]:
-        """The sinks."""
-        return self.file.sink
 
     @property
     def learnt_path(self) -> FilePath:
@@ -168,9 +184,58 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
         made = _device(file, section, ("device", index), common.links, profiles, source, report)
         if made is not None:
             devices[made.name] = made
+    sinks, pages = _sinks(file, name, report)
     report.end()
     periods = {key: each.period for key, each in file.poll_class.items()}
-    return CollectorConfiguration(common, file, text, within(name, file.collector.store), periods, devices)
+    return CollectorConfiguration(
+        common, file, text, within(name, file.collector.store), periods, devices, sinks, pages
+    )
+
+
+def _sinks(
+    file: CollectorFile, name: str, report: ConfigurationReport
+) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusOptions]]:
+    """Where samples are handed on; paths are relative to the folder of the file."""
+    sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
+    pages: dict[str, PrometheusOptions] = {}
+    for index, section in enumerate(file.sink):
+        at: Path = ("sink", index)
+        values = sink_options(section)
+        for key in _SINK_FILES & values.keys():
+            values[key] = within(name, str(values[key]))
+
+        if section.url.startswith(_PROMETHEUS):
+            page = report.make(partial(_page, section.url, values), partial(_key_at, at))
+            if page is not None:
+                pages[section.name] = page
+            continue
+        values["url"] = section.url
+        if section.url.startswith(_FILE):
+            values["url"] = _FILE + within(name, section.url.removeprefix(_FILE))
+        made = report.make(partial(make_sink, section.name, values), partial(_key_at, at))
+        if made is not None:
+            sinks[section.name] = made
+    return sinks, pages
+
+
+def _key_at(at: Path, key: str | None) -> Path:
+    return at if key is None else (*at, key)
+
+
+_PROMETHEUS: Final = "prometheus://"
+_FILE: Final = "file://"
+_SINK_FILES: Final = frozenset({"password_file", "token_file", "authority", "certificate", "key"})
+
+
+def _page(url: str, values: Mapping[str, Any]) -> PrometheusOptions:  # Any: what TOML has
+    for key in values.keys() - {"points", "stale"}:
+        raise ConfigError("unknown key; the keys allowed here are points and stale", key=key)
+    points, stale = values.get("points", []), values.get("stale", 300.0)
+    if not isinstance(points, list) or not points or not all(isinstance(each, str) for each in points):
+        raise ConfigError('needs a list of patterns: points = ["meter-7/*"]', key="points")
+    if isinstance(stale, bool) or not isinstance(stale, int | float) or stale <= 0:
+        raise ConfigError(f"must be a number of seconds above 0, not {stale!r}", key="stale")
+    return PrometheusOptions(url.removeprefix(_PROMETHEUS), tuple(points), float(stale))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,15 +249,33 @@ class _Profiles:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._read: dict[tuple[str, tuple[tuple[str, Any], ...]], _Profile] = {}
+        self._read: dict[tuple[str, tuple[tuple[str, Any], ...], int | None], _Profile] = {}
+        self._by_unit: dict[str, bool] = {}
 
     def of(self, section: CollectedDeviceSection, asked: tuple[Source, Path]) -> _Profile:
         """The profile of a device. Raises `FileError`."""
-        key = (section.profile, tuple(sorted(section.with_.items())))
+        parent, at = asked
+        unit = 1 if section.unit is None else section.unit
+        key = (section.profile, tuple(sorted(section.with_.items())), unit if self._needs_unit(section) else None)
         if key not in self._read:
-            unit = _unit_of(self._file(section.profile), section.with_, asked)
-            self._read[key] = _Profile(tuple(unit.described()), _rules_of(unit))
+            try:
+                found = load_profile(self._file(section.profile), unit=unit, parameters=section.with_)
+            except FileError:
+                raise
+            except ConfigError as error:
+                raise FileError([_placed(error, section, parent, at)]) from error
+            self._read[key] = _Profile(tuple(found.described()), _rules_of(found))
         return self._read[key]
+
+    def _needs_unit(self, section: CollectedDeviceSection) -> bool:
+        """Whether a profile says something by the number of its unit."""
+        if section.profile not in self._by_unit:
+            try:
+                text = read_profile(self._file(section.profile))
+            except ConfigError:
+                text = ""
+            self._by_unit[section.profile] = _UNIT.search(text) is not None
+        return self._by_unit[section.profile]
 
     def _file(self, profile: str) -> str:
         if profile.startswith(PREFIX) or profile in DEVICES:
@@ -200,33 +283,16 @@ class _Profiles:
         return within(self._name, profile)
 
 
-def _unit_of(name: str, given: Mapping[str, Any], asked: tuple[Source, Path]) -> UnitSection:
-    """The one unit of a profile, its parameters put in. Raises `FileError` with the lines of the profile."""
-    parent, at = asked
-    try:
-        text = read_included(name)
-    except ConfigError as error:
-        ready = ", ".join(DEVICES)
-        raise FileError(
-            [parent.problem((*at, "profile"), f"{error.message}; ready-made profiles are {ready}")]
-        ) from error
-    source = read_source(text, name)
-    parameters = declared_parameters(source, given, asked)
-    filled = FilledSource(source, {**parameters, "unit": 1, "index": 0})
-    sections = source.data.get("unit")
-    if not isinstance(sections, list) or len(sections) != 1 or not isinstance(sections[0], dict):
-        raise FileError([parent.problem((*at, "profile"), f"needs a file with one [[unit]]: {name}")])
-    data = {"unit": 1, **filled.filled(sections[0], ("unit", 0))}
-    try:
-        return SimulatedUnitSection.model_validate(data)
-    except ValidationError as error:
-        raise FileError(
-            in_order(
-                source.problem(("unit", 0, *path), sentence)
-                for each in error.errors()
-                for path, sentence in faults_of(each, SimulatedUnitSection)
-            )
-        ) from None
+_UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
+
+
+def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
+    """What is wrong with a profile as a whole, where the device names it."""
+    if error.key in section.with_:
+        return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
+    is_path = "/" in section.profile or "." in section.profile
+    ready = "" if is_path else f"; ready-made profiles are {', '.join(DEVICES)}"
+    return source.problem((*at, "profile"), f"{section.profile}: {error.message}{ready}")
 
 
 def _rules_of(unit: UnitSection) -> ReadRules:

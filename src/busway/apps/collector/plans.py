@@ -60,6 +60,7 @@ class PlanBook:
         self._cost = assumed
         self._learner = CostLearner(assumed, fixed=fixed)
         self._map = MapLearner(known, assumed)
+        self._absent: frozenset[int] = frozenset()
         self._plans: dict[Classes, DevicePlan] = {}
         self._since_check = 0
         self._is_settled = False
@@ -112,18 +113,29 @@ class PlanBook:
         self._plans.clear()
         self.made = 0
 
+    def set_absent(self, items: Iterable[ReadItem]) -> None:
+        """Leave out points that the device does not have now."""
+        absent = frozenset(id(one) for one in items)
+        if absent != self._absent:
+            self._absent = absent
+            self._plans.clear()
+            self._cheapest = None
+
     def _make(self, classes: Classes) -> DevicePlan:
         self.made += 1
-        due = _once(one for name in sorted(classes) for one in self._items.get(name, ()))
+        due = _once(one for name in sorted(classes) for one in self._present(self._items.get(name, ())))
         wanted = {id(one) for one in due}
-        others = [one for one in self._all if id(one) not in wanted]
+        others = [one for one in self._present(self._all) if id(one) not in wanted]
         return plan_reads(due, self.rules, self._cost, others=others)
+
+    def _present(self, items: Sequence[ReadItem]) -> Sequence[ReadItem]:
+        return [one for one in items if id(one) not in self._absent] if self._absent else items
 
     @property
     def cheapest(self) -> PlannedRead | None:
         """The cheapest read that has succeeded, or else that of the narrowest point; None without points."""
         if self._cheapest is None:
-            plan = plan_reads(self._all, self.rules, self._cost)
+            plan = plan_reads(self._present(self._all), self.rules, self._cost)
             narrowest = min(
                 (one for read in plan.reads for one in read.items if one.group is None),
                 key=lambda one: one.width,

@@ -20,6 +20,7 @@ from ...pdu.message import Request
 from ...pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from ...points.decoder import ReadDecoder
 from ...points.quality import Reason, exception_reason
+from .derived_points import DerivedPoints
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
 from .plans import PlanBook
@@ -84,6 +85,9 @@ class PolledDevice:
         unit: its unit identifier.
         book: its plans.
         timeout: how long to wait for it.
+        derived: what is derived from its reads; None where nothing is.
+        pause: seconds from a reply to the next request to it, at least.
+        ready_at: when it may be asked next.
         scale_factors: the exponents that its points hold, by name.
         reads, failures: how many were made for its values, and how many of these failed.
         last_seconds: how long its last transaction took.
@@ -95,6 +99,9 @@ class PolledDevice:
     unit: int
     book: PlanBook
     timeout: ReplyTimeout
+    derived: DerivedPoints | None = None
+    pause: float = 0.0
+    ready_at: float = 0.0
     scale_factors: dict[str, int] = field(default_factory=dict)
     reads: int = 0
     failures: int = 0
@@ -157,10 +164,28 @@ class LinkPoller:
 
     # Devices.
 
-    def add(self, name: str, unit: int, book: PlanBook, periods: Mapping[str, float]) -> None:
-        """Poll a device from now on; ``periods`` are seconds by class."""
+    def add(
+        self,
+        name: str,
+        unit: int,
+        book: PlanBook,
+        periods: Mapping[str, float],
+        derived: DerivedPoints | None = None,
+        pause: float = 0.0,
+    ) -> None:
+        """Poll a device from now on.
+
+        Args:
+            name, unit: its name, and its unit identifier.
+            book: its plans.
+            periods: seconds by class.
+            derived: what is derived from its reads; None where nothing is.
+            pause: seconds from a reply to the next request to it, at least.
+        """
         timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered)
-        self.devices[name] = PolledDevice(name, unit, book, timeout)
+        if derived is not None:
+            book.set_absent(derived.absent())
+        self.devices[name] = PolledDevice(name, unit, book, timeout, derived, pause)
         self.schedule.add(name, book, periods, self._now())
         self.wake()
 
@@ -233,6 +258,8 @@ class LinkPoller:
     async def make(self, turn: Turn) -> None:
         """Make the reads or the write of one turn, and note what came of it."""
         device = self.devices.get(turn.device)
+        if device is not None and device.ready_at > self._now():
+            await asyncio.sleep(device.ready_at - self._now())
         began = self._now()
         if turn.kind is TurnKind.WRITE:
             await turn.write()
@@ -251,6 +278,7 @@ class LinkPoller:
         except ModbusError as error:
             outcomes = [error] * len(compiled)
         ended = self._now()
+        device.ready_at = ended + device.pause if device.pause else 0.0
         self._take(device, turn, compiled, outcomes, began, ended)
 
     # What came of it.
@@ -279,9 +307,17 @@ class LinkPoller:
                 result = self._failed(device, turn, each, error, result, middle, half)
                 continue
             result = TurnOutcome.ANSWERED
+            if device.derived is not None:
+                batch, changed = device.derived.take(batch)
+                if changed:
+                    device.book.set_absent(device.derived.absent())
             self._samples(batch)
             device.reads += turn.kind is TurnKind.ROUND
             self._learn(device, turn, each.read, ReadOutcome.SUCCESS, ended - began, alone=len(compiled) == 1)
+        if device.derived is not None and turn.round is not None and not turn.round.reads:
+            computed = device.derived.computed(middle, half)
+            if computed is not None:
+                self._samples(computed)
         if result is TurnOutcome.ANSWERED:
             device.timeout.answered(ended - began)
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
@@ -326,6 +362,8 @@ class LinkPoller:
             device.reads += 1
             device.failures += 1
             self._samples(failed_batch(compiled.group, middle, half, reason))
+            if device.derived is not None:
+                device.derived.failed(compiled.group.points, reason)
         code = error.code if isinstance(error, ExceptionReply) else None
         outcome = outcome_of(code, silent=result is TurnOutcome.SILENT and code is None)
         self._learn(device, turn, compiled.read, outcome, 0.0, alone=False, code=code or 0)

@@ -1,0 +1,107 @@
+"""Points of one device that are more than what a reply says: totals, computed points, members that a count names.
+
+Pure: knows points and their latest readings; knows no request and no clock.
+
+1. The sample of an accumulator is its total, which goes on where the counter begins again.
+2. Computed points get a sample at the end of each round that read one of their inputs.
+3. A member of a group whose size the device says is read while it is there, once the size is known.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ...points.derived import Derivation
+from ...points.expression import parse_expression
+from ...points.point import Point
+from ...points.quality import Reading, Reason
+from .samples import NANOSECONDS, PointGroup, SampleBatch
+
+
+class DerivedPoints:
+    """What is derived from the reads of one device.
+
+    Args:
+        device: its name.
+        points: all of it.
+    """
+
+    def __init__(self, device: str, points: Sequence[Point]) -> None:
+        counters = [point for point in points if point.rollover and not point.formula]
+        computed = [point for point in points if point.formula]
+        self._accumulators = frozenset(point.name for point in counters)
+        self._totals = Derivation(counters)
+        self._formulas = Derivation(computed)
+        self._inputs = {point.name: frozenset(parse_expression(point.formula).names) for point in computed}
+        self._group = PointGroup(device, tuple(self._inputs)) if self._inputs else None
+        self._latest: dict[str, Reading] = {}
+        self._touched: set[str] = set()
+        self._counted = [point for point in points if point.exists]
+        self._counts: dict[str, int | None] = {name: None for point in self._counted for name, _ in point.exists}
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the device has no such points."""
+        return not (self._accumulators or self._inputs or self._counted)
+
+    def absent(self) -> list[Point]:
+        """The members of groups that are not there, as far as is known."""
+        return [point for point in self._counted if not self._is_there(point)]
+
+    def _is_there(self, point: Point) -> bool:
+        for name, place in point.exists:
+            count = self._counts[name]
+            if count is None or place > count:
+                return False
+        return True
+
+    def take(self, batch: SampleBatch) -> tuple[SampleBatch, bool]:
+        """Note the samples of a read; gives them with totals, and whether other members are there than before."""
+        found = {
+            name: Reading(value, reason)
+            for name, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)
+        }
+        changed = self._count(found)
+        totals = self._accumulators & found.keys()
+        if totals:
+            made = self._totals.apply({name: found[name] for name in totals})
+            values: list[Any] = list(batch.values)
+            for place, name in enumerate(batch.points):
+                if name in totals and name in made and values[place] is not None:
+                    values[place] = made[name].value
+                    found[name] = Reading(values[place], found[name].reason)
+            batch = SampleBatch(batch.group, batch.time, batch.half_width, values, batch.reasons)
+        if self._group is not None:
+            self._latest |= found
+            self._touched |= found.keys()
+        return batch, changed
+
+    def _count(self, found: Mapping[str, Reading]) -> bool:
+        changed = False
+        for name in self._counts.keys() & found.keys():
+            value = found[name].value
+            count = int(value) if isinstance(value, int | float) and value == value else None
+            if count is not None and count != self._counts[name]:
+                self._counts[name] = count
+                changed = True
+        return changed
+
+    def failed(self, points: Sequence[str], reason: int) -> None:
+        """Note that a read of some points failed."""
+        if self._group is not None:
+            self._latest |= {name: Reading(None, reason) for name in points}
+            self._touched |= set(points)
+
+    def computed(self, time: int, half_width: int) -> SampleBatch | None:
+        """The samples of computed points at the end of a round; None where it read none of their inputs."""
+        touched, self._touched = self._touched, set()
+        if self._group is None or not any(inputs & touched for inputs in self._inputs.values()):
+            return None
+        made = self._formulas.apply(self._latest, time / NANOSECONDS)
+        readings = [made.get(name, Reading(None, Reason.NO_INPUT)) for name in self._group.points]
+        return SampleBatch(
+            self._group,
+            time,
+            half_width,
+            [each.value for each in readings],
+            [each.reason for each in readings] if any(each.reason for each in readings) else 0,
+        )
