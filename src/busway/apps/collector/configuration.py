@@ -347,7 +347,7 @@ def _device(
 def _by_class(
     file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, report: ConfigurationReport
 ) -> dict[str, list[Point]] | None:
-    """The points that are read, by class; None and a word to the judge where a class is missing."""
+    """The points that are read, by class; None and a problem in the report where a class is missing."""
     usual = file.class_of(section)
     found: dict[str, list[Point]] = {}
     for point in points:
