@@ -16,25 +16,24 @@ Knows when to connect, write, wait and look at the clock; knows no functions or 
 import contextlib
 import logging
 import math
-import random
 import socket
 import threading
 import time
 from typing import TYPE_CHECKING, Final
 
-from ..errors import LinkClosed, LinkDown
+from ..errors import LinkDown
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.client import TcpClientSession
 from ..session.connection import ConnectionLife
-from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
+from ..session.reconnect import ConnectionEvent, ConnectionState
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
-from .conversation import ClientSession
+from .conversation import ClientSession, reconnect_for
 from .doubts import KEPT
 from .polling import ExactPoll, Poll
 from .registry import LOCAL, LocalConnectionStatus, status_of
@@ -81,26 +80,22 @@ class BlockingLinkDriver:
         self._framing = settings.endpoint.framing
         self.session: ClientSession = session
         self._line = session if isinstance(session, SerialClientSession) else None
-        management = settings.management
-        reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+        reconnect = reconnect_for(settings)
         self.shared = shared
         self.opened: float = 0.0
         self.last_used: float = 0.0
         self.sent_bytes: int = 0
         self.received_bytes: int = 0
-        self._hold = management.hold_seconds
+        self._hold = settings.management.hold_seconds
         self._scope = scope
         self._spin = 0.0
         if settings.line is not None and settings.line.port is not None:
-            opening = settings.line.opening
-            reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
-            self._spin = _SPIN if opening.precise_timing else 0.0
+            self._spin = _SPIN if settings.line.opening.precise_timing else 0.0
         self._turn = threading.Condition(threading.Lock() if scope is None else scope.lock)
         self._leading = False
         self._waiting = 0
         self._connection: BlockingConnection | None = None
         self._buffer = bytearray(RECEIVE_SIZE)
-        self._closed = False
         self.reconnect = reconnect
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         self._trace: ConnectionTrace | None = None
@@ -156,11 +151,11 @@ class BlockingLinkDriver:
     def connect(self) -> None:
         """Connect now, instead of at the first request. Raises `LinkDown`."""
         with self._turn:
-            while self._leading and self._connection is None and not self._closed:
+            while self._leading and self._connection is None and not self._life.closed:
                 self._waiting += 1
                 self._turn.wait()
                 self._waiting -= 1
-            if self._connection is not None or self._closed:
+            if self._connection is not None or self._life.closed:
                 return
             refusal = self._life.refusal(time.monotonic())
             if refusal is not None:
@@ -168,7 +163,9 @@ class BlockingLinkDriver:
             self._leading = True
         try:
             with self._turn:
-                while not self._closed and (pause := self._pause(time.monotonic())):  # the first one was lost just now
+                while not self._life.closed and (
+                    pause := self._pause(time.monotonic())
+                ):  # the first one was lost just now
                     self._turn.wait(pause)
             failure = self._make_connection()
             if failure is not None:
@@ -181,7 +178,7 @@ class BlockingLinkDriver:
     def close(self) -> None:
         """Close the connection. What is still waiting ends as `LinkDown`."""
         with self._turn:
-            closed_before, self._closed = self._closed, True
+            closed_before, self._life.closed = self._life.closed, True
             LOCAL.discard(self)
             now = time.monotonic()
             if self._connection is not None:
@@ -203,19 +200,7 @@ class BlockingLinkDriver:
         if connection is not None and isinstance(connection.channel, socket.socket):
             with contextlib.suppress(OSError):  # another thread may be closing it
                 local = connection.channel.getsockname()
-        return status_of(
-            self,
-            endpoint=self.name,
-            state=self.reconnect.state.value,
-            counters=self.session.counters,
-            now=time.monotonic(),
-            opened=self.opened,
-            local=local,
-            traffic=(self.sent_bytes, self.received_bytes),
-            waiting=(self.session.in_flight, self.session.queued),
-            reason=self._life.down_because,
-            in_doubt=() if self._line is None else self._line.doubts.in_doubt(),
-        )
+        return status_of(self, self.session, self._life, time.monotonic(), local)
 
     def make_room(self) -> bool:
         """Close the connection if it is unused. Returns whether it was closed."""
@@ -459,9 +444,7 @@ class BlockingLinkDriver:
 
     def _refuse_while_down(self, call: Call, now: float) -> None:
         """Fail fast while the peer is known to be unreachable."""
-        if self._closed:
-            raise LinkClosed("the link is closed", endpoint=self.name, unit=call.unit)
-        if self._connection is None and not self._leading:
+        if self._life.closed or (self._connection is None and not self._leading):
             refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
                 raise refusal
@@ -499,7 +482,7 @@ class BlockingLinkDriver:
             raise
         with self._turn:
             now = time.monotonic()
-            if self._closed:
+            if self._life.closed:
                 connection.close()
                 return LinkDown("the link was closed", endpoint=self.name)
             self._connection = connection

@@ -15,9 +15,10 @@ from ..session.breaker import Breakers
 from ..session.call import Call, Places
 from ..session.client import TcpClientSession
 from ..session.line_framing import line_framing
+from ..session.reconnect import Reconnect
 from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
-from .settings import LineSettings, LinkSettings
+from .settings import LinkSettings
 
 
 class ClientSession(Protocol):
@@ -128,6 +129,15 @@ def conversation_for(
     )
 
 
+def reconnect_for(settings: LinkSettings) -> Reconnect:
+    """States and pauses of the connections of a link: a serial port is opened again after pauses of its own."""
+    if settings.line is not None and settings.line.port is not None:
+        opening = settings.line.opening
+        return Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
+    management = settings.management
+    return Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+
+
 def timing_of(port: SerialSettings | None) -> SerialTiming:
     """Character times for the settings of a port; those of a network if ``port`` is None."""
     if port is None:
@@ -135,6 +145,3 @@ def timing_of(port: SerialSettings | None) -> SerialTiming:
     return SerialTiming.of_line(
         port.baud, data_bits=port.data_bits, parity=Parity(port.parity.value), stop_bits=port.stop_bits
     )
-
-
-__all__ = ["ClientSession", "LineSettings", "conversation_for", "timing_of"]

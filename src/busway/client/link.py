@@ -15,12 +15,11 @@ import asyncio
 import contextlib
 import logging
 import math
-import random
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from ..errors import LinkClosed, LinkDown
+from ..errors import LinkDown
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
@@ -31,7 +30,7 @@ from ..session.serial_client import SerialClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
-from .conversation import ClientSession
+from .conversation import ClientSession, reconnect_for
 from .doubts import KEPT
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
@@ -103,7 +102,6 @@ class AsyncLinkDriver:
         "__weakref__",
         "_alarm",
         "_clock",
-        "_closed",
         "_connecting",
         "_connector",
         "_flush_planned",
@@ -158,8 +156,7 @@ class AsyncLinkDriver:
         self._line = session if isinstance(session, SerialClientSession) else None
         self._clock = _clock_of(self._loop) if self._line is None else time.monotonic
         self.now: Callable[[], float] = self._clock
-        management = settings.management
-        reconnect = Reconnect(random.random, first=management.reconnect_first, most=management.reconnect_most)
+        reconnect = reconnect_for(settings)
         self.shared: bool = shared
         self.home: asyncio.AbstractEventLoop | None = self._loop
         self.watch: Callable[[], None] | None = None
@@ -168,14 +165,13 @@ class AsyncLinkDriver:
         self.last_used: float = 0.0
         self.sent_bytes: int = 0
         self.received_bytes: int = 0
-        self._hold = management.hold_seconds
+        self._hold = settings.management.hold_seconds
         self._scope = scope
         self._minds = scope is not None or self._hold < math.inf  # whether `_after_use` has something to do
         self._spin = 0.0
         self._alarm: Alarm | None = None  # where a silence before each frame is kept: on a serial port
         if settings.line is not None and settings.line.port is not None:
             opening = settings.line.opening
-            reconnect = Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
             self._alarm = _new_alarm(self._on_timer)
             if opening.precise_timing:
                 self._spin = SPIN if self._alarm.exact else COARSE_SPIN
@@ -191,7 +187,6 @@ class AsyncLinkDriver:
         self._flush_planned = False
         self._outgoing: list[bytes] = []
         self._trace: ConnectionTrace | None = None
-        self._closed = False
         self.reconnect: Reconnect = reconnect
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         LOCAL.add(self)
@@ -249,8 +244,8 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _enqueue(self, call: Call, now: float) -> None:
-        if self._transport is None:
-            self._refuse_while_down(call, now)
+        if self._transport is None and (refusal := self._life.refusal(now, call.unit)) is not None:
+            raise refusal
         if call.caller is None:
             call.caller = asyncio.current_task()
         self.session.submit(call, now)
@@ -266,7 +261,7 @@ class AsyncLinkDriver:
 
     async def close(self) -> None:
         """Close the connection. What is still waiting ends as `LinkDown`."""
-        self._closed = True
+        self._life.closed = True
         LOCAL.discard(self)
         if self._timer is not None:
             self._timer.cancel()
@@ -318,7 +313,7 @@ class AsyncLinkDriver:
 
     async def connect(self) -> None:
         """Connect now, instead of at the first request. Raises `LinkDown`."""
-        if self.is_connected or self._closed:
+        if self.is_connected or self._life.closed:
             return
         self._ensure_connection(self._clock(), by_name=True)
         if self._connecting is not None:
@@ -328,19 +323,8 @@ class AsyncLinkDriver:
 
     def status(self) -> LocalConnectionStatus:
         """A snapshot of state, traffic and counters of the link."""
-        return status_of(
-            self,
-            endpoint=self.name,
-            state=self.reconnect.state.value,
-            counters=self.session.counters,
-            now=self._clock(),
-            opened=self.opened,
-            local=None if self._transport is None else self._transport.get_extra_info("sockname"),
-            traffic=(self.sent_bytes, self.received_bytes),
-            waiting=(self.session.in_flight, self.session.queued),
-            reason=self.down_because,
-            in_doubt=() if self._line is None else self._line.doubts.in_doubt(),
-        )
+        local = None if self._transport is None else self._transport.get_extra_info("sockname")
+        return status_of(self, self.session, self._life, self._clock(), local)
 
     def make_room(self) -> bool:
         """Close the connection if it is unused. Returns whether it was closed."""
@@ -436,7 +420,7 @@ class AsyncLinkDriver:
         """
         session = self.session
         if self._transport is None:
-            if session.has_calls and not self._closed:
+            if session.has_calls and not self._life.closed:
                 self._ensure_connection(now)
             return
         out = [] if self._paused or not session.has_calls else session.transmit(now)
@@ -537,14 +521,6 @@ class AsyncLinkDriver:
         elif self.reconnect.state is ConnectionState.BACKING_OFF:
             self._arm(self.reconnect.not_before)
 
-    def _refuse_while_down(self, call: Call, now: float) -> None:
-        """Fail fast while the peer is known to be unreachable."""
-        if self._closed:
-            raise LinkClosed("the link is closed", endpoint=self.name, unit=call.unit)
-        refusal = self._life.refusal(now, call.unit)
-        if refusal is not None:
-            raise refusal
-
     def _failure(self) -> LinkDown:
         failure = self._life.failure
         again = LinkDown(failure.message if failure else "no connection", endpoint=self.name)
@@ -560,7 +536,7 @@ class AsyncLinkDriver:
             self._not_connected(error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name))
             return
         except asyncio.CancelledError:
-            reason = "the link was closed" if self._closed else "no connection: the attempt was cancelled"
+            reason = "the link was closed" if self._life.closed else "no connection: the attempt was cancelled"
             self._not_connected(LinkDown(reason, endpoint=self.name))
             raise
         self._connecting = None

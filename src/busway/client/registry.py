@@ -10,14 +10,15 @@ Holds links weakly and asks only them, never a peer.
 """
 
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 from weakref import WeakSet
 
 from ..errors import ConfigError, LinkDown
-from ..session.retries import ClientCounters
+from ..session.connection import ConnectionLife
+from ..session.serial_client import SerialClientSession
 from ..transport.dialled import counted_by
+from .conversation import ClientSession
 
 if TYPE_CHECKING:
     import asyncio  # for annotations only: blocking programs do not load it
@@ -74,12 +75,16 @@ class LocalLink(Protocol):
     Attributes:
         home: the event loop it lives on; None of a blocking link.
         shared: whether it is managed automatically.
-        last_used: when the connection was last used, in the clock of the link.
+        opened, last_used: when the connection was made, and last used, in the clock of the link.
+        sent_bytes, received_bytes: of all its connections.
     """
 
     home: "asyncio.AbstractEventLoop | None"
     shared: bool
+    opened: float
     last_used: float
+    sent_bytes: int
+    received_bytes: int
 
     @property
     def is_connected(self) -> bool:
@@ -173,53 +178,35 @@ def limit_local_connections(supported: int) -> None:
 
 
 def status_of(
-    link: LocalLink,
-    *,
-    endpoint: str,
-    state: str,
-    counters: ClientCounters,
-    now: float,
-    opened: float,
-    local: object,
-    traffic: tuple[int, int],
-    waiting: tuple[int, int],
-    reason: str,
-    in_doubt: Sequence[int] = (),
+    link: LocalLink, session: ClientSession, life: ConnectionLife, now: float, local: object
 ) -> LocalConnectionStatus:
-    """Build the status of a link from the values of its driver.
+    """The status of a link.
 
     Args:
-        link: the driver.
-        endpoint: its URL.
-        state: state of its connection.
-        counters: counters of its session.
-        now: the time, in its clock.
-        opened: when the connection was opened, in its clock.
+        link, session, life: the driver, its session, and the life of its connections.
+        now: the time, in the clock of the driver.
         local: local socket address; None if there is none.
-        traffic: bytes sent and received.
-        waiting: requests in flight, and calls in the queue.
-        reason: why it is not connected.
-        in_doubt: units that may still send late replies.
     """
     stands = link.is_connected
+    counters, in_flight = session.counters, session.in_flight
     return LocalConnectionStatus(
-        endpoint=endpoint,
+        endpoint=life.endpoint,
         kind="blocking" if link.home is None else "asyncio",
         shared=link.shared,
-        state=state,
+        state=life.reconnect.state.value,
         local=_address(local) if stands else "",
-        age=now - opened if stands else None,
-        idle=(0.0 if waiting[0] else max(now - link.last_used, 0.0)) if stands else None,
-        sent_bytes=traffic[0],
-        received_bytes=traffic[1],
+        age=now - link.opened if stands else None,
+        idle=(0.0 if in_flight else max(now - link.last_used, 0.0)) if stands else None,
+        sent_bytes=link.sent_bytes,
+        received_bytes=link.received_bytes,
         transactions=counters.requests,
         failures=counters.timeouts + counters.bad_replies + counters.lost_connections,
         connections=counters.connections,
-        in_flight=waiting[0],
-        queued=waiting[1],
-        reason="" if stands else reason,
+        in_flight=in_flight,
+        queued=session.queued,
+        reason="" if stands else life.down_because,
         late_replies=counters.late_replies,
-        in_doubt=tuple(in_doubt),
+        in_doubt=tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else (),
     )
 
 

@@ -13,7 +13,7 @@ The driver opens and closes the connection, reports its events with their time, 
 from collections.abc import Callable
 from weakref import WeakMethod
 
-from ..errors import LinkDown
+from ..errors import LinkClosed, LinkDown
 from .client import TcpClientSession
 from .reconnect import ConnectionEvent, ConnectionState, Reconnect
 from .serial_client import SerialClientSession
@@ -34,10 +34,12 @@ class ConnectionLife:
             once.
 
     Attributes:
+        endpoint, reconnect, hold: as given.
         failure: why the last attempt failed; None while connected, and before the first attempt.
+        closed: whether the link was closed for good.
     """
 
-    __slots__ = ("_asked_before", "_conversation", "_endpoint", "_moved", "failure", "hold", "reconnect")
+    __slots__ = ("_asked_before", "_conversation", "_moved", "closed", "endpoint", "failure", "hold", "reconnect")
 
     def __init__(
         self,
@@ -49,12 +51,13 @@ class ConnectionLife:
         moved: Moved,
     ) -> None:
         self._conversation = conversation
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._moved = WeakMethod(moved)
         self._asked_before = 0  # requests before this connection
         self.reconnect: Reconnect = reconnect
         self.hold: float = hold
         self.failure: LinkDown | None = None
+        self.closed = False
 
     # How a connection begins.
 
@@ -134,13 +137,15 @@ class ConnectionLife:
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
         """The error of a call that needs a connection while none may be tried; None if the call may wait for one."""
+        if self.closed:
+            return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)
         failure = self.failure
         if failure is None or self.may_dial(now) or self.reconnect.state is not ConnectionState.BACKING_OFF:
             return None
         pause = self.reconnect.not_before - now
         refusal = LinkDown(
             f"{failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
-            endpoint=self._endpoint,
+            endpoint=self.endpoint,
             unit=unit,
         )
         refusal.__cause__ = failure
