@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-from watched import watched
+from page_plant import watched
 
 ARTEFACTS = Path(__file__).parents[2] / "build" / "artefacts" / "page"
 LIMIT = 15_000

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from watched import watched
+from page_plant import watched
 
 import busway
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from played import played
+from played_devices import played
 
 import busway
 from busway.faults.switchboard import FaultSwitchboard

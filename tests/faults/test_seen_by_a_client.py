@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from played import played
+from played_devices import played
 
 import busway
 from busway.client.doubts import KEPT

@@ -12,7 +12,7 @@ from typing import Any
 
 import foreign
 import pytest
-from played import played
+from played_devices import played
 
 from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Carrier

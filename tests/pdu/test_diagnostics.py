@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from fake_device import FakeContext, RecordingModel
+from recording_device import FakeContext, RecordingModel
 
 from busway.errors import InvalidRequest
 from busway.pdu.diagnostics import (

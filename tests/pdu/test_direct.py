@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from fake_device import FakeContext
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_strategies import messages
+from recording_device import FakeContext
 
 from busway.codes import Table
 from busway.pdu.bits import slice_bits, splice_bits

@@ -1,7 +1,7 @@
 """Function 43: identification page by page, level by level and alone; CANopen as it is."""
 
 import pytest
-from fake_device import FakeContext, RecordingModel
+from recording_device import FakeContext, RecordingModel
 
 from busway.errors import InvalidRequest
 from busway.pdu.encapsulated import (

@@ -1,7 +1,7 @@
 """Functions 20 and 21: groups, limits of lengths and counts, all groups or none."""
 
 import pytest
-from fake_device import FakeContext, RecordingModel
+from recording_device import FakeContext, RecordingModel
 
 from busway.errors import InvalidRequest
 from busway.pdu.file_records import FileContent, FileData, FileReference, ReadFileRecord, WriteFileRecord

@@ -1,7 +1,7 @@
 """A function of the user's own: one class and one entry in a table, and it is there everywhere."""
 
 import pytest
-from fake_device import FakeContext, RecordingModel
+from recording_device import FakeContext, RecordingModel
 
 from busway.codes import Table
 from busway.errors import InvalidRequest

@@ -3,9 +3,9 @@
 from typing import Any
 
 import pytest
-from fake_device import FakeContext, RecordingModel
 from hypothesis import given
 from hypothesis import strategies as st
+from recording_device import FakeContext, RecordingModel
 
 from busway.codes import Table
 from busway.errors import InvalidRequest

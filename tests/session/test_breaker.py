@@ -1,7 +1,7 @@
 """Dead units cost a line no more than a probe, and come back by themselves."""
 
 import pytest
-from bus import Bus, MasterEnd
+from virtual_bus import Bus, MasterEnd
 
 from busway.errors import ConfigError, ModbusError, NoReply, UnitSuspended
 from busway.framing.rtu import encode_rtu

@@ -1,7 +1,7 @@
 """Which units owe replies, and what may be sent to them meanwhile."""
 
 import pytest
-from bus import Bus, MasterEnd, honest
+from virtual_bus import Bus, MasterEnd, honest
 
 from busway.errors import BadReply, ExceptionReply, NoReply, UnitSuspended, WriteOutcomeUnknown
 from busway.framing.rtu import encode_rtu

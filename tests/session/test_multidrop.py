@@ -4,7 +4,7 @@ import random
 from collections import Counter
 
 import pytest
-from bus import Bus, MasterEnd, Question
+from virtual_bus import Bus, MasterEnd, Question
 
 from busway.errors import ExceptionReply, ModbusError, NoReply, UnitSuspended
 from busway.framing.ascii import encode_ascii

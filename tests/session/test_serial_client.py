@@ -3,7 +3,7 @@
 import itertools
 
 import pytest
-from bus import Bus, honest
+from virtual_bus import Bus, honest
 
 from busway.errors import (
     ExceptionReply,

@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable, Sequence
 
 import pytest
-from bus import Bus, MasterEnd, honest
+from virtual_bus import Bus, MasterEnd, honest
 
 from busway.errors import BadReply, ExceptionReply, ModbusError, NoReply, WriteOutcomeUnknown
 from busway.framing.ascii import encode_ascii

@@ -3,7 +3,7 @@
 import asyncio
 
 import pytest
-from bus import Bus, MasterEnd, ServerEnd
+from virtual_bus import Bus, MasterEnd, ServerEnd
 
 from busway.errors import NoReply
 from busway.framing.ascii import encode_ascii

@@ -1,7 +1,7 @@
 """Units of a line that are left alone after their replies, while others are asked."""
 
 import pytest
-from bus import Bus
+from virtual_bus import Bus
 
 from busway.options.client import ClientParameters
 from busway.pdu.read_items import ReadHoldingRegisters

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from bus import Bus, MasterEnd
+from virtual_bus import Bus, MasterEnd
 
 import busway
 from busway.apps.gateway.forwarding import Forwarder

@@ -1,7 +1,7 @@
 """Who may ask the API: Host, Origin, token and sizes, before anything of a request is read."""
 
 import pytest
-from watched import watched
+from page_plant import watched
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

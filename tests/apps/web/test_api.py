@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from watched import watched
+from page_plant import watched
 
 import busway
 

@@ -6,7 +6,7 @@ import socket
 import time
 from contextlib import ExitStack
 
-from watched import watched
+from page_plant import watched
 
 import busway.apps.web.connections
 from busway.apps.web.connections import MOST

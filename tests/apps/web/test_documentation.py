@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from watched import watched
+from page_plant import watched
 
 from busway.apps.web.access import BODY_LIMIT
 from busway.apps.web.hosting import SHORTEST_TOKEN

@@ -6,7 +6,7 @@ import socket
 from importlib.resources import files
 
 import pytest
-from watched import watched, watching
+from page_plant import watched, watching
 
 import busway
 from busway.apps.web.hosting import ControlPage

@@ -4,7 +4,7 @@ import contextlib
 import json
 
 import pytest
-from watched import watched, watching
+from page_plant import watched, watching
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 

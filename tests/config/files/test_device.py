@@ -6,7 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from accidents import after_accidents
+from damaged_texts import after_accidents
 
 from busway.codes import Table
 from busway.config.devices import build_units

@@ -4,7 +4,7 @@ import random
 from pathlib import Path
 
 import pytest
-from accidents import after_accidents
+from damaged_texts import after_accidents
 
 from busway.apps.gateway.configuration import parse_gateway
 from busway.codes import Table

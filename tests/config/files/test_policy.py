@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from accidents import after_accidents
+from damaged_texts import after_accidents
 
 from busway.access.question import Question
 from busway.access.rules import AccessKind, Action, Limits, Policy

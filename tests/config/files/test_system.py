@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from accidents import after_accidents
+from damaged_texts import after_accidents
 from json_schema import faults
 
 from busway.apps.server.configuration import Configuration, parse_configuration
