@@ -1,6 +1,6 @@
 """A program that writes a store and says what it has handed on; ended at a step, or by the test that started it.
 
-    python store_worker.py FOLDER [--end-at STEP --times N] [--durability power] [--commits N]
+    python store_worker.py FOLDER [--end-at STEP --times N] [--durability power] [--sync] [--commits N]
 
 What was handed on is a line of ``handed-on`` in the folder: number of the read, written after its commit.
 """
@@ -33,6 +33,7 @@ def main() -> None:
     parser.add_argument("--commits", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--keep", type=float)
+    parser.add_argument("--sync", action="store_true", help="sync before anything is handed on")
     asked = parser.parse_args()
     left = asked.times
 
@@ -51,6 +52,8 @@ def main() -> None:
         begin = number * SECONDS_PER_COMMIT
         reads = [meter_read(begin + index, number) for index in range(READS_PER_COMMIT)]
         writer.commit(reads, [], at(begin + SECONDS_PER_COMMIT / 2))
+        if asked.sync:
+            writer.sync()
         os.write(handed_on, f"{number}\n".encode())
         step("handed-on")
         if number % COMMITS_PER_SEGMENT == COMMITS_PER_SEGMENT - 1:

@@ -25,11 +25,20 @@ if shutil.which("gcc") is None:
 CUTS = 25
 
 
-def recorded(folder: Path, durability: str) -> tuple[Path, list[Record]]:
+def recorded(folder: Path, durability: str, *options: str) -> tuple[Path, list[Record]]:
     store = folder / "store"
     store.mkdir()
     log = folder / "log"
-    command = [sys.executable, store_worker.__file__, str(store), "--durability", durability, "--commits", "10"]
+    command = [
+        sys.executable,
+        store_worker.__file__,
+        str(store),
+        "--durability",
+        durability,
+        "--commits",
+        "10",
+        *options,
+    ]
     subprocess.run(command, env=environment(build(folder), store, log), check=True, timeout=60)
     return store, records_of(log)
 
@@ -61,10 +70,10 @@ def test_the_record_has_commits_syncs_renames_and_unlinks(tmp_path: Path) -> Non
     assert str(store / MANIFEST) in state.durable_names
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_what_was_handed_on_survives_a_power_failure_anywhere(tmp_path: Path, seed: int) -> None:
-    store, records = recorded(tmp_path, "power")
-    for index, state, handed_on in cuts(records, store, seed):
+@pytest.mark.parametrize("durability", [("power",), ("process", "--sync")], ids=["power", "process, synced"])
+def test_what_was_handed_on_survives_a_power_failure_anywhere(tmp_path: Path, durability: tuple[str, ...]) -> None:
+    store, records = recorded(tmp_path, *durability)
+    for index, state, handed_on in cuts(records, store, 7):
         for variant in range(2):
             target = tmp_path / f"{index}-{variant}"
             target.mkdir()

@@ -10,6 +10,7 @@ from collected import NOON, PUMP, SECOND, at, filled, meter_read, read_of
 
 import busway
 from busway.apps.collector.samples import Gap, PointGroup, Reason, SampleBatch, StateInterval
+from busway.apps.collector.store.commits import CommitReader
 from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store, pieces_of
 from busway.apps.collector.store.selection import moment, span
@@ -196,3 +197,18 @@ def test_a_sealed_part_names_its_points_for_other_programs(tmp_path: Path) -> No
     assert table["name"].to_pylist() == ["voltage"] * 3 + ["current"] * 3 + ["state"] * 3
     assert table["time"].cast("int64").to_pylist() == [at(0), at(1), at(2)] * 3, "sorted by point and time"
     assert meter_read(0).points == ("voltage", "current", "state")
+
+
+def test_a_segment_that_is_listed_and_not_yet_made_holds_nothing_and_reading_makes_no_file(tmp_path: Path) -> None:
+    with filled(tmp_path, 2) as writer:
+        part = writer.manifest.add_segment()
+        path = tmp_path / "segments" / part.file
+        assert len(Store(tmp_path).read()) == 6
+        assert not path.exists()
+        path.touch()  # what SQLite has made before its first transaction
+        assert len(Store(tmp_path).read()) == 6
+        assert Store(tmp_path).read(bucket=60).samples == [2, 2, 2]
+        reader = CommitReader(tmp_path, writer.manifest)
+        found = reader.read(0, 100)
+        assert found is not None
+        assert len(found.samples) == 6

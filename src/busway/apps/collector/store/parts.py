@@ -7,6 +7,7 @@ Knows how to ask each format; knows nothing of how parts overlap.
 """
 
 import json
+import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from ..samples import Reason
 from .folder import SEGMENTS
 from .manifest import IntervalRow, StorePart
 from .sealing import arrow
-from .segment import facts_of, intervals_of, open_for_reading
+from .segment import facts_of, intervals_of, is_unmade, open_for_reading
 
 Row = tuple[int, int, Any, int, int, int]
 """Time, point, stored value, reason, half width, commit number: as a segment holds them, for loops over millions."""
@@ -70,14 +71,24 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 def open_part_facts(folder: Path, part: StorePart) -> StorePart:
     """A part that is being written, with what its commits say so far."""
     path = folder / SEGMENTS / part.file
-    with closing(open_for_reading(path)) as database:
-        return facts_of(database, part, path.stat().st_size)
+    try:
+        with closing(open_for_reading(path)) as database:
+            return facts_of(database, part, path.stat().st_size)
+    except sqlite3.OperationalError as error:
+        if not is_unmade(error):
+            raise
+        return part
 
 
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
     """The intervals of a part that is not sealed."""
-    with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
-        return intervals_of(database)
+    try:
+        with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+            return intervals_of(database)
+    except sqlite3.OperationalError as error:
+        if not is_unmade(error):
+            raise
+        return []
 
 
 def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:

@@ -11,6 +11,7 @@ Knows how parts overlap; knows no format.
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
@@ -170,16 +171,33 @@ class Store:
 
     def _parts(self) -> list[StorePart]:
         """The parts of the store, with what they hold at this moment."""
+        return self._tried(lambda: [part for part in map(self._facts, self._listed()) if part.low is not None])
+
+    def _listed(self) -> list[StorePart]:
+        return self._from_manifest(Manifest.parts)
+
+    def _facts(self, part: StorePart) -> StorePart:
+        if part.kind != "open":
+            return part
+        return self._unless_unmade(part, lambda: open_part_facts(self.folder, part), part)
+
+    def _unless_unmade(self, part: StorePart, ask: Callable[[], Result], otherwise: Result) -> Result:
+        """What ``ask`` gives; ``otherwise`` for a segment that is listed, and whose file is not made yet."""
+        try:
+            return ask()
+        except FileNotFoundError:
+            if part.kind == "open" and part in self._listed():
+                return otherwise
+            raise
+
+    def _tried(self, ask: Callable[[], Result]) -> Result:
+        """What ``ask`` gives, asked again where a part was sealed or dropped meanwhile."""
         for _ in range(_TRIES):
             try:
-                found = [
-                    open_part_facts(self.folder, part) if part.kind == "open" else part
-                    for part in self._from_manifest(Manifest.parts)
-                ]
-                return [part for part in found if part.low is not None]
-            except FileNotFoundError:  # sealed since, or not made yet
+                return ask()
+            except FileNotFoundError:
                 continue
-        return [part for part in self._from_manifest(Manifest.parts) if part.low is not None]
+        return ask()
 
     def _walk(self, low: int, high: int, ask: Callable[[TimePiece], Result]) -> Iterator[tuple[TimePiece, Result]]:
         """Ask for each piece of a stretch of time; where a part has gone meanwhile, by the parts that are there now."""
@@ -212,18 +230,16 @@ class Store:
             return part_sums(self.folder, piece.parts[0], ids, piece.low, piece.high, bucket)
         return sums_of_rows(self._merged(piece, ids), bucket)
 
+    def _all_intervals(self) -> list[IntervalRow]:
+        rows: list[IntervalRow] = []
+        for part in self._listed():
+            if part.kind != "sealed":
+                rows += self._unless_unmade(part, partial(part_intervals, self.folder, part), [])
+        return rows + self._from_manifest(Manifest.intervals)  # last: sealing moves them there
+
     def _intervals(self, devices: set[str], low: int, high: int) -> list[IntervalRow]:
         """Intervals of these devices and of all, that touch a stretch of time, each once."""
-        rows: list[IntervalRow] = []
-        for _ in range(_TRIES):
-            try:
-                rows = self._from_manifest(Manifest.intervals)
-                for part in self._from_manifest(Manifest.parts):
-                    if part.kind != "sealed":
-                        rows += part_intervals(self.folder, part)
-                break
-            except FileNotFoundError:
-                continue
+        rows = self._tried(self._all_intervals)
         latest = {(row.device, row.begin, row.reason): row for row in sorted(rows, key=lambda row: row.commit_number)}
         return sorted(
             (

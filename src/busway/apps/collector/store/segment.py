@@ -19,6 +19,7 @@ from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
 from typing import Final
+from urllib.parse import quote
 
 from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
 from .folder import size_of, sync_file
@@ -30,6 +31,7 @@ LOG_STUCK: Final = 2 * LOG_LIMIT
 """Bytes of the log that show that a reader holds it."""
 
 _SCHEMA: Final = """
+BEGIN;
 CREATE TABLE IF NOT EXISTS samples (
     time INTEGER NOT NULL, point INTEGER NOT NULL, value, reason INTEGER NOT NULL, half_width INTEGER NOT NULL,
     commit_number INTEGER NOT NULL, PRIMARY KEY (time, point)
@@ -41,6 +43,7 @@ CREATE TABLE IF NOT EXISTS intervals (
     device TEXT, begin INTEGER NOT NULL, "end" INTEGER, reason INTEGER NOT NULL, lost INTEGER NOT NULL,
     commit_number INTEGER NOT NULL
 );
+COMMIT;
 """
 _INSERT: Final = "INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?, ?, ?)"
 
@@ -186,7 +189,13 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     """A connection to a segment that writes nothing. Raises `FileNotFoundError` where the file is gone."""
     if not path.exists():
         raise FileNotFoundError(os.fspath(path))
-    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
+    name = f"file:{quote(os.fspath(path))}?mode=rw"  # rw: a log that was left has to be read; it makes no file
+    try:
+        database = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
+    except sqlite3.OperationalError as error:
+        if path.exists():
+            raise
+        raise FileNotFoundError(os.fspath(path)) from error
     database.execute("PRAGMA query_only=1")
     return database
 
@@ -197,6 +206,11 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
         "SELECT min(low), max(high), min(number), max(number), max(at), coalesce(sum(samples), 0) FROM commits"
     ).fetchone()
     return replace(part, low=low, high=high, first_commit=first, last_commit=last, alive=alive, rows=rows, bytes=size)
+
+
+def is_unmade(error: sqlite3.OperationalError) -> bool:
+    """Whether a segment was listed and its file made, but not yet its tables: it holds nothing."""
+    return "no such table" in str(error)
 
 
 def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:

@@ -25,7 +25,7 @@ from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
 from .manifest import Manifest, StorePart
 from .retention import Retention, parts_to_drop
 from .sealing import SLOT, Step, can_seal, remove_unfinished, remove_unlisted, seal
-from .segment import Segment, facts_of, intervals_of, open_for_reading
+from .segment import Segment, facts_of, intervals_of, is_unmade, open_for_reading
 
 SEGMENT_SIZE: Final = 256 * 1024 * 1024
 
@@ -153,7 +153,7 @@ class StoreWriter:
         except FileNotFoundError:
             pass
         except sqlite3.OperationalError as error:
-            if "no such table" not in str(error):
+            if not is_unmade(error):
                 raise
         if found.last_commit is not None:
             self.manifest.close_segment(found)
