@@ -9,6 +9,7 @@ from marked import ROOT, replaced, update
 
 from busway.options.client import ClientParameters, ManagementParameters
 from busway.options.declaration import Option, declared
+from busway.options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.options.ports import OpeningParameters, SerialSettings
 from busway.options.presets import strict_settings
@@ -29,6 +30,9 @@ TABLES = {
     "port": SerialSettings,
     "opening": OpeningParameters,
     "tls": TlsParameters,
+    "gateway": GatewayParameters,
+    "upstreams": UpstreamParameters,
+    "gateway_listeners": GatewayListenerParameters,
 }
 """The parts of the page and the class that each shows."""
 STRICT = {

@@ -85,7 +85,7 @@ def link_options() -> str:
     return source.render(
         "LinkOptions",
         "The options of `busway.connect` and `busway.open`, for type checkers.",
-        "What `busway.connect` and `busway.open` take by name; each scheme takes a part of it.",
+        "Keyword options of `busway.connect` and `busway.open`; each scheme takes a part of them.",
         keys,
     )
 

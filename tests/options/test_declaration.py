@@ -1,7 +1,6 @@
 """How options are declared, and that one line is all it takes: every place that shows or takes options asks for it."""
 
 import re
-import subprocess
 import sys
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -15,8 +14,9 @@ import busway.options.offer
 from busway.cli.config import config
 from busway.client.option_types import LinkOptions
 from busway.client.settings import link_settings
+from busway.config.files.gateway import GatewayListenerSection, GatewaySection, UpstreamSection
 from busway.config.files.options import OptionSection, with_options_of
-from busway.config.files.schema import json_schema, parse_file
+from busway.config.files.schema import Section, json_schema, parse_file
 from busway.config.files.system import LinkSection, SystemFile
 from busway.errors import ConfigError
 from busway.options.declaration import (
@@ -32,6 +32,7 @@ from busway.options.declaration import (
     declared,
 )
 from busway.options.endpoints import SCHEMES, parse_endpoint
+from busway.options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
 from busway.options.offer import LINKS, SERVERS, Offer, aliases, options_for
 from busway.options.text import build_parameters
 from busway.server.option_types import ServerOptions
@@ -210,14 +211,22 @@ def test_an_option_of_servers_is_in_keywords_files_schema_and_table(option: Opti
     assert f"| `{option.name}` | {option.default_text} | {option.values} | {option.help} |" in TABLE
 
 
+@pytest.mark.parametrize(
+    ("section", "kind"),
+    [
+        (GatewaySection, GatewayParameters),
+        (UpstreamSection, UpstreamParameters),
+        (GatewayListenerSection, GatewayListenerParameters),
+    ],
+)
+def test_the_options_of_gateways_are_in_files_schema_and_table(section: type[Section], kind: type[Any]) -> None:
+    properties = json_schema(section, "x")["properties"]
+    for option in declared(kind).values():
+        assert properties[option.name]["description"] == option.help
+        assert f"| `{option.name}` | {option.default_text} | {option.values} | {option.help} |" in TABLE
+
+
 def test_help_lists_every_option_of_links_and_servers(capsys: pytest.CaptureFixture[str]) -> None:
     config("options", None, device=False, simulation=False, gateway=False)
     listed = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
     assert listed == [*LINK_OPTIONS, *SERVER_OPTIONS]
-
-
-@pytest.mark.parametrize("name", ["option_types", "defaults_table"])
-def test_what_is_generated_from_the_declarations_is_up_to_date(name: str) -> None:
-    words = [sys.executable, f"scripts/{name}.py", "--check"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

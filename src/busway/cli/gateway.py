@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
+from ..options.gateway import GatewayParameters
 from .arguments import CAPTURE, VERBOSE, seconds, show_traffic
 from .exits import ExitCode
 from .files import capturing
@@ -118,7 +119,7 @@ def gateway(
     def read_and_remember() -> "GatewayConfiguration":
         nonlocal drain
         configuration = read()
-        drain = configuration.file.gateway.drain
+        drain = configuration.file.gateway.built(GatewayParameters).drain
         return configuration
 
     service = Service(read_and_remember, wishes)
@@ -183,7 +184,7 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
     unit = ServiceUnit(
         command=[*program(), *kept],
         plan=configuration.plan,
-        drain=configuration.file.gateway.drain,
+        drain=configuration.file.gateway.built(GatewayParameters).drain,
         written=[] if log is None else [str(Path(log).absolute().parent)],
         name=Path(configuration.name).stem if is_file else "gateway",
     )

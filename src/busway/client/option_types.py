@@ -14,7 +14,7 @@ from ..options.tls import Curve, TlsVersion, Verify
 
 
 class LinkOptions(TypedDict, total=False):
-    """What `busway.connect` and `busway.open` take by name; each scheme takes a part of it."""
+    """Keyword options of `busway.connect` and `busway.open`; each scheme takes a part of them."""
 
     timeout: float
     retries: int

@@ -11,6 +11,7 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction
 from busway.apps.server.service import Service, Wishes
+from busway.options.gateway import UpstreamParameters
 from busway.options.server import ListenerParameters, Scope
 from busway.testing.line import PacedLine
 
@@ -27,7 +28,7 @@ def test_sections_become_listeners_lines_routes_and_options_of_servers() -> None
     assert (limits.max_connections, limits.idle_timeout) == (20, 600)
     hall, inverter = plan.upstreams
     assert (hall.link.parameters.timeout, hall.link.parameters.retries) == (0.5, 1)
-    assert (inverter.connections, inverter.share_reads, inverter.broadcast) == (4, False, True)
+    assert inverter.options == UpstreamParameters(4, share_reads=False, broadcast=True)
     first, second, third, fourth = plan.table.routes
     assert (first.action, first.code, first.listeners) == (RouteAction.REFUSE, 1, frozenset({"scada"}))
     assert (second.upstream, second.max_registers, second.timeout) == ("hall", 50, 0.6)

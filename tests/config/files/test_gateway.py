@@ -35,7 +35,7 @@ def test_listeners_lines_and_routes_are_read() -> None:
     assert file.route[1].asked_units() == {1, 2, 4, 5, 6, 7, 8, 9, 10}
     assert file.route[0].asked_functions() == {5, 6, 15, 16, 21, 22, 23}
     assert file.route[2].asked_addresses() == (Table.HOLDING_REGISTERS, 0, 100)
-    assert (file.gateway.own_unit, file.gateway.drain) == (254, 2.5)
+    assert file.gateway.options() == {"own_unit": 254, "drain": 2.5}
 
 
 def test_a_listener_without_a_name_is_called_by_its_url() -> None:
@@ -111,7 +111,7 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
             '[[listener]]\nurl = "rtu:///dev/x"\nname = "plc"\nsilent_broadcasts = true\n' + LINE,
             ["x.toml:4: listener[0].silent_broadcasts: has no effect on a serial line"],
         ),
-        (LISTENER + LINE + "[gateway]\nown_unit = 0\n", ["x.toml:7: gateway.own_unit: must be at least 1, not 0"]),
+        (LISTENER + LINE + "[gateway]\nown_unit = 0\n", ["x.toml:7: gateway.own_unit: must be 1…255, not 0"]),
     ],
 )
 def test_what_can_not_be_is_said_with_its_line(text: str, sentences: list[str]) -> None:

@@ -23,6 +23,7 @@ from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE
 from ...options.endpoints import Endpoint, parse_endpoint
+from ...options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
 from ...options.server import ListenerParameters, ServerParameters, UnitParameters
 from ...options.sockets import SocketParameters
 from ...options.tls import TlsParameters
@@ -236,8 +237,8 @@ def _put_together(
         ),
         upstreams=tuple(replace(upstream, unit_gaps=unit_gaps(routes, name)) for name, upstream in upstreams.items()),
         table=RoutingTable(tuple(one.route for one in routes)),
-        own_unit=file.gateway.own_unit,
-        own_registers=file.gateway.own_registers,
+        own_unit=file.gateway.built(GatewayParameters).own_unit,
+        own_registers=file.gateway.built(GatewayParameters).own_registers,
         server=server,
     )
     return GatewayConfiguration(replace(common, warnings=warnings), file, plan, tuple(routes))
@@ -252,7 +253,8 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
     if section is None:
         return PlacedListener(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
     is_chosen = "client_deadline" in section.model_fields_set
-    return PlacedListener(section.title, endpoint, place, section.client_deadline, is_chosen)
+    chosen = section.built(GatewayListenerParameters).client_deadline
+    return PlacedListener(section.title, endpoint, place, chosen, is_chosen)
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
@@ -269,7 +271,7 @@ def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
 
 def _is_silent(file: GatewayFile, place: Place) -> bool:
     section = _section_of(file, place)
-    return section is not None and section.silent_broadcasts
+    return section is not None and section.built(GatewayListenerParameters).silent_broadcasts
 
 
 def _upstream(
@@ -279,9 +281,7 @@ def _upstream(
         lambda: UpstreamSettings(
             section.name,
             link.settings,
-            section.connections,
-            section.share_reads,
-            section.broadcast,
+            section.built(UpstreamParameters),
             same_device=tuple(frozenset(group) for group in section.same_device),
         ),
         lambda key: at if key is None else (*at, key),

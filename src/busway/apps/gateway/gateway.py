@@ -25,9 +25,12 @@ from ...client.settings import LinkSettings, link_settings, options_of
 from ...codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE, ClientParameters
+from ...options.declaration import declared
 from ...options.endpoints import Endpoint, parse_endpoint
+from ...options.gateway import GatewayParameters, UpstreamParameters
 from ...options.lines import BreakerParameters
 from ...options.server import ListenerParameters
+from ...options.text import build_parameters
 from ...pdu.functions import STANDARD, FunctionTable
 from ...server.authorisation import Authorise, allow_all
 from ...server.counters import ServerCounters
@@ -44,12 +47,11 @@ from .forwarding import Forwarder
 from .own_unit import STATES, own_device
 from .router import GatewayListenerCounters, ListenerRouter
 from .routes import RoutingTable
-from .upstream import MAX_CONNECTIONS, Upstream, UpstreamStatus
+from .upstream import Upstream, UpstreamStatus
 
 if TYPE_CHECKING:
     from ...access.audit_log import AuditLog
 
-DRAIN_SECONDS = 5.0
 UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
     "port_wait": 0.0,
     "timeout": ClientParameters().timeout,
@@ -85,18 +87,14 @@ class UpstreamSettings:
     Attributes:
         name: its name in routes.
         link: endpoint, timeouts and gaps, as for `busway.open`.
-        connections: number of connections to one server.
-        share_reads: whether identical reads in flight are sent once.
-        broadcast: whether it gets writes to unit 0; None: if its framing is RTU or ASCII.
+        options: connections, shared reads, broadcasts.
         unit_gaps: seconds of silence after a reply, by unit; on serial lines only.
         same_device: groups of units that are the same device: a write to one drops remembered values of the others.
     """
 
     name: str
     link: LinkSettings
-    connections: int = 1
-    share_reads: bool = True
-    broadcast: bool | None = None
+    options: UpstreamParameters = field(default_factory=UpstreamParameters)
     unit_gaps: Mapping[int, float] = field(default_factory=dict)
     same_device: tuple[frozenset[int], ...] = ()
 
@@ -104,9 +102,7 @@ class UpstreamSettings:
         self._check_same_device()
         if self.unit_gaps and self.link.line is None:
             raise ConfigError("units have gaps of their own on serial lines only", key="unit_gaps")
-        if not 1 <= self.connections <= MAX_CONNECTIONS:
-            raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {self.connections}", key="connections")
-        if self.connections > 1 and self.link.endpoint.carrier == "serial":
+        if self.options.connections > 1 and self.link.endpoint.carrier == "serial":
             raise ConfigError("a serial port is opened once", key="connections")
 
     def _check_same_device(self) -> None:
@@ -134,9 +130,9 @@ class UpstreamSettings:
         for key, value in UPSTREAM_DEFAULTS.items():
             if key in offered and key not in endpoint.options:
                 options.setdefault(key, value)
-        names = ("connections", "share_reads", "broadcast", "unit_gaps", "same_device")
-        own = {key: options.pop(key) for key in names if key in options}
-        return cls(name, link_settings(url, options), **own)
+        own = {key: options.pop(key) for key in declared(UpstreamParameters) if key in options}
+        rest = {key: options.pop(key) for key in ("unit_gaps", "same_device") if key in options}
+        return cls(name, link_settings(url, options), build_parameters(UpstreamParameters, own), **rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +338,7 @@ class Gateway:
             await forwarder.upstream.close()
         self._started = 0.0
 
-    async def drain(self, seconds: float = DRAIN_SECONDS) -> int:
+    async def drain(self, seconds: float = GatewayParameters().drain) -> int:
         """Accept nothing new, wait until open requests are answered, then stop. Returns how many were not answered.
 
         Args:
@@ -592,8 +588,10 @@ def _to_zero(counters: object) -> None:
 
 
 def _opened(settings: UpstreamSettings) -> Forwarder:
-    upstream = Upstream(settings.name, settings.link, connections=settings.connections, broadcast=settings.broadcast)
-    forwarder = Forwarder(upstream, share_reads=settings.share_reads, same_device=settings.same_device)
+    upstream = Upstream(
+        settings.name, settings.link, connections=settings.options.connections, broadcast=settings.options.broadcast
+    )
+    forwarder = Forwarder(upstream, share_reads=settings.options.share_reads, same_device=settings.same_device)
     _open(upstream, settings)
     return forwarder
 

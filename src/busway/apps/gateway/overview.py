@@ -70,9 +70,9 @@ def _upstream(upstream: UpstreamSettings, routes: Sequence[PlacedRoute]) -> Iter
     cases = [worst_case(upstream, one.route, one.gap) for one in routes if one.route.upstream == upstream.name]
     if cases:
         yield f"{max(case.seconds for case in cases):.3g} s at most"
-    if upstream.connections > 1:
-        yield f"{upstream.connections} connections"
-    if not upstream.share_reads:
+    if upstream.options.connections > 1:
+        yield f"{upstream.options.connections} connections"
+    if not upstream.options.share_reads:
         yield "reads are not shared"
     for group in upstream.same_device:
         yield f"units {units_text(group)} are the same device"

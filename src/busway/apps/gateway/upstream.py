@@ -22,6 +22,7 @@ from ...client.link import AsyncLinkDriver
 from ...client.settings import LinkSettings
 from ...codes import ExceptionCode
 from ...errors import ConfigError, LinkDown, ModbusError
+from ...options.gateway import UpstreamParameters
 from ...server.diagnosis import StatusIndicator, StatusIndicators
 from ...session.breaker import BreakerState
 from ...session.reconnect import ConnectionEvent
@@ -30,7 +31,6 @@ from ...session.serial_client import SerialClientSession
 from .exception_codes import code_for
 from .upstream_log import UpstreamLog
 
-MAX_CONNECTIONS = 16
 _CLIENTS_REMEMBERED = 4096
 
 
@@ -142,8 +142,7 @@ class Upstream:
         broadcast: bool | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if not 1 <= connections <= MAX_CONNECTIONS:
-            raise ConfigError(f"must be 1…{MAX_CONNECTIONS}, not {connections}", key="connections")
+        UpstreamParameters(connections=connections)  # checks the number
         if connections > 1 and settings.endpoint.carrier == "serial":
             raise ConfigError("a serial port is opened once", key="connections")
         self.name = name

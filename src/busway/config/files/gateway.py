@@ -35,11 +35,11 @@ from pydantic import BeforeValidator, Field, model_validator
 from ...access.notation import parse_functions, parse_items, parse_table, parse_units
 from ...codes import Table
 from ...errors import ConfigError
-from ...options.client import CLIENT_DEADLINE
+from ...options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, clashes
-from .options import CountOrNone, SecondsOrNone
+from .options import OptionSection, with_options_of
 from .schema import FileProblems, Section, Source, read_source
 from .system import LinkSection, SystemFile, twice
 
@@ -72,14 +72,13 @@ def is_gateway(sections: Container[str]) -> bool:
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
 
+@with_options_of(GatewayListenerParameters)
 class GatewayListenerSection(ListenerSection):
     """``[[listener]]``: where clients reach the gateway."""
 
     on_lines: ClassVar[frozenset[str]] = frozenset({"url", "name", "client_deadline"})
 
     name: str = ""
-    client_deadline: SecondsOrNone = Field(default=CLIENT_DEADLINE, ge=0.001, le=3600)
-    silent_broadcasts: bool = False
 
     @property
     def title(self) -> str:
@@ -87,12 +86,10 @@ class GatewayListenerSection(ListenerSection):
         return self.name or self.url
 
 
+@with_options_of(UpstreamParameters)
 class UpstreamSection(LinkSection):
     """``[[link]]`` of a gateway: a serial line or a server that requests are forwarded to."""
 
-    connections: int = Field(default=1, ge=1, le=16)
-    share_reads: bool = True
-    broadcast: bool | None = None
     same_device: list[list[int]] = Field(default_factory=list)
 
 
@@ -171,12 +168,9 @@ class RouteSection(Section):
         return table, first, end
 
 
-class GatewaySection(Section):
+@with_options_of(GatewayParameters)
+class GatewaySection(OptionSection):
     """``[gateway]``: options of the whole gateway."""
-
-    own_unit: CountOrNone = Field(default=255, ge=1, le=255)
-    own_registers: bool = False
-    drain: float = Field(default=5.0, ge=0, le=600)
 
 
 def _no_units(value: object) -> object:

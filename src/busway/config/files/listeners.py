@@ -5,7 +5,7 @@ server's own class when the configuration is put together (`busway.config`).
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -34,7 +34,7 @@ class ListenerSection(OptionSection):
     Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
     """
 
-    checked_here: ClassVar[bool] = False  # together with those of [security], where the listener is put together
+    checked_later: ClassVar[tuple[type[Any], ...]] = (TlsParameters, ListenerParameters)  # with those of [security]
     on_lines: ClassVar[frozenset[str]] = frozenset({"url"})
     """Keys that have an effect on a serial line too."""
 

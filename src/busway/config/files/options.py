@@ -20,6 +20,7 @@ from ...values.refusal import shown
 from .schema import FileProblems, Section
 
 Kind = TypeVar("Kind", bound="OptionSection")
+Parameters = TypeVar("Parameters")
 
 
 def _none(value: object) -> object:
@@ -30,18 +31,11 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
     return Annotated[kind | None, BeforeValidator(_none, json_schema_input_type=kind | Literal["none"])]
 
 
-SecondsOrNone = Annotated[float | None, BeforeValidator(_none, json_schema_input_type=float | Literal["none"])]
-CountOrNone = Annotated[int | None, BeforeValidator(_none, json_schema_input_type=int | Literal["none"])]
-"""Types of keys that may also be ``none``."""
-
-
 class OptionSection(Section):
     """A section whose keys are options of components, beside what else it declares."""
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
     """The classes that check the values."""
-    checked_here: ClassVar[bool] = True
-    """Whether they check this section by itself."""
     checked_later: ClassVar[tuple[type[Any], ...]] = ()
     """Those that check when the section is combined with others."""
 
@@ -54,9 +48,13 @@ class OptionSection(Section):
         known = {name for kind in kinds for name in option_names(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
+    def built(self, kind: type[Parameters]) -> Parameters:
+        """The parameter object of a class. Raises nothing that reading the file did not."""
+        return build_parameters(kind, self.options_of(kind))
+
     @model_validator(mode="after")
     def _check_options(self) -> "OptionSection":
-        for kind in self.kinds if self.checked_here else ():
+        for kind in self.kinds:
             if kind not in self.checked_later:
                 build(kind, self.options_of(kind))
         return self

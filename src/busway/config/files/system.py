@@ -99,13 +99,13 @@ class LinkKeys(OptionSection):
 
     def options(self) -> dict[str, Any]:  # of several types
         """The options of a link that are set here, by name."""
-        return super().options() | ({"preset": self.preset} if "preset" in self.model_fields_set else {})
+        return self.options_of(*LINKS) | ({"preset": self.preset} if "preset" in self.model_fields_set else {})
 
 
 class LinkSection(LinkKeys):
     """``[[link]]``: one endpoint that requests go to, under a name, with options of its own."""
 
-    checked_here: ClassVar[bool] = False  # together with its scheme, where the link is put together
+    checked_later: ClassVar[tuple[type[Any], ...]] = LINKS  # together with its scheme, where the link is put together
 
     name: str = Field(min_length=1)
     url: Url
