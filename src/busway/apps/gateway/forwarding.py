@@ -373,12 +373,17 @@ class Forwarder:
         """Answer what has an outcome."""
         asker = batch.asker
         data: list[Any] = batch.outcomes  # Any: bytes where the request has asked for them, see `as_bytes`
-        if set(map(type, data)) == _GOOD and asker is not None and not (batch.told or batch.joined):
-            self.upstream.counters.answered += len(data)
-            self.leave(batch)
-            asker.answer(batch.tags, batch.asked, data)
-            self.answered[asker] = None
-            return
+        if asker is not None and not (batch.told or batch.joined or batch.place):  # as a rule
+            is_data = set(map(type, data)) == _GOOD
+            if is_data or (len(data) == 1 and isinstance(data[0], Message)):
+                self.upstream.counters.answered += len(data)
+                self.leave(batch)
+                if is_data:
+                    asker.answer(batch.tags, batch.asked, data)
+                else:
+                    asker.reply(batch.tags[0], batch.asked[0], data[0])
+                self.answered[asker] = None
+                return
         if len(batch.tags) < len(batch.outcomes):
             self._answer_one(batch, 0, batch.outcomes)
         else:
