@@ -173,26 +173,43 @@ async def client_await(loop: MemoryLoop) -> AsyncIterator[Turn]:
 
 
 @asynccontextmanager
-async def gateway_forward(loop: MemoryLoop) -> AsyncIterator[Turn]:
-    """Reads of one client through a gateway to a server behind it."""
+async def _forwarded(loop: MemoryLoop, clients: int, batches: Sequence[bytes], count: int) -> AsyncIterator[Turn]:
+    """Clients of a gateway that send these reads, ``count`` of them together, and wait for all their answers."""
     loop.listeners[1] = Device
     plan = simple_plan([TCP], "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
     async with Gateway(plan) as gateway:
-        wire = loop.newcomer(port_of(gateway.endpoints[0]))
+        wires = [loop.newcomer(port_of(gateway.endpoints[0])) for _ in range(clients)]
         reply = 9 + 2 * REGISTERS
 
         async def turn() -> None:
-            for batch in READS:
-                wanted = wire.sent + reply * IN_FLIGHT
-                wire.feed(batch)
-                for _ in range(100):
-                    if wire.sent == wanted:
+            for begin in range(0, len(batches), clients):
+                wanted = [wire.sent + reply * count for wire in wires]
+                for wire, batch in zip(wires, batches[begin : begin + clients], strict=True):
+                    wire.feed(batch)
+                for _ in range(1000):
+                    if [wire.sent for wire in wires] == wanted:
                         break
                     await asyncio.sleep(0)
                 else:
                     raise RuntimeError("a gateway has not answered")
 
         yield turn
+
+
+def gateway_forward(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Reads of one client through a gateway to a server behind it."""
+    return _forwarded(loop, 1, READS, IN_FLIGHT)
+
+
+def gateway_queue(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Reads of four clients, of which one at a time has its turn upstream."""
+    return _forwarded(loop, len(READS), READS, IN_FLIGHT)
+
+
+def gateway_single(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Reads of sixteen clients that each wait for their answer: batches of one."""
+    reads = [read(number, number % IN_FLIGHT * REGISTERS) for number in range(TRANSACTIONS)]
+    return _forwarded(loop, IN_FLIGHT, reads, 1)
 
 
 def rtu_server(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
@@ -231,6 +248,8 @@ SCRIPTS: dict[str, Script] = {
     "client, execute_many": client_execute_many,
     "client, await": client_await,
     "gateway, forward": gateway_forward,
+    "gateway, queue": gateway_queue,
+    "gateway, single reads": gateway_single,
     "rtu, server": rtu_server,
     "rtu, client": rtu_client,
 }
