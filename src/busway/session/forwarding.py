@@ -2,8 +2,8 @@
 
 Knows the layout of a read and its answer on TCP, and the slots of a connection; knows no upstream and no route.
 
-1. A read is recognised by the ten bytes after its transaction, like the reads of the server's cached path. The handler
-   is asked once what they mean, for all clients with the same rights.
+1. A read is recognised by the ten bytes after its transaction, like the known reads of the server's fast path. The
+   responder is asked once what they mean, for all clients with the same rights.
 2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). If none is left, the read goes
    to the generic path, which answers 06.
 3. Each read taken here is answered once, by `answer`, `reply` or `refuse`, with the unit and the transaction of its
@@ -21,7 +21,6 @@ from ..pdu.message import Message, Request
 
 if TYPE_CHECKING:
     from .diagnostics import LineDiagnostics
-    from .pipeline import RequestPipeline
     from .responder import ClientIdentity, RequestContext
     from .slots import TransactionSlots
 
@@ -125,6 +124,20 @@ class ForwardPlans:
             self.known[key] = plan
 
 
+class ReadObserver(Protocol):
+    """Sees what becomes of forwarded reads (`busway.session.pipeline.RequestPipeline`)."""
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        """The clock of ``began``."""
+
+    def answered(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
+        """Reads that arrived at ``began`` were answered with these ADUs."""
+
+    def unanswered(self, client: "ClientIdentity", requests: int) -> None:
+        """The client left before so many reads were answered."""
+
+
 @runtime_checkable
 class ReadForwarder(Protocol):
     """A responder that can forward reads in batches."""
@@ -173,7 +186,7 @@ class ForwardedReads:
         slots: "TransactionSlots",
         diagnostics: "LineDiagnostics",
         deliver: DeliverTogether,
-        observed_by: "RequestPipeline | None" = None,
+        observed_by: "ReadObserver | None" = None,
     ) -> None:
         self.plans: ForwardPlans = plans
         self.peer: str = client.peer
@@ -282,10 +295,10 @@ class ForwardedReads:
                     self._observe(ready, self._observed_by)
                 self._deliver(ready)
 
-    def _observe(self, adus: list[bytes], pipeline: "RequestPipeline") -> None:
+    def _observe(self, adus: list[bytes], observer: "ReadObserver") -> None:
         began = self._began or {}
         for adu in adus:
-            pipeline.answered(self._client, [adu], began.pop(adu[:2], pipeline.clock()))
+            observer.answered(self._client, [adu], began.pop(adu[:2], observer.clock()))
 
     def close(self) -> None:
         """End with the connection: waiting reads get no answer, and their slots are freed."""

@@ -13,6 +13,8 @@ import busway
 from busway.access.audit_log import AuditLog
 from busway.apps.gateway.gateway import Gateway, simple_plan
 from busway.client.link import AsyncLinkDriver
+from busway.observe.metrics.observer import MetricsObserver
+from busway.observe.metrics.requests import RequestTally
 from busway.server.connection import ServerConnection
 from busway.session.client import TcpClientSession
 
@@ -35,12 +37,13 @@ def callers(frame: FrameType | None) -> list[tuple[str, str]]:
     return found[::-1]
 
 
-@pytest.mark.parametrize("around", ["nothing", "policy and audit log"])
+@pytest.mark.parametrize("around", ["nothing", "policy, audit log and metrics"])
 async def test_a_read_that_was_routed_before_goes_by_eight_functions_and_comes_back_by_one_climb(
     around: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     ways: list[list[tuple[str, str]]] = []
     answers: list[list[tuple[str, str]]] = []
+    tally = RequestTally()
 
     def seen(of: Any, name: str, ways: list[list[tuple[str, str]]]) -> None:
         inner = getattr(of, name)
@@ -63,11 +66,13 @@ async def test_a_read_that_was_routed_before_goes_by_eight_functions_and_comes_b
             options: dict[str, Any] = {}
             if around != "nothing":
                 options["policy"] = busway.Policy.of(busway.Rule.of(units=1, action="read-only"))
+                options["observers"] = [MetricsObserver(tally)]
                 options["audit"] = open_files.enter_context(AuditLog(tmp_path / "audit"))
             plan = simple_plan(["tcp://127.0.0.1:0"], behind.endpoints[0])
             async with Gateway(plan, **options) as gateway, busway.open(gateway.endpoints[0]) as link:
                 for _ in range(3):
                     assert await link.unit(1).read_holding_registers(0, count=2) == [7, 7]
+    assert tally.total() == (0 if around == "nothing" else 3)
     at_gateway = [way for way in ways if way[0][1] == "ServerConnection.buffer_updated"]
     assert at_gateway[-1] == DOWN
     assert len(DOWN) <= MOST_NAMES
