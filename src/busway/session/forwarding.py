@@ -131,8 +131,8 @@ class ReadObserver(Protocol):
     def clock(self) -> Callable[[], float]:
         """The clock of ``began``."""
 
-    def answered(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
-        """Reads that arrived at ``began`` were answered with these ADUs."""
+    def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
+        """Reads that all arrived at ``began`` were answered with these ADUs."""
 
     def unanswered(self, client: "ClientIdentity", requests: int) -> None:
         """The client left before so many reads were answered."""
@@ -296,9 +296,12 @@ class ForwardedReads:
                 self._deliver(ready)
 
     def _observe(self, adus: list[bytes], observer: "ReadObserver") -> None:
-        began = self._began or {}
+        began, now = self._began or {}, observer.clock()
+        groups: dict[float, list[bytes]] = {}  # by arrival: those of one segment mostly come back together
         for adu in adus:
-            observer.answered(self._client, [adu], began.pop(adu[:2], observer.clock()))
+            groups.setdefault(began.pop(adu[:2], now), []).append(adu)
+        for arrived, replies in groups.items():
+            observer.forwarded(self._client, replies, arrived)
 
     def close(self) -> None:
         """End with the connection: waiting reads get no answer, and their slots are freed."""

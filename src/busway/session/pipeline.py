@@ -180,6 +180,12 @@ class RequestPipeline:
         for observer in self.observers:
             observer.answered(client, replies, seconds)
 
+    def forwarded(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
+        """Tell the observers of replies to forwarded reads, each of which has waited since ``began``."""
+        seconds = (self.clock() - began) * len(replies)
+        for observer in self.observers:
+            observer.answered(client, replies, seconds)
+
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Tell the observers of forwarded reads whose client left before their replies."""
         for observer in self.observers:

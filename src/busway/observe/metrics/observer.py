@@ -69,16 +69,24 @@ class MetricsObserver:
             return
         peer_class = self._classify(client)
         each = seconds / len(replies)
-        for reply in replies:
-            key = peer_class, reply[6:8]
-            known = self._counted.get(key)
-            if known is None:
-                known = self._series(peer_class, reply)
-                if reply[7] < 0x80:
-                    self._counted[key] = known
-            series, durations = known
-            series.count += 1
-            durations.add(each)
+        alike = [reply[6:8] for reply in replies]
+        if alike.count(alike[0]) == len(alike) and alike[0][1] < 0x80:  # mostly they have the same unit and function
+            self._count(peer_class, replies[0], len(alike), each)
+        else:
+            for reply in replies:
+                self._count(peer_class, reply, 1, each)
+
+    def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
+        """Count replies of the unit, function and exception code of one of them."""
+        key = peer_class, reply[6:8]
+        known = self._counted.get(key)
+        if known is None:
+            known = self._series(peer_class, reply)
+            if reply[7] < 0x80:
+                self._counted[key] = known
+        series, durations = known
+        series.count += count
+        durations.add(each, count)
 
     def _series(self, peer_class: PeerClass, reply: bytes) -> tuple[Series, Durations]:
         if len(self._counted) >= _MEMO_LIMIT:

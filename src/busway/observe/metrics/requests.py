@@ -79,10 +79,10 @@ class Durations:
         self.counts: list[int] = [0] * (len(BUCKETS) + 1)
         self.total: float = 0.0
 
-    def add(self, seconds: float) -> None:
-        """One more answer."""
-        self.counts[bisect_left(BUCKETS, seconds)] += 1
-        self.total += seconds
+    def add(self, seconds: float, count: int = 1) -> None:
+        """Add answers that took so many seconds each."""
+        self.counts[bisect_left(BUCKETS, seconds)] += count
+        self.total += seconds * count
 
 
 class RequestTally:
