@@ -253,3 +253,84 @@ def test_names_of_points_are_never_source() -> None:
         Point(name, HOLDING, 1, value_type("int16")),
     ]
     assert ReadDecoder(points, HOLDING, 0, 2).decode(bytes.fromhex("0001 0001")).values == [10.0, 1]
+
+
+def slowly(conversion: Conversion, raw: int | float, whole: bool, known: dict[str, int]) -> tuple[Any, int]:
+    """Value and reason of a raw number, rule by rule, in exact fractions; nothing is shared with the decoder."""
+    if raw != raw:
+        return None, Reason.NOT_A_NUMBER
+    patterns = set(conversion.invalid) | {each - 65536 for each in conversion.invalid if whole and each >= 0x8000}
+    if (raw in patterns and whole) or raw in conversion.invalid:
+        return None, Reason.NO_VALUE
+    if conversion.scale_from and not -10 <= known.get(conversion.scale_from, 99) <= 10:
+        return None, Reason.NO_SCALE_FACTOR
+    scale, offset = Fraction(repr(conversion.scale)), Fraction(repr(conversion.offset))
+    value: Any = raw
+    if conversion.linear is not None:
+        (r0, r1), (v0, v1) = conversion.linear.raw, conversion.linear.value
+        scale = (Fraction(repr(v1)) - Fraction(repr(v0))) / (Fraction(r1) - Fraction(r0))
+        offset = Fraction(repr(v0)) - Fraction(r0) * scale
+    if scale != 1 or offset or conversion.linear is not None:
+        exact = raw * scale + offset if whole else None
+        value = exact.numerator / exact.denominator if exact is not None else raw * float(scale) + float(offset)
+    if conversion.linear is not None and conversion.linear.clamp:
+        value = min(max(value, min(conversion.linear.value)), max(conversion.linear.value))
+    if conversion.scale_from:
+        power = known[conversion.scale_from]
+        value = value * 10.0**power if power >= 0 else value / 10.0**-power
+    low, high = conversion.valid or (None, None)
+    outside = (low is not None and value < low) or (high is not None and value > high)
+    return value, Reason.OUT_OF_RANGE if outside else Reason.NONE
+
+
+@st.composite
+def conversions(draw: st.DrawFn) -> Conversion:
+    keys: dict[str, Any] = {}
+    kind = draw(st.sampled_from(["plain", "scale", "linear", "factor"]))
+    if kind == "scale":
+        keys = {
+            "scale": draw(st.sampled_from([0.1, 0.05, -0.01, 2.5, 1000.0, 1.0])),
+            "offset": draw(st.sampled_from([0.0, -40.0, 0.3])),
+        }
+    elif kind == "linear":
+        ends = draw(st.sampled_from([((0, 27_648), (0.0, 100.0)), ((6400, 32_000), (150.0, -50.0))]))
+        keys = {"linear": Linear(*ends, clamp=draw(st.booleans()))}
+    elif kind == "factor":
+        keys = {"scale_from": draw(st.sampled_from(["known", "unknown", "absurd"]))}
+    keys["invalid"] = tuple(draw(st.lists(st.sampled_from([0x8000, 0xFFFF, 0, 7, -1]), max_size=3, unique=True)))
+    keys["valid"] = draw(st.sampled_from([None, (-10.0, 10.0), (None, 0.0), (5.0, None), (-math.inf, math.inf)]))
+    return Conversion(**keys)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    given=st.lists(st.tuples(conversions(), st.sampled_from(["int16", "uint16", "float32"])), min_size=1, max_size=8),
+    data=st.data(),
+)
+def test_conversions_of_many_points_are_those_that_the_rules_give_one_by_one(
+    given: list[tuple[Conversion, str]], data: st.DataObject
+) -> None:
+    points, at = [], 0
+    for index, (conversion, name) in enumerate(given):
+        points.append(Point(f"p{index}", HOLDING, at, value_type(name, "CDAB"), conversion))
+        at += points[-1].width
+    raws: list[Any] = []
+    for point in points:
+        if point.type == "float32":
+            raws.append(data.draw(st.sampled_from([0.0, 7.0, -1.0, 1.5, -11.25, math.nan, math.inf])))
+        else:
+            low = 0 if point.type == "uint16" else -32768
+            raws.append(data.draw(st.integers(low, low + 65535) | st.sampled_from([low, 0, 7, low + 65535])))
+    wire = b"".join(value_type(point.type, "CDAB").encode([raw]) for point, raw in zip(points, raws, strict=True))
+    known = {"known": -2, "absurd": 11}
+    found = ReadDecoder(points, HOLDING, 0, at).decode(wire, dict(known))
+    for place, (point, raw) in enumerate(zip(points, raws, strict=True)):
+        expected = point.conversion
+        if point.type == "uint16":  # the pattern of a negative number is not looked for in types without a sign
+            signless = tuple(each for each in expected.invalid if each >= 0)
+            expected = Conversion(expected.scale, expected.offset, expected.scale_from, expected.linear,
+                                  tuple(each for each in signless), expected.valid)  # fmt: skip
+        value, reason = slowly(expected, raw, point.is_whole, known)
+        if value is None or value == value:
+            assert found.values[place] == value, (point, raw)
+        assert found.flaws.get(place, 0) == reason, (point, raw)

@@ -10,7 +10,7 @@ Knows numbers; knows no register, type or point.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Final
@@ -141,8 +141,14 @@ def pattern(number: float, *, bits: int, signed: bool) -> float:
     return number
 
 
+def converter(conversion: Conversion, *, whole: bool) -> Callable[[float], float]:
+    """What computes the values of raw numbers, compiled from `Conversion.source`; as `value_of`, and quicker."""
+    convert: Callable[[float], float] = eval(f"lambda raw: {conversion.source('raw', whole=whole)}")
+    return convert
+
+
 def value_of(conversion: Conversion, raw: float, *, whole: bool) -> float:
-    """The value of one raw number, without ``scale_from``. Decoders compile the same expression."""
+    """The value of one raw number, without ``scale_from``, step by step. Decoders compile `Conversion.source`."""
     if not conversion.changes:
         return raw
     scale, offset = conversion.factors()

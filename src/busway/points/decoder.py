@@ -220,7 +220,8 @@ class _Source:
             self._lines.append(f"v{place} = {raw}")
             return
         tests = self._tests(place, point, raw)
-        if not tests and not point.conversion.changes and not point.conversion.scale_from:
+        plain = not (point.conversion.changes or point.conversion.scale_from or point.conversion.valid)
+        if not tests and plain:
             self._lines.append(f"v{place} = {raw}")
         else:
             self._converted(place, point, raw, tests)

@@ -93,6 +93,13 @@ class Expression:
     names: tuple[str, ...]
     _tree: ast.expr = field(repr=False, compare=False)
 
+    @property
+    def words(self) -> frozenset[str]:
+        """Names in it that stand for themselves and never for a point: ``t``, ``pi``."""
+        return frozenset(
+            each.id for each in ast.walk(self._tree) if isinstance(each, ast.Name) and each.id in (TIME, *_CONSTANTS)
+        )
+
     def bind(self, source: Callable[[str], Callable[[], Number]]) -> Bound:
         """What computes it.
 

@@ -126,6 +126,10 @@ def test_fields_halves_and_overlaps_are_served_with_their_first_values() -> None
         ),
         (UNIT + "[[unit.point]]\nname='a'\nformula='b + '\n", "x.toml:5: unit[0].point[0].formula: 'b + ' is no expr"),
         (UNIT + "[[unit.point]]\nname='a'\nformula='b'\n", "x.toml:5: unit[0].point[0].formula: there is no point 'b'"),
+        (
+            UNIT + "point = [{ name = 't', address = '4x1' }, { name = 'a', formula = 't + 1' }]\n",
+            'unit[0].point[1].formula: t is no point here; the point of that name is point("t")',
+        ),
         (POINT + "write = { on = 1 }\n", "x.toml:6: unit[0].point[0].write.off: is missing: a switch has both"),
         (POINT + "write = { verify = 'x' }\n", "x.toml:6: unit[0].point[0].write.verify: "),
         (POINT + "access = 'read'\nwrite = { function = 6 }\n", "unit[0].point[0].write: 'a' is only read"),

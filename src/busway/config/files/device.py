@@ -560,6 +560,8 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
             yield path, f"{shown(name)} holds no whole number without a scale"
     for each in placed:
         if each.section.is_computed:
+            for word in sorted(each.section.expression.words & there.keys()):
+                yield (*each.path, "formula"), f'{word} is no point here; the point of that name is point("{word}")'
             for name in each.section.expression.names:
                 other = there.get(name)
                 if other is None:

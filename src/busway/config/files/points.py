@@ -44,6 +44,7 @@ from pydantic import BeforeValidator, Field, ModelWrapValidatorHandler, Validati
 from ...codes import TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
 from ...points import AlarmRule, Conversion, Linear, Point, ReportRule, WriteRule
+from ...points.conversion import converter
 from ...points.expression import Expression, parse_expression
 from ...points.rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
@@ -409,7 +410,16 @@ class PointSection(WholeSection):
 
     def physical(self, raw: Any) -> Any:
         """The value in the unit of measure of what the registers hold."""
-        return self.described.value(raw)
+        if self._converter is None or isinstance(raw, bool):
+            return raw
+        return self._converter(raw)
+
+    @cached_property
+    def _converter(self) -> Callable[[float], float] | None:
+        """What makes values of raw numbers; None where they are the same."""
+        if not self.is_number or not self.conversion.changes:
+            return None
+        return converter(self.conversion, whole=self.is_whole)
 
     def check_range(self, value: float) -> None:
         """Raises `InvalidRequest` if a value lies outside the point's range."""

@@ -33,19 +33,20 @@ Rules:
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from ...codes import Table
 from ...errors import ConfigError, InvalidRequest
+from ...points.expression import parse_expression
 from ...values.refusal import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import GroupSection, UnitSection, Whole
 from .faults import FaultSection
 from .lines import Path
-from .points import PointSection, checked
+from .points import PointSection, checked, resolved
 from .schema import Section, json_schema
 from .system import DEFAULT_LISTEN, SystemFile
 
@@ -94,6 +95,19 @@ class SimulatedPointSection(PointSection):
         """What does not fit together."""
         faults = list(super().faults())
         yield from faults or self._behaviour_faults()
+
+    def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
+        """As of `PointSection`; names in expressions of the behaviour are found likewise."""
+        moved = super().moved(prefix, by, known)
+        assert isinstance(moved, SimulatedPointSection)
+        if moved.behaviour is None:
+            return moved
+        changes = {
+            key: parse_expression(text).renamed(lambda name: resolved(name, known))
+            for key in moved.behaviour.expressions
+            if isinstance(text := getattr(moved.behaviour, key), str)
+        }
+        return moved.model_copy(update={"behaviour": moved.behaviour.model_copy(update=changes)}) if changes else moved
 
     def _behaviour_faults(self) -> Iterator[tuple[Path, str]]:
         if self.behaviour is None:
