@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _WHOLE: Final = ("int", "uint", "bcd", "field")
 _PLAIN: Final = Conversion()
+_NO_META: Final[Mapping[str, Any]] = {}
 _EVERY_READ: Final = ReportRule()
 
 
@@ -70,7 +71,7 @@ class Point:
     alarms: tuple[AlarmRule, ...] = ()
     was: str = ""
     description: str = ""
-    meta: Mapping[str, Any] = field(default_factory=dict)  # Any: what TOML has
+    meta: Mapping[str, Any] = field(default_factory=lambda: _NO_META)  # Any: what TOML has
 
     @property
     def width(self) -> int:

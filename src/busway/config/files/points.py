@@ -36,7 +36,7 @@ Rules:
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, ModelWrapValidatorHandler, ValidationError, model_validator
@@ -66,6 +66,25 @@ _OF_A_READ: Final = (
 )  # fmt: skip
 """Keys that a computed point cannot have."""
 _DEADBAND: Final = re.compile(r"(\d+(?:\.\d+)?)\s*%")
+
+
+# Points of large plants are many and alike: what they have in common is one object each.
+_write_rule: Final = lru_cache(maxsize=4096)(WriteRule)
+_report_rule: Final = lru_cache(maxsize=4096)(ReportRule)
+
+
+@lru_cache(maxsize=4096)
+def _conversion(
+    scale: float,
+    offset: float,
+    scale_from: str,
+    linear: Linear | None,
+    invalid: tuple[float, ...],
+    valid: tuple[float, float] | None,
+    names: tuple[tuple[str, int], ...],
+    flags: tuple[tuple[str, int], ...],
+) -> Conversion:
+    return Conversion(scale, offset, scale_from, linear, invalid, valid, dict(names), dict(flags))
 
 
 def checked(key: str, make: Callable[[], Result]) -> Result:
@@ -154,7 +173,7 @@ class ReportSection(Section):
         """As the points have it."""
         percent = _DEADBAND.fullmatch(self.deadband.strip()) if isinstance(self.deadband, str) else None
         band = float(percent[1]) if percent else float(self.deadband)
-        return ReportRule(self.when, self.period, band, percent is not None, self.max_silence)
+        return _report_rule(self.when, self.period, band, percent is not None, self.max_silence)
 
 
 class AlarmSection(Section):
@@ -341,16 +360,16 @@ class PointSection(WholeSection):
 
     @cached_property
     def conversion(self) -> Conversion:
-        """How raw numbers become values."""
-        return Conversion(
+        """How raw numbers become values; one object for all points that have the same."""
+        return _conversion(
             self.scale,
             self.offset,
             self.scale_from,
             None if self.linear is None else self.linear.described(),
             tuple(self.invalid),
             None if self.valid is None else (self.valid[0], self.valid[1]),
-            self.enumeration,
-            self.flags,
+            tuple(self.enumeration.items()),
+            tuple(self.flags.items()),
         )
 
     @cached_property
@@ -363,7 +382,7 @@ class PointSection(WholeSection):
             "alarms": tuple(each.described() for each in self.alarm),
             "was": self.was,
             "description": self.description,
-            "meta": self.meta,
+            **({"meta": self.meta} if self.meta else {}),
             "conversion": self.conversion,
         }
         if self.is_computed:
@@ -391,7 +410,7 @@ class PointSection(WholeSection):
 
     def _writing(self) -> WriteRule:
         write = self.write or WriteSection()
-        return WriteRule(write.function, write.place, self.minimum, self.maximum, write.step, write.on, write.off)
+        return _write_rule(write.function, write.place, self.minimum, self.maximum, write.step, write.on, write.off)
 
     def raw(self, value: Any) -> Any:
         """What the registers hold for a value in the unit of measure, or for its name.
