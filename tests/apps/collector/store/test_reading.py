@@ -158,7 +158,7 @@ def test_pieces_are_small_and_cover_each_nanosecond_once() -> None:
         return StorePart(number, number, f"{number}", "closed", low, high, 1, 1, high, rows, 1)
 
     parts = [part(1, 0, 999, 1_000_000), part(2, 500, 1999, 10), part(3, 5000, 5000, 1)]
-    pieces = list(pieces_of(parts, 100, 6000))
+    pieces = list(pieces_of(parts, 100, 6000, 200_000))
     covered = [moment for piece in pieces for moment in range(piece.low, piece.high)]
     assert covered == [*range(100, 2000), 5000]
     assert {tuple(p.id for p in piece.parts) for piece in pieces} == {(1,), (1, 2), (2,), (3,)}

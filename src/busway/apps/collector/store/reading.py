@@ -4,7 +4,7 @@ Knows how parts overlap; knows no format.
 
 1. The axis of time is cut where parts begin and end. Where one part covers a piece, it is asked for rows or sums;
    where several do, their rows are merged by key, and the later commit holds.
-2. Pieces are small enough for memory: `_PIECE` rows of each part, roughly.
+2. Pieces are small enough for memory: `_PIECE` wanted rows, roughly, or ten times as many where only sums are kept.
 3. A part that is sealed or dropped while it is read is looked up again, from the time on that was reached.
 """
 
@@ -38,7 +38,7 @@ from .selection import EVER, Moment, chosen_points, moment, span
 MOST_SAMPLES: Final = 10_000_000
 """Samples that one `Store.read` gives at most: some 2 GB."""
 MOST_BUCKETS: Final = 1_000_000
-_PIECE: Final = 200_000
+_PIECE: Final = 500_000
 _TRIES: Final = 10
 
 Result = TypeVar("Result")
@@ -130,7 +130,8 @@ class Store:
         ids = self._ids_of(points, chosen)
         intervals = self._intervals({point.device for point in chosen}, low, high)
         marks = _marks(intervals, chosen, low)
-        for piece, rows in self._walk(low, high, lambda piece: self._merged(piece, ids)):
+        most = self._rows_in_piece(chosen)
+        for piece, rows in self._walk((low, high, most), lambda piece: self._merged(piece, ids)):
             before = [mark for mark in marks if mark[0] < piece.high]
             marks = marks[len(before) :]
             yield _table(sorted(rows + before, key=lambda row: row[:2]), by_id, [])
@@ -145,7 +146,8 @@ class Store:
         chosen = self._chosen(points)
         ids = self._ids_of(points, chosen)
         sums: SumsByBucket = {}
-        for _, found in self._walk(low, high, lambda piece: self._sums(piece, ids, bucket)):
+        most = 10 * self._rows_in_piece(chosen)
+        for _, found in self._walk((low, high, most), lambda piece: self._sums(piece, ids, bucket)):
             _add_up(sums, found)
             if len(sums) > MOST_BUCKETS:
                 raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
@@ -199,12 +201,19 @@ class Store:
                 continue
         return ask()
 
-    def _walk(self, low: int, high: int, ask: Callable[[TimePiece], Result]) -> Iterator[tuple[TimePiece, Result]]:
-        """Ask for each piece of a stretch of time; where a part has gone meanwhile, by the parts that are there now."""
-        reached, tries = low, 0
+    def _rows_in_piece(self, chosen: list[StoredPoint]) -> int:
+        """Rows of parts in one piece, so that about `_PIECE` of them are of the chosen points."""
+        return _PIECE * max(1, len(self.points())) // max(1, len(chosen))
+
+    def _walk(
+        self, stretch: tuple[int, int, int], ask: Callable[[TimePiece], Result]
+    ) -> Iterator[tuple[TimePiece, Result]]:
+        """Ask for each piece of a stretch (begin, end, rows in a piece); where a part has gone, by those there now."""
+        reached, high, most = stretch
+        tries = 0
         while True:
             try:
-                for piece in pieces_of(self._parts(), reached, high):
+                for piece in pieces_of(self._parts(), reached, high, most):
                     yield piece, ask(piece)
                     reached, tries = piece.high, 0
                 return
@@ -253,8 +262,8 @@ class Store:
         )
 
 
-def pieces_of(parts: Sequence[StorePart], low: int, high: int) -> Iterator[TimePiece]:
-    """Cut a stretch of time where parts begin and end, and further where they have many rows."""
+def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Iterator[TimePiece]:
+    """Cut a stretch of time where parts begin and end, and further where they have more than ``most`` rows."""
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
     spans = [each for each in spans if each[0] < each[1]]
     cuts = sorted({cut for begin, end, _ in spans for cut in (begin, end)})
@@ -263,7 +272,7 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int) -> Iterator[TimeP
         if not covering:
             continue
         rows = sum(_share(part, begin, end) for part in covering)
-        count = max(1, min(-(-int(rows) // _PIECE), end - begin))
+        count = max(1, min(-(-int(rows) // most), end - begin))
         edges = [begin + (end - begin) * number // count for number in range(count + 1)]
         for first, last in pairwise(edges):
             yield TimePiece(first, last, covering)
