@@ -36,7 +36,7 @@ class Connector(Protocol):
 
 
 class TcpConnector:
-    """TCP, by the parameters of T19 (Messaging on TCP/IP V1.0b §4.3.2)."""
+    """Opens TCP connections with their socket parameters (Messaging on TCP/IP V1.0b §4.3.2)."""
 
     def __init__(self, endpoint: Endpoint, sockets: SocketParameters, *, interface: str | None = None) -> None:
         self._endpoint = endpoint
@@ -47,7 +47,7 @@ class TcpConnector:
         self._local = (sockets.local_address, 0) if sockets.local_address else None
 
     async def connect(self, protocol: Callable[[], "asyncio.BaseProtocol"]) -> Any:
-        """A connected transport. Raises `LinkDown`."""
+        """Connect, and return the transport. Raises `LinkDown`."""
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
         from ..transport.dialling import open_stream
@@ -67,7 +67,7 @@ class TcpConnector:
         return transport
 
     def dial(self) -> socket.socket:
-        """A connected, non-blocking socket. Raises `LinkDown`."""
+        """Connect, and return the non-blocking socket. Raises `LinkDown`."""
         try:
             if self._interface is not None:
                 from ..transport.dialling import dial_through
@@ -91,11 +91,11 @@ class TcpConnector:
         return connection
 
     def release(self) -> None:
-        """Nothing is held."""
+        """Nothing to free."""
 
 
 class UdpConnector:
-    """UDP, one frame per datagram."""
+    """Opens UDP sockets; one frame per datagram."""
 
     def __init__(
         self, endpoint: Endpoint, sockets: SocketParameters, session: TcpClientSession | SerialClientSession
@@ -107,7 +107,7 @@ class UdpConnector:
         self._is_whole = WHOLE[endpoint.framing]
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """An open socket. Raises `LinkDown`."""
+        """Open a socket. Raises `LinkDown`."""
         from ..transport.udp import open_datagram
 
         return await open_datagram(
@@ -120,7 +120,7 @@ class UdpConnector:
         )
 
     def dial(self) -> Channel:
-        """An open socket. Raises `LinkDown`."""
+        """Open a socket. Raises `LinkDown`."""
         from ..transport.udp import BlockingDatagramSocket
 
         return BlockingDatagramSocket(
@@ -128,7 +128,7 @@ class UdpConnector:
         )
 
     def release(self) -> None:
-        """Nothing is held."""
+        """Nothing to free."""
 
     def _whole(self, data: bytes) -> bool:
         if self._is_whole(data):

@@ -143,7 +143,7 @@ def read_identification(level: str, object_id: int | None) -> Operation:
 
 
 def place_of(address: int | str | Address) -> Address:
-    """The place of an address that names its table. Raises `InvalidRequest`."""
+    """Parse an address that names its table. Raises `InvalidRequest`."""
     place = parse_address(address)
     if place.table is None:
         raise InvalidRequest(f"address {address} names no table; {_hint_of_number(place)}")

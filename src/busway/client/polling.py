@@ -40,7 +40,7 @@ class Poll:
             self._poll.register(connection, select.POLLIN)
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """Whether there is something to receive (or room to send, if ``writes``) within ``seconds``."""
+        """Wait. Returns whether bytes can be received (or sent, if ``writes``) within ``seconds``."""
         if self._poll is None:
             readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
             return bool(readable or writable)

@@ -28,7 +28,7 @@ Wanted: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """One name: ``items`` of a table from ``offset`` on; ``form`` is None for bits, ``count`` for one value."""
+    """One named value: ``items`` of a table from ``offset`` on; ``form`` is None for bits, ``count`` for one value."""
 
     name: str
     table: Table
@@ -44,7 +44,7 @@ class _Item:
 
 @dataclass(slots=True)
 class _Range:
-    """One request, and the names that are in it."""
+    """One request, and the named values that it reads."""
 
     table: Table
     offset: int
@@ -56,7 +56,7 @@ class _Range:
 
 
 def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW) -> Operation:
-    """The values of all names, by name and in the order of the names."""
+    """Read all named values. Returns them by name, in the order of the names."""
     if width != NARROW:
         raise InvalidRequest(f"read_many needs registers of 2 bytes, not of {width}; read each value by itself")
     items = [_item(name, one, order) for name, one in wanted.items()]
@@ -107,7 +107,7 @@ def _placed(
 
 
 def _ranges(items: Iterable[_Item]) -> list[_Range]:
-    """The ranges to ask for, each within what one request holds; no value lies in two of them."""
+    """Group the values into ranges of one request each; no value lies in two of them."""
     ranges: list[_Range] = []
     for item in sorted(items, key=lambda one: (one.table.value, one.offset, one.end)):
         last = ranges[-1] if ranges else None

@@ -29,7 +29,7 @@ DEFAULT_LIMIT: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class LocalConnectionStatus:
-    """One link of this process and the connection it has at the moment.
+    """One link of this process and its present connection.
 
     Attributes:
         endpoint: URL of the peer, without options.
@@ -136,7 +136,7 @@ class LocalConnections:
         self.supported = supported
 
     def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
-        """See that ``newcomer`` may connect. Raises `LinkDown` where all connections are in use."""
+        """Make room for a connection of ``newcomer``. Raises `LinkDown` if all connections are in use."""
         if len(self._links) <= self.supported:
             return
         standing = [link for link in self.links() if link.is_connected and link is not newcomer]

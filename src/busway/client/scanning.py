@@ -59,7 +59,7 @@ def scan(
     listen: float | None = LISTEN_SECONDS,
     **options: Any,  # those of `LinkOptions`, of which the timeout stands above
 ) -> list[FoundUnit]:
-    """The units that answer on a line, or behind an address; nothing is ever written.
+    """Find the units that answer on a line, or behind an address. Writes nothing.
 
     It takes up to ``timeout`` for each unit that is not there, less as soon as some have answered.
 
@@ -132,14 +132,14 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """The endpoint without the options that only a conversation has."""
+    """The endpoint without the options that have no effect on listening."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)
 
 
 class UnitScan:
-    """All units behind one endpoint with one setting. Made before anything is sent; `found` asks.
+    """A scan of the units behind one endpoint. Made before anything is sent; `found` asks.
 
     Args:
         endpoint: the line, or the server in front of the units.

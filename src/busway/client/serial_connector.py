@@ -47,7 +47,7 @@ class SerialConnector:
         self._claim = Claim(endpoint.path, user)
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """An open port, waited for. Raises `LinkDown`."""
+        """Open the port; wait for it as the options say. Raises `LinkDown`."""
         import asyncio
 
         from ..transport.serial.connection import SerialConnection
@@ -66,7 +66,7 @@ class SerialConnector:
             await asyncio.sleep(pause)
 
     def dial(self) -> Channel:
-        """An open port, waited for. Raises `LinkDown`."""
+        """Open the port; wait for it as the options say. Raises `LinkDown`."""
         waited = _Waited(self._opening)
         while True:
             try:
@@ -76,18 +76,18 @@ class SerialConnector:
             time.sleep(pause)
 
     def release(self) -> None:
-        """The link is closed for good: the port is free for others."""
+        """Free the port for others: the link is closed for good."""
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """What a link can fail with. A setting that cannot be will not be different after a wait."""
+        """Translate an error of opening. An impossible setting is raised at once: waiting would not help."""
         down = LinkDown(error.message, endpoint=self._endpoint.url)
         down.__cause__ = error
         return down
 
 
 class _Waited:
-    """How long a port was waited for."""
+    """Limits how long a port is waited for."""
 
     def __init__(self, opening: OpeningParameters) -> None:
         self._policy = reopen_policy(opening)
@@ -95,7 +95,7 @@ class _Waited:
         self._failures = 0
 
     def pause(self, error: LinkDown) -> float:
-        """Seconds to wait before the next attempt; raises ``error`` when it has been enough."""
+        """Seconds to wait before the next attempt; raises ``error`` when the wait is over."""
         self._failures += 1
         left = self._until - time.monotonic()
         if isinstance(error.__cause__, ConfigError) or left <= 0:
@@ -115,7 +115,7 @@ class SerialStream:
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
-        """The port is open."""
+        """Note that the port is open."""
         self._connection = connection
         self._session.characters_take_time = not connection.pseudo_terminal
         self._overruns = Overruns(connection.counters)
@@ -123,7 +123,7 @@ class SerialStream:
     # What the port tells.
 
     def received(self, data: bytes, errors: int) -> None:
-        """Bytes, and how many of them are marked as damaged."""
+        """Process received bytes; ``errors``: how many of them are marked as damaged."""
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:
             self._end.arrived_damaged(data, overrun=overrun)
@@ -131,7 +131,7 @@ class SerialStream:
             self._end.arrived(data)
 
     def lost(self, error: LinkDown) -> None:
-        """The port has vanished."""
+        """Handle the loss of the port."""
         self._connection = None
         self._end.connection_lost(error)
 
@@ -152,7 +152,7 @@ class SerialStream:
             asyncio.get_running_loop().call_soon(self._end.connection_lost, error)
 
     def still_sending(self) -> None:
-        """Look whether the last character has left, before a response timeout is believed."""
+        """Check whether the last character has left, before a timeout is believed."""
         if self._connection is None or self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -164,19 +164,19 @@ class SerialStream:
             self._session.still_sending(until)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         connection, self._connection = self._connection, None
         if connection is not None:
             self._closing = connection
             connection.close()
 
     async def wait_closed(self) -> None:
-        """Wait until the system has the port back, after `close`."""
+        """Wait until the port is closed, after `close`."""
         if self._closing is not None:
             await self._closing.wait_closed()
 
     def abort(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self.close()
 
     def is_closing(self) -> bool:
@@ -195,7 +195,7 @@ class SerialChannel:
         self._puts_off = 0
 
     def fileno(self) -> int:
-        """The descriptor to wait at. Raises `OSError` where ports have none."""
+        """The descriptor, to wait for readiness. Raises `OSError` if ports have none."""
         return self._port.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
@@ -217,7 +217,7 @@ class SerialChannel:
         return len(data)
 
     def still_sending(self) -> None:
-        """Look whether the last character has left, before a response timeout is believed."""
+        """Check whether the last character has left, before a timeout is believed."""
         if self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -229,5 +229,5 @@ class SerialChannel:
             self._session.still_sending(until)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._port.close()

@@ -89,7 +89,7 @@ _NEVER: Final = BreakerParameters(open_after=0)
 
 
 def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSettings:
-    """Settings from a URL with its options, and from keywords, which go before them. Raises `ConfigError`."""
+    """Make settings from a URL with its options and from keywords, which override them. Raises `ConfigError`."""
     endpoint = parse_endpoint(url)
     offer = Offer.at(endpoint, "client", LINKS)
     chosen = offer.chosen({**canonical(endpoint.options), **canonical(options)}, of=endpoint.url)
