@@ -16,6 +16,7 @@ from handlers import ScriptedHandler
 import busway
 from busway.access.question import Question
 from busway.access.rates import Rates
+from busway.access.rights import decision_of
 from busway.codes import Table
 from busway.options.client import ClientParameters
 from busway.options.sockets import SocketParameters
@@ -119,7 +120,7 @@ def test_access_control_alone_says_who_may_connect_and_who_may_ask() -> None:
     assert not busway.AddressList(allow=["10.0.0.0/8"])("192.0.2.1")
     policy = busway.Policy.read_only()
     for request, allowed in ((ReadHoldingRegisters(0, 2), True), (WriteSingleRegister(0, 1), False)):
-        assert policy.decide(Question.of(request, unit=1, peer="10.0.0.7")).allowed is allowed
+        assert decision_of(policy, Question.of(request, unit=1, peer="10.0.0.7")).allowed is allowed
 
 
 def test_parameters_of_the_stack_alone_are_set_on_any_socket() -> None:

@@ -26,7 +26,8 @@ from .audit_line import DONE, done_line, who_text
 from .audit_log import AuditLog
 from .notation import Range
 from .question import counts_as_write
-from .rights import EVERYWHERE, Rights, UnitAccess, Zone, ranges_of
+from .rights import Rights, UnitAccess, Zone, ranges_of
+from .rules import EVERYWHERE
 
 _unpack_address = struct.Struct(">H").unpack_from
 _unpack_two = struct.Struct(">HH").unpack_from

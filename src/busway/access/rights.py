@@ -12,18 +12,13 @@ Knows rules and the facts of one request (`busway.access.question`); knows no cl
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from ..codes import ExceptionCode, Table
 from .notation import Range, merged
 from .question import END, Question, Space, TouchedRange
+from .rules import DEFAULT_RULE, Action, Limits, Policy, Rule
 
-if TYPE_CHECKING:
-    from .rules import Action, Limits, Rule
-
-EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
-DEFAULT_RULE: Final = "default"
-"""The name by which logs call the decision of no rule."""
 _MOST_ACCESSES: Final = 4096
 """Most kinds of access whose zones are kept; beyond that, all are dropped and compiled anew."""
 
@@ -44,9 +39,9 @@ class Decision:
 
     allowed: bool
     code: int = 0
-    rule: "Rule | None" = None
+    rule: Rule | None = None
     reason: str = ""
-    rates: "tuple[Rule, ...]" = ()
+    rates: tuple[Rule, ...] = ()
     needs_current: bool = False
 
     @property
@@ -70,11 +65,11 @@ class Zone:
 
     first: int
     end: int
-    rule: "Rule | None"
+    rule: Rule | None
     order: int
-    action: "Action"
+    action: Action
     permits: bool
-    limits: "Limits | None"
+    limits: Limits | None
 
     @property
     def rule_name(self) -> str:
@@ -119,7 +114,7 @@ class Rights:
         permits_all: whether no rule limits anything.
     """
 
-    def __init__(self, rules: "tuple[Rule, ...]", default: "Action") -> None:
+    def __init__(self, rules: tuple[Rule, ...], default: Action) -> None:
         self._rules = rules
         self._default = default
         self.permits_all = not rules and default.permits(True)
@@ -206,14 +201,14 @@ class Rights:
         ]
         return tuple(sorted(found, key=lambda zone: zone.first))
 
-    def _zone(self, access: UnitAccess, first: int, end: int, rule: "Rule | None", order: int) -> Zone:
+    def _zone(self, access: UnitAccess, first: int, end: int, rule: Rule | None, order: int) -> Zone:
         action = self._default if rule is None else rule.action
         limits = None
         if rule is not None and access.writes and access.space is Table.HOLDING_REGISTERS:
             limits = rule.limits
         return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
 
-    def _of_unit(self, unit: int, listed: int | None) -> "tuple[tuple[int, Rule], ...]":
+    def _of_unit(self, unit: int, listed: int | None) -> tuple[tuple[int, Rule], ...]:
         """The rules about a unit, with their order: many thousand rules are looked at once, not for each function."""
         key = unit, listed
         found = self._of_units.get(key)
@@ -228,16 +223,21 @@ class Rights:
         return found
 
 
+def decision_of(policy: Policy, question: Question) -> Decision:
+    """Decide about one request; `Rights` decides about many requests of a client."""
+    return Rights(policy.rules_for(question.asker), policy.default).decide(question)
+
+
 def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
     """The addresses of zones, neighbours joined."""
     return merged([(zone.first, zone.end) for zone in zones])
 
 
-def _code(rule: "Rule | None") -> int:
+def _code(rule: Rule | None) -> int:
     return int(ExceptionCode.ILLEGAL_FUNCTION) if rule is None else int(rule.code)
 
 
-def _beyond(limits: "Limits", question: Question, start: int, end: int) -> str:
+def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
     """Why the written registers ``start``…``end`` are outside the limits, in words; empty if they are within."""
     bounds = f"{limits.low}…{limits.high}"
     if question.masks is not None:

@@ -25,9 +25,11 @@ from ..options.networks import NetworkIndex, Networks
 from ..values.refusal import shown
 from .addresses import AddressList
 from .notation import Function, Range, parse_files, parse_functions, parse_items, parse_table, parse_units
-from .question import FILES, Asker, Question, Space
-from .rights import DEFAULT_RULE, EVERYWHERE, Decision, Rights
+from .question import END, FILES, Asker, Space
 
+EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
+DEFAULT_RULE: Final = "default"
+"""The name by which logs call the decision of no rule."""
 _NOWHERE: Final[tuple[Range, ...]] = ()
 _EMPTY: Final = "is empty, so the rule would never fit; leave it out"
 Chosen = TypeVar("Chosen", bound=Enum)
@@ -318,10 +320,6 @@ class Policy:
         numbers = sorted([*everybodys, *own]) if own else everybodys
         rules = [self.rules[number] for number in numbers]
         return tuple(rule for rule in rules if rule.is_for(asker))
-
-    def decide(self, question: Question) -> Decision:
-        """Decide about one request; `Rights` decides about many requests of a client."""
-        return Rights(self.rules_for(question.asker), self.default).decide(question)
 
 
 @dataclass(frozen=True, slots=True)

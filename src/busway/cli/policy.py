@@ -188,7 +188,9 @@ def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *,
         else:
             print(f"refused: {host} may not connect: {why}")
         return False
-    decision = rules.policy.decide(question)
+    from ..access.rights import decision_of
+
+    decision = decision_of(rules.policy, question)
     if as_json:
         print_json(
             {

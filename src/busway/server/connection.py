@@ -13,27 +13,22 @@ Knows when bytes arrive and leave; knows nothing of their meaning.
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
+from .connections import ConnectionManagement
 from .failures import answer_later
 from .framed import Session
 from .peers import host_of, peer_name
 from .pools import Pool
 from .status import ServedConnectionState
 
-if TYPE_CHECKING:
-    from .connections import ConnectionManagement
-
 _USUAL_REQUEST: Final = 12
 """Bytes of a read request."""
 _LONGEST_REQUEST: Final = 260
-REQUESTS_OF_A_TURN: Final = 16
-"""Requests of one connection processed in a turn, cached reads not counted: 16 pipelined requests are answered at
-once, and 16 of the most expensive kind take a millisecond or two."""
 _BYTES_OF_A_TURN: Final = 17 * _LONGEST_REQUEST // _USUAL_REQUEST * _USUAL_REQUEST
 """Most bytes received in a turn, a whole number of read requests: 16 of the longest requests never fill it. Full of
 cached reads, which have no other limit, it takes a sixth of a millisecond."""
@@ -92,7 +87,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     )
 
     def __init__(
-        self, management: "ConnectionManagement", *, role: str | None = None, subject: str = "", accepted: bool = False
+        self, management: ConnectionManagement, *, role: str | None = None, subject: str = "", accepted: bool = False
     ) -> None:
         self._management = management
         self._accepted = accepted

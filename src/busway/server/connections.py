@@ -14,25 +14,21 @@ import asyncio
 import logging
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 
 from ..access.rates import Rates
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
-from .connection import REQUESTS_OF_A_TURN, ServerConnection
 from .counters import ServerCounters
-from .deadlines import Deadlines, Overdue
+from .deadlines import Deadlines, Overdue, Timed
 from .diagnosis import Diagnosis
 from .framed import Session
-from .listener_context import ListenerContext, add_living
+from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
-from .pools import Pools
-from .status import ConnectionStatus, ListenerStatus
+from .pools import PoolMember, Pools
+from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .turns import Turns
-
-if TYPE_CHECKING:
-    from .secure import TlsHandshakeAcceptor
 
 _log = logging.getLogger("busway.server")
 
@@ -42,7 +38,48 @@ _SENTENCES: Final = {
     Overdue.WRITE: "closed: it has taken none of its replies for %g s",
     Overdue.IDLE: "closed: it was not used for %g s",
 }
+REQUESTS_OF_A_TURN: Final = 16
+"""Requests of one connection processed in a turn, known reads not counted: 16 pipelined requests are answered at
+once, and 16 of the most expensive kind take a millisecond or two."""
 _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
+
+
+class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
+    """A connection, as its management knows it.
+
+    Attributes:
+        charged: requests that its host's rate was charged with.
+    """
+
+    charged: int
+
+    def hold(self) -> None:
+        """Read nothing more, until `go_on`."""
+
+    def go_on(self) -> None:
+        """Work on and read again, unless there is another reason not to."""
+
+    def abort(self) -> None:
+        """Close at once."""
+
+    def make_room(self) -> None:
+        """Its slot was given to another connection."""
+
+
+class HandshakeAcceptor(Protocol):
+    """What runs the TLS handshakes of a listener, as its management knows it."""
+
+    def end_unauthorised(self) -> int:
+        """Abort the handshakes of hosts that may no longer connect; returns their number."""
+
+    def status(self) -> SecurityStatus:
+        """The TLS status of the listener now."""
+
+    def reload(self) -> None:
+        """Read certificate, key and authorities again. Raises `ConfigError`; then the old ones stay in use."""
+
+    def close(self) -> None:
+        """Abort all pending handshakes."""
 
 
 class ConnectionManagement:
@@ -61,7 +98,7 @@ class ConnectionManagement:
     def __init__(
         self,
         listener_context: ListenerContext,
-        pools: Pools[ServerConnection],
+        pools: Pools[ManagedConnection],
         sockets: SocketParameters,
         turns: Turns | None = None,
     ) -> None:
@@ -70,13 +107,13 @@ class ConnectionManagement:
         self.turns: Turns = turns or Turns(listener_context.loop)
         self._sockets = sockets
         self._sockets_of_priority_hosts = replace(sockets, user_timeout=None)
-        self._connections: dict[ServerConnection, None] = {}  # in the order they came
-        self._deadlines: Deadlines[ServerConnection] = Deadlines(listener_context.parameters)
+        self._connections: dict[ManagedConnection, None] = {}  # in the order they came
+        self._deadlines: Deadlines[ManagedConnection] = Deadlines(listener_context.parameters)
         self._timer: asyncio.TimerHandle | None = None
         self._timer_at = 0.0
         self._emptied: asyncio.Event | None = None
         self._is_draining = False
-        self.handshake_acceptor: TlsHandshakeAcceptor | None = None
+        self.handshake_acceptor: HandshakeAcceptor | None = None
 
     def __len__(self) -> int:
         return len(self._connections)
@@ -133,7 +170,7 @@ class ConnectionManagement:
             configure(socket, parameters)
         return True
 
-    def admit(self, connection: ServerConnection) -> Session | None:
+    def admit(self, connection: ManagedConnection) -> Session | None:
         """Give a new connection a slot, and return its session; None if no slot can be freed for it."""
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
@@ -158,7 +195,7 @@ class ConnectionManagement:
             self._set_timer(time.monotonic())
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
-    def evict(self, connection: ServerConnection) -> None:
+    def evict(self, connection: ManagedConnection) -> None:
         """Close a connection that has lost its slot to a new one."""
         self.counters.evicted += 1
         self.listener_context.say(
@@ -171,7 +208,7 @@ class ConnectionManagement:
         self._connections.pop(connection, None)
         connection.abort()
 
-    def leave(self, connection: ServerConnection, session: Session, error: Exception | None) -> None:
+    def leave(self, connection: ManagedConnection, session: Session, error: Exception | None) -> None:
         """Remove an ended connection."""
         self.pools.leave(connection)
         self._connections.pop(connection, None)
@@ -184,7 +221,7 @@ class ConnectionManagement:
         if error is not None:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
-    def broken(self, connection: ServerConnection, reason: str) -> None:
+    def broken(self, connection: ManagedConnection, reason: str) -> None:
         """Count and log a connection whose byte stream is no valid sequence of frames."""
         self.counters.broken_streams += 1
         self.listener_context.broken()
@@ -199,25 +236,25 @@ class ConnectionManagement:
 
     # Limits while they last.
 
-    def watch_frame(self, connection: ServerConnection, *, begun_now: bool) -> None:
+    def watch_frame(self, connection: ManagedConnection, *, begun_now: bool) -> None:
         """Start the frame timeout of a connection with an incomplete frame; ``begun_now`` if the frame is new."""
         if connection.is_priority:
             return
         now = time.monotonic()
         self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
 
-    def stuck(self, connection: ServerConnection) -> None:
+    def stuck(self, connection: ManagedConnection) -> None:
         """Start the write timeout of a connection whose client does not read its replies."""
         self.counters.reading_paused += 1
         if not connection.is_priority:
             now = time.monotonic()
             self._set_timer_by(self._deadlines.stuck(connection, now), now)
 
-    def taken(self, connection: ServerConnection) -> None:
+    def taken(self, connection: ManagedConnection) -> None:
         """Stop the write timeout: the client reads its replies again."""
         self._deadlines.taken(connection)
 
-    def charge(self, connection: ServerConnection, session: Session) -> None:
+    def charge(self, connection: ManagedConnection, session: Session) -> None:
         """Charge a host with the requests of its connection; pause the connection if the host is above its rate."""
         assert self.rates is not None  # or nobody would ask
         now = time.monotonic()
@@ -235,7 +272,7 @@ class ConnectionManagement:
             connection.hold()
             self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
 
-    def is_held(self, connection: ServerConnection) -> bool:
+    def is_held(self, connection: ManagedConnection) -> bool:
         """Whether reading from a connection is paused: its host is above its rate, or the listener is draining."""
         return self._is_draining or self._deadlines.is_held(connection)
 
@@ -266,7 +303,7 @@ class ConnectionManagement:
                 self._close_overdue(connection, what)
         self._set_timer(now)
 
-    def _close_overdue(self, connection: ServerConnection, what: Overdue) -> None:
+    def _close_overdue(self, connection: ManagedConnection, what: Overdue) -> None:
         counted = _COUNTED_AS[what]
         setattr(self.counters, counted, getattr(self.counters, counted) + 1)
         level = logging.WARNING

@@ -18,9 +18,8 @@ from ..session.slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
 from .authorisation import Authorise, both
-from .connection import ServerConnection
 from .connection_tap import ConnectionTap
-from .connections import ConnectionManagement
+from .connections import ConnectionManagement, ManagedConnection
 from .counters import ServerCounters
 from .line import SerialListener
 from .listener_context import ListenerContext
@@ -61,7 +60,7 @@ class Opening:
     authorise: Authorise
     tap: ConnectionTap | None = None
     slots: TransactionSlots = field(init=False)
-    shared_pools: Pools[ServerConnection] = field(init=False)
+    shared_pools: Pools[ManagedConnection] = field(init=False)
     epoll_set: EpollSet | None = field(init=False)
     turns: Turns = field(init=False)
 

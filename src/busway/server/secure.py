@@ -16,7 +16,7 @@ import asyncio
 import logging
 from collections import Counter
 from time import time as now  # by a name that tests can move
-from typing import TYPE_CHECKING, Final, cast
+from typing import Final, cast
 
 from ..options.tls import TlsParameters
 from ..transport.tls.certificates.facts import DAY, CertificateFacts, facts_of_der, facts_of_file
@@ -25,18 +25,16 @@ from ..transport.tls.failures import FailureKind, TlsFailure
 from ..transport.tls.layer import TlsLayer, TlsState
 from ..transport.tls.roles import require_cryptography, role_of_certificate
 from .connection import ServerConnection
+from .connections import ConnectionManagement
 from .peers import host_of, peer_name
 from .status import SecurityStatus
-
-if TYPE_CHECKING:
-    from .connections import ConnectionManagement
 
 _log = logging.getLogger("busway.server")
 
 _FIRST_SUBJECT: Final = 0
 
 
-def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParameters) -> "TlsHandshakeAcceptor":
+def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
     """Make the handshake acceptor of a listener; calling it makes the protocol of a new connection.
 
     Raises:
@@ -49,7 +47,7 @@ def handshake_acceptor(management: "ConnectionManagement", parameters: TlsParame
 class TlsHandshakeAcceptor:
     """Runs the TLS handshakes of one listener and admits clients. Made by `handshake_acceptor`."""
 
-    def __init__(self, management: "ConnectionManagement", parameters: TlsParameters) -> None:
+    def __init__(self, management: ConnectionManagement, parameters: TlsParameters) -> None:
         require_cryptography("a tls:// listener")
         self._management = management
         self._parameters = parameters

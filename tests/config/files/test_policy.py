@@ -6,6 +6,7 @@ import pytest
 from damaged_texts import after_accidents
 
 from busway.access.question import Question
+from busway.access.rights import decision_of
 from busway.access.rules import AccessKind, Action, Limits, Policy
 from busway.codes import Table
 from busway.config.files.policy import PolicySection, parse_policy_file
@@ -77,8 +78,8 @@ def test_a_policy_in_one_word(word):
     assert found.policy == Policy.of(default=word)
     assert found.addresses("203.0.113.9")
     question = Question.of(WriteSingleRegister(0, 1), unit=1)
-    assert found.policy.decide(question).allowed == (word == "allow")
-    assert found.policy.decide(Question.of(ReadHoldingRegisters(0, 1), unit=1)).allowed == (word != "deny")
+    assert decision_of(found.policy, question).allowed == (word == "allow")
+    assert decision_of(found.policy, Question.of(ReadHoldingRegisters(0, 1), unit=1)).allowed == (word != "deny")
 
 
 HEAD = '[policy]\ndefault = "deny"\n'
