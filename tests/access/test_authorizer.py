@@ -358,7 +358,7 @@ def test_without_a_log_that_can_be_written_a_write_is_refused_if_that_is_wanted(
 
 
 @pytest.mark.clause("M6")
-async def test_through_a_server_an_unauthorised_write_is_answered_01_and_a_replaced_policy_holds_at_once(device, log):
+async def test_through_a_server_an_unauthorized_write_is_answered_01_and_a_replaced_policy_holds_at_once(device, log):
     async with (
         busway.serve("tcp://127.0.0.1:0", units={1: device}, policy=Policy.read_only(), audit=log) as server,
         busway.open(server.endpoints[0]) as link,

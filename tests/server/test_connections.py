@@ -14,10 +14,9 @@ from waiting import until
 
 import busway
 import busway.server.pools
-from busway.access.addresses import AddressList
+from busway.access.addresses import AddressList, HostAuthorizer
 from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
-from busway.server.authorisation import Authorise
 from busway.server.listener import Listener
 from busway.server.pools import Pool, PoolLimits
 from busway.server.status import ServedConnectionState
@@ -150,7 +149,7 @@ async def test_marked_newcomer_beyond_its_limit_is_accepted_and_takes_a_place_of
 @pytest.mark.clause("T13")
 @pytest.mark.clause("T15")
 async def test_who_may_not_connect_pushes_nobody_out() -> None:
-    async with served(max_connections=1, authorise=lambda host: host == STRANGER) as server:
+    async with served(max_connections=1, authorize=lambda host: host == STRANGER) as server:
         client = await Client.of(server)
         await client.ask()
         for _ in range(3):
@@ -158,7 +157,7 @@ async def test_who_may_not_connect_pushes_nobody_out() -> None:
             assert await refused.is_closed()
             await refused.close()
         await client.ask()
-        assert (server.counters.unauthorised, server.counters.evicted, server.counters.accepted) == (3, 0, 1)
+        assert (server.counters.unauthorized, server.counters.evicted, server.counters.accepted) == (3, 0, 1)
         await client.close()
 
 
@@ -370,10 +369,10 @@ async def test_a_flood_on_a_host_with_a_rate_is_taken_in_small_pieces() -> None:
 @pytest.mark.clause("T15")
 @pytest.mark.clause("T35")
 async def test_a_listener_has_access_rules_of_its_own_beside_the_servers() -> None:
-    lists: list[Authorise] = [AddressList(allow=Networks([STRANGER, "127.0.0.9"]), secure=True), lambda host: True]
+    lists: list[HostAuthorizer] = [AddressList(allow=Networks([STRANGER, "127.0.0.9"]), secure=True), lambda host: True]
     endpoints = [Listener(ANY_PORT, access=one) for one in lists]
     units = busway.Device(holding_registers=10)
-    async with busway.serve(*endpoints, units=units, authorise=lambda host: host != "127.0.0.9") as server:
+    async with busway.serve(*endpoints, units=units, authorize=lambda host: host != "127.0.0.9") as server:
         for index, host, welcome in (
             (0, STRANGER, True),
             (0, "127.0.0.4", False),
@@ -387,19 +386,19 @@ async def test_a_listener_has_access_rules_of_its_own_beside_the_servers() -> No
             else:
                 assert await client.is_closed()
             await client.close()
-        assert (server.counters.unauthorised, server.counters.accepted) == (3, 2)
+        assert (server.counters.unauthorized, server.counters.accepted) == (3, 2)
 
 
 @pytest.mark.clause("T15")
 async def test_refusals_are_counted_each_and_logged_once_for_a_host(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING, "busway.server")
-    async with served(authorise=lambda host: False) as server:
+    async with served(authorize=lambda host: False) as server:
         for host in (STRANGER, STRANGER, STRANGER, "127.0.0.4"):
             client = await Client.of(server, host)
             assert await client.is_closed()
             await client.close()
-        assert server.counters.unauthorised == 4
-    lines = [record.getMessage() for record in caplog.records if "not authorised" in record.getMessage()]
+        assert server.counters.unauthorized == 4
+    lines = [record.getMessage() for record in caplog.records if "not authorized" in record.getMessage()]
     assert len(lines) == 2
 
 

@@ -454,12 +454,12 @@ def test_an_option_that_contradicts_the_preset_is_refused(server_files: Certific
 
 def test_an_address_that_is_refused_never_gets_to_a_handshake(server_files: CertificateFiles) -> None:
     with busway.serve_in_thread(
-        f"tls://127.0.0.1:0?{server_files.query()}", units=device(), authorise=lambda host: False
+        f"tls://127.0.0.1:0?{server_files.query()}", units=device(), authorize=lambda host: False
     ) as server:
         client = socket.create_connection(("127.0.0.1", port_of(server)), LONGEST_WAIT)
         with client, contextlib.suppress(ConnectionResetError):
             assert client.recv(1) == b""
-        wait_for(lambda: server.status().counters.unauthorised == 1)
+        wait_for(lambda: server.status().counters.unauthorized == 1)
         security = security_of(server)
     assert (security.handshakes, security.established, security.refused) == (0, 0, {})
 

@@ -195,7 +195,7 @@ async def test_listener_over_udp_has_access_rules_of_its_own_and_the_policy_of_t
             refused.socket.send(frame_of("udp", 1, READ))
             write = frame_of("udp", 1, bytes.fromhex("06 0000 0009"))
             assert await sender.ask(write) == frame_of("udp", 1, bytes.fromhex("86 01"))
-            assert server.counters.unauthorised == 1
+            assert server.counters.unauthorized == 1
     assert units[1].holding_registers[0] == 0
 
 

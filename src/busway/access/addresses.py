@@ -7,15 +7,32 @@ Knows hosts; knows no request. It is asked before a byte of a client is parsed.
    ``secure=False`` is given too.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from ..options.networks import Networks
+
+HostAuthorizer = Callable[[str], bool]
+"""Takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``, and returns whether it may connect."""
+
+
+def allow_all(host: str) -> bool:
+    """Every host may connect."""
+    return True
+
+
+def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthorizer:
+    """The authorizer of a server and that of one of its listeners together: both must permit a host."""
+    if listener is None:
+        return server
+    if server is allow_all:
+        return listener
+    return lambda host: server(host) and listener(host)
 
 
 class AddressList:
     """The allow and deny list of a server. Call it with a host to learn whether the host may connect.
 
-    ``access("10.0.0.7")`` is True or False; a server takes it as its ``authorise``.
+    ``access("10.0.0.7")`` is True or False; a server takes it as its ``authorize``.
 
     Args:
         allow: addresses and networks that may connect, as `Networks` takes them.

@@ -69,7 +69,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
 class HandshakeAcceptor(Protocol):
     """What runs the TLS handshakes of a listener, as its management knows it."""
 
-    def end_unauthorised(self) -> int:
+    def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
 
     def status(self) -> SecurityStatus:
@@ -227,12 +227,12 @@ class ConnectionManagement:
         self.listener_context.broken()
         self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
 
-    def end_unauthorised(self) -> int:
+    def end_unauthorized(self) -> int:
         """Abort connections and handshakes of hosts that may no longer connect; returns their number."""
         ended = [one for one in self._connections if not self.listener_context.may_stay(one)]
         for connection in ended:
             connection.abort()
-        return len(ended) + (0 if self.handshake_acceptor is None else self.handshake_acceptor.end_unauthorised())
+        return len(ended) + (0 if self.handshake_acceptor is None else self.handshake_acceptor.end_unauthorized())
 
     # Limits while they last.
 

@@ -21,8 +21,8 @@ class ServerCounters:
 
     Attributes:
         accepted, closed: connections, and peers over UDP.
-        unauthorised: new connections that were refused by their address.
-        no_longer_authorised: connections, and peers over UDP, that were ended because address lists have changed.
+        unauthorized: new connections that were refused by their address.
+        no_longer_authorized: connections, and peers over UDP, that were ended because address lists have changed.
         refused_full: new connections for whom nobody could make room, or nobody had to: they had closed already.
         evicted: connections that made room.
         broken_streams: connections that could not be followed any more.
@@ -40,8 +40,8 @@ class ServerCounters:
     """
 
     accepted: int = 0
-    unauthorised: int = 0
-    no_longer_authorised: int = 0
+    unauthorized: int = 0
+    no_longer_authorized: int = 0
     refused_full: int = 0
     closed: int = 0
     evicted: int = 0

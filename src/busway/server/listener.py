@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..access.addresses import HostAuthorizer
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters
-from .authorisation import Authorise
 
 if TYPE_CHECKING:
     from ..options.tls import TlsParameters
@@ -28,7 +28,7 @@ class Listener:
     """
 
     endpoint: str | Endpoint
-    access: Authorise | None = None
+    access: HostAuthorizer | None = None
     tls: "TlsParameters | None" = None
     limits: ListenerParameters | None = None
 

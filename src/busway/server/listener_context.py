@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Container, Sequence
 from typing import TYPE_CHECKING, Protocol
 
+from ..access.addresses import HostAuthorizer, allow_all
 from ..access.rates import Rates
 from ..access.repeats import Repeats, so_often
 from ..options.server import ListenerParameters, Scope, ServerParameters
@@ -21,7 +22,6 @@ from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
 from ..session.slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
-from .authorisation import Authorise, allow_all
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .diagnosis import Diagnosis
@@ -108,7 +108,7 @@ class ListenerContext:
         counters: ServerCounters,
         slots: TransactionSlots,
         units: Container[int] = (),
-        authorise: Authorise = allow_all,
+        authorize: HostAuthorizer = allow_all,
         tap: ConnectionTap | None = None,
     ) -> None:
         self.loop = loop
@@ -129,7 +129,7 @@ class ListenerContext:
         self._units = units
         self._session_parameters = session_parameters
         self._server_slots = slots
-        self._authorise = authorise
+        self._authorize = authorize
         self._repeats = Repeats()
         self._tap = tap
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
@@ -141,19 +141,19 @@ class ListenerContext:
 
     def welcomes(self, host: str, address: object) -> bool:
         """Whether a new connection at a socket address may stay. A refusal is counted and logged."""
-        if self._authorise(host):
+        if self._authorize(host):
             return True
-        self.counters.unauthorised += 1
-        sentence = "%s: refused before anything was read: it is not authorised"
+        self.counters.unauthorized += 1
+        sentence = "%s: refused before anything was read: it is not authorized"
         self.say(logging.WARNING, host, sentence, peer_name(address))
         return False
 
     def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a peer is still authorised, after address lists have changed. A refusal is counted and logged."""
-        if self._authorise(connected_peer.host):
+        """Whether a peer is still authorized, after address lists have changed. A refusal is counted and logged."""
+        if self._authorize(connected_peer.host):
             return True
-        self.counters.no_longer_authorised += 1
-        self.say(logging.WARNING, connected_peer.host, "%s: ended: it is no longer authorised", connected_peer.peer)
+        self.counters.no_longer_authorized += 1
+        self.say(logging.WARNING, connected_peer.host, "%s: ended: it is no longer authorized", connected_peer.peer)
         return False
 
     def is_priority(self, host: str) -> bool:

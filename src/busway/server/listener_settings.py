@@ -7,6 +7,7 @@ in `busway.options`.
 from collections.abc import Container
 from dataclasses import dataclass
 
+from ..access.addresses import HostAuthorizer
 from ..framing.conversation import Role
 from ..framing.echo import Echo
 from ..framing.timing import SerialTiming
@@ -20,7 +21,6 @@ from ..options.text import build_parameters
 from ..options.tls import TlsParameters
 from ..pdu.functions import FunctionTable
 from ..session.line_framing import LineFraming, line_framing
-from .authorisation import Authorise
 from .listener import Listener
 
 
@@ -44,7 +44,7 @@ class ListenerSettings:
     port: SerialSettings | None
     opening: OpeningParameters
     limits: ListenerParameters
-    access: Authorise | None
+    access: HostAuthorizer | None
     tls: TlsParameters | None
     is_optional: bool = False
 

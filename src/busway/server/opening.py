@@ -7,6 +7,7 @@ import asyncio
 import logging
 from dataclasses import dataclass, field
 
+from ..access.addresses import HostAuthorizer, both
 from ..codes import LAST_SERIAL_UNIT
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint
@@ -17,7 +18,6 @@ from ..session.responder import Responder, SerialUnits
 from ..session.slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
-from .authorisation import Authorise, both
 from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement, ManagedConnection
 from .counters import ServerCounters
@@ -43,7 +43,7 @@ class Opening:
         limits: of connections, where a listener has none of its own.
         sockets: parameters of sockets.
         counters: what happens is counted here.
-        authorise: who may connect.
+        authorize: who may connect.
         tap: is told of the ways by which bytes leave.
         slots: of transactions, where the server has them as a whole.
         shared_pools: that listeners share, where they do.
@@ -57,7 +57,7 @@ class Opening:
     limits: ListenerParameters
     sockets: SocketParameters
     counters: ServerCounters
-    authorise: Authorise
+    authorize: HostAuthorizer
     tap: ConnectionTap | None = None
     slots: TransactionSlots = field(init=False)
     shared_pools: Pools[ManagedConnection] = field(init=False)
@@ -121,7 +121,7 @@ class Opening:
             counters=self.counters,
             slots=self.slots,
             units=() if endpoint.framing == "mbap" else serial_units(self.pipeline.responder, endpoint),
-            authorise=both(self.authorise, settings.access),
+            authorize=both(self.authorize, settings.access),
             tap=self.tap,
         )
 

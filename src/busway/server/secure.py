@@ -74,7 +74,7 @@ class TlsHandshakeAcceptor:
         self._context.reload()
         self._look_at_own()
 
-    def end_unauthorised(self) -> int:
+    def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
         listener_context = self._management.listener_context
         ended = [
@@ -85,7 +85,7 @@ class TlsHandshakeAcceptor:
             )
         ]
         for layer in ended:
-            layer.failure = TlsFailure(FailureKind.GONE, "its address is no longer authorised")
+            layer.failure = TlsFailure(FailureKind.GONE, "its address is no longer authorized")
             layer.abort()
         return len(ended)
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
+from ..access.addresses import HostAuthorizer, allow_all
 from ..errors import ConfigError, LinkDown, ModbusError
 from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters
@@ -22,7 +23,6 @@ from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..session.responder import Responder
 from ..transport.dialled import dialled_connections
 from ..transport.tcp import network_reason
-from .authorisation import Authorise, allow_all
 from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement
 from .counters import ServerCounters
@@ -56,7 +56,7 @@ class Server:
         parameters: options of sessions, `ServerParameters`.
         listener: limits of connections, `ListenerParameters`.
         sockets: options of sockets, `SocketParameters`.
-        authorise: called with a client's host before anything of it is read; False closes the connection.
+        authorize: called with a client's host before anything of it is read; False closes the connection.
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
         policy: which requests are permitted; None permits all requests of hosts that may connect.
         audit: the audit log of writes and denied requests.
@@ -69,7 +69,7 @@ class Server:
         tap: observes opened and closed connections and may send on them; for simulated devices that misbehave.
 
     Attributes:
-        authorise: as given; a change takes effect at the next start.
+        authorize: as given; a change takes effect at the next start.
         counters: totals, without the share of open connections; see `status`.
 
     Raises:
@@ -84,7 +84,7 @@ class Server:
         parameters: ServerParameters | None = None,
         listener: ListenerParameters | None = None,
         sockets: SocketParameters | None = None,
-        authorise: Authorise = allow_all,
+        authorize: HostAuthorizer = allow_all,
         tls: "TlsParameters | None" = None,
         policy: "Policy | None" = None,
         audit: "AuditLog | None" = None,
@@ -99,7 +99,7 @@ class Server:
         for settings in self._settings:
             if settings.endpoint.framing != "mbap":
                 settings.line_framing(serial_units(responder, settings.endpoint), responder.functions)
-        self.authorise = authorise
+        self.authorize = authorize
         self._responder = responder
         self._clock: Callable[[], float] = time.perf_counter
         self._observers: list[RequestObserver] = []
@@ -194,8 +194,8 @@ class Server:
         if failures:
             raise failures[0]
 
-    def end_unauthorised(self) -> int:
-        """Call ``authorise`` for every connected host, and abort the connections of those it refuses.
+    def end_unauthorized(self) -> int:
+        """Call ``authorize`` for every connected host, and abort the connections of those it refuses.
 
         For address lists that have changed. Replies that were not sent yet are lost; executed writes stay executed.
         Peers over UDP lose their slot, and their next datagram is refused.
@@ -203,7 +203,7 @@ class Server:
         Returns:
             How many connections, handshakes and peers were ended.
         """
-        return sum(listener.end_unauthorised() for listener in self._with_peers())
+        return sum(listener.end_unauthorized() for listener in self._with_peers())
 
     async def start(self) -> None:
         """Open all listeners. A serial port that is not there is waited for.
@@ -221,7 +221,7 @@ class Server:
             self._limits,
             self._sockets,
             self.counters,
-            self.authorise,
+            self.authorize,
             self._tap,
         )
         try:

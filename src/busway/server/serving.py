@@ -6,13 +6,13 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Unpack
 
+from ..access.addresses import HostAuthorizer, allow_all
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters, UnitParameters, UnitPolicy
 from ..options.sockets import SocketParameters
 from ..pdu.functions import STANDARD, FunctionTable
 from ..session.responder import Responder
-from .authorisation import Authorise, allow_all
 from .device import Device
 from .listener import Listener
 from .local import DeviceResponder
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         units: Mapping[int, Device] | Device | None
         responder: Responder | None
         functions: FunctionTable
-        authorise: Authorise
+        authorize: HostAuthorizer
         tls: "TlsParameters | None"
         policy: "Policy | None"
         audit: "AuditLog | None"
@@ -47,7 +47,7 @@ def serve(
     units: Mapping[int, Device] | Device | None = None,
     responder: Responder | None = None,
     functions: FunctionTable = STANDARD,
-    authorise: Authorise = allow_all,
+    authorize: HostAuthorizer = allow_all,
     tls: "TlsParameters | None" = None,
     policy: "Policy | None" = None,
     audit: "AuditLog | None" = None,
@@ -64,7 +64,7 @@ def serve(
             line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
         responder: instead of ``units``, anything that answers requests (`busway.session.responder.Responder`).
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
-        authorise: asked with the host of each new connection (``"10.0.0.7"``), before a byte of it is parsed; where it
+        authorize: asked with the host of each new connection (``"10.0.0.7"``), before a byte of it is parsed; where it
             gives False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         tls: certificate, key and authorities of ``tls://`` listeners.
         policy: who may ask what; ``Policy.read_only()`` refuses all writes. Without one a server that the network can
@@ -94,7 +94,7 @@ def serve(
         parameters=chosen.build(ServerParameters),
         listener=chosen.build(ListenerParameters),
         sockets=chosen.build(SocketParameters),
-        authorise=authorise,
+        authorize=authorize,
         tls=tls,
         policy=policy,
         audit=audit,
@@ -158,11 +158,11 @@ class ServerThread:
 
         asyncio.run_coroutine_threadsafe(reload(), self._loop).result()
 
-    def end_unauthorised(self) -> int:
-        """As `Server.end_unauthorised`."""
+    def end_unauthorized(self) -> int:
+        """As `Server.end_unauthorized`."""
 
         async def end() -> int:
-            return self._server.end_unauthorised()
+            return self._server.end_unauthorized()
 
         return asyncio.run_coroutine_threadsafe(end(), self._loop).result()
 

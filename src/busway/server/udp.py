@@ -86,7 +86,7 @@ class UdpListener:
         for one in self._sockets:
             await one.closed
 
-    def end_unauthorised(self) -> int:
+    def end_unauthorized(self) -> int:
         """Forget peers whose hosts may no longer send; returns their number. Their pending requests get no answer."""
         ended = [peer for peer in self._peers.values() if not self.listener_context.may_stay(peer)]
         for peer in ended:

@@ -181,7 +181,7 @@ async def test_a_reload_ends_connections_of_hosts_that_are_now_denied_and_no_oth
             assert (await asked(denied), await asked(other)) == (b"", WRITE)
             status = service.server.status()
             assert [each.peer.partition(":")[0] for each in status.connections] == ["127.0.0.2"]
-            assert status.counters.no_longer_authorised == 1
+            assert status.counters.no_longer_authorized == 1
             assert await service.reload() == ["nothing has changed"]
 
 
@@ -197,7 +197,7 @@ async def test_a_reload_ends_the_conversation_of_a_udp_peer_that_is_now_denied()
             assert "connections of hosts that may no longer connect were ended: 1" in await service.reload()
             denied.send(WRITE)
             assert await asked(other) == WRITE
-            await until(lambda: service.server.status().counters.unauthorised == 1)
+            await until(lambda: service.server.status().counters.unauthorized == 1)
             assert [each.peer.partition(":")[0] for each in service.server.status().connections] == ["127.0.0.2"]
 
 

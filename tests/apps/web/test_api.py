@@ -288,7 +288,7 @@ def test_every_reference_in_the_document_leads_somewhere(still):
         assert reference.rpartition("/")[2] in schemas
 
 
-def test_document_says_what_is_asked_what_is_answered_and_how_it_is_authorised(still):
+def test_document_says_what_is_asked_what_is_answered_and_how_it_is_authorized(still):
     document = still.ask("GET", "/openapi.json")[1]
     change = document["paths"]["/api/units/{unit}/points/{name}"]["put"]
     assert change["requestBody"]["content"]["application/json"]["schema"]["$ref"].endswith("/NewValue")

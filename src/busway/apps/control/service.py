@@ -167,7 +167,7 @@ class Control:
 
     def _answer(self, request: HttpRequest) -> HttpResponse:
         try:
-            self._authorise(request)
+            self._authorize(request)
             resource = self._resources.get((request.method, request.path))
             if resource is None:
                 known = any(path == request.path for _, path in self._resources)
@@ -179,11 +179,11 @@ class Control:
         except ModbusError as error:
             return _json({"error": str(error)}, HTTPStatus.CONFLICT)
 
-    def _authorise(self, request: HttpRequest) -> None:
+    def _authorize(self, request: HttpRequest) -> None:
         if "origin" in request.headers:
             raise HttpError(HTTPStatus.FORBIDDEN, "web pages are not answered")
         if not self._token:
-            return  # the mode of the socket has authorised the client
+            return  # the mode of the socket has authorized the client
         host = request.headers.get("host", "").rpartition(":")[0] or request.headers.get("host", "")
         if host != "localhost" and not is_loopback(host.strip("[]")):
             raise HttpError(HTTPStatus.FORBIDDEN, "the Host is not this one")

@@ -98,7 +98,7 @@ class GatewayConfiguration:
 
         Args:
             listen: listeners that replace those of the file, one for one.
-            options: ``authorise``, ``policy`` and ``audit`` as of `Gateway`; ``standard_port`` as of `busway.serve`.
+            options: ``authorize``, ``policy`` and ``audit`` as of `Gateway`; ``standard_port`` as of `busway.serve`.
 
         Raises:
             ConfigError: an invalid option.

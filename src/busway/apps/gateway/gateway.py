@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from ...access.addresses import HostAuthorizer, allow_all
 from ...access.authorizer import PolicyAuthorizer
 from ...access.rates import Rates
 from ...access.rules import Policy
@@ -32,7 +33,6 @@ from ...options.lines import BreakerParameters
 from ...options.server import ListenerParameters
 from ...options.text import build_parameters
 from ...pdu.functions import STANDARD, FunctionTable
-from ...server.authorisation import Authorise, allow_all
 from ...server.counters import ServerCounters
 from ...server.listener import Listener
 from ...server.local import DeviceResponder
@@ -268,7 +268,7 @@ class Gateway:
 
     Args:
         plan: its configuration.
-        authorise: called at every listener with the host of a new client; decides whether it may connect.
+        authorize: called at every listener with the host of a new client; decides whether it may connect.
         policy: rules for the requests at every listener; None permits all.
         audit: where denied requests and writes are recorded.
         observers: see the requests of all listeners (metrics, for example).
@@ -281,13 +281,13 @@ class Gateway:
         self,
         plan: GatewayPlan,
         *,
-        authorise: Authorise = allow_all,
+        authorize: HostAuthorizer = allow_all,
         policy: Policy | None = None,
         audit: "AuditLog | None" = None,
         observers: Iterable[RequestObserver] = (),
     ) -> None:
         self.plan: GatewayPlan = plan
-        self._authorise = authorise
+        self._authorize = authorize
         self._policy = policy
         self._audit = audit
         self._rates: dict[str, Rates] = {}
@@ -468,9 +468,9 @@ class Gateway:
         for each in self._running.values():
             each.server.reload_security()
 
-    def end_unauthorised(self) -> int:
-        """As `Server.end_unauthorised`, for every listener."""
-        return sum(each.server.end_unauthorised() for each in self._running.values())
+    def end_unauthorized(self) -> int:
+        """As `Server.end_unauthorized`, for every listener."""
+        return sum(each.server.end_unauthorized() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
         """Whether a host is a priority host of the listener with a URL, as in ``endpoints``."""
@@ -554,7 +554,7 @@ class Gateway:
         settings = replace(listener.settings, limits=replace(limits, answer_half_closed=False))
         options = {**plan.server, "standard_port": _standard_port(listener, plan)}
         server = Server(
-            (settings,), responder, authorise=self._authorise, authorizer=authorizer, audit=self._audit, **options
+            (settings,), responder, authorize=self._authorize, authorizer=authorizer, audit=self._audit, **options
         )
         for observer in self._observers:
             server.observe(observer)

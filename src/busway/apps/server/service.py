@@ -63,7 +63,7 @@ class RunningServer(Protocol):
     def replace_policy(self, policy: Policy) -> None:
         """Let another policy hold from the next request on."""
 
-    def end_unauthorised(self) -> int:
+    def end_unauthorized(self) -> int:
         """End connections of hosts that may no longer connect; how many there were."""
 
     def reload_security(self) -> None:
@@ -222,7 +222,7 @@ class Service:
         configuration, wishes = self.configuration, self._wishes
         listeners = self._listeners(configuration)
         self._allow_list.lists = self._lists(self._rules)
-        options: dict[str, Any] = {"authorise": self._allow_list}  # as `busway.serve` takes them
+        options: dict[str, Any] = {"authorize": self._allow_list}  # as `busway.serve` takes them
         self._is_guarded = (
             self._rules is not None or wishes.can_reload or any(reaches_network(str(one.endpoint)) for one in listeners)
         )
@@ -308,7 +308,7 @@ class Service:
         self._allow_list.lists = self._lists(rules)
         if self._replace_lists(new):
             done.append("the address lists of listeners were replaced")
-        ended = self.server.end_unauthorised()
+        ended = self.server.end_unauthorized()
         if ended:
             done.append(f"connections of hosts that may no longer connect were ended: {ended}")
         if any(tls_of(listener) is not None for listener in new.listeners):

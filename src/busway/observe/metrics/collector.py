@@ -32,10 +32,10 @@ Family = Any
 
 _COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "accepted": ("connections_accepted", "Connections that were given a place."),
-    "unauthorised": ("connections_unauthorised", "Connections closed unread: the address is not authorised."),
-    "no_longer_authorised": (
-        "connections_no_longer_authorised",
-        "Connections ended: a change of the address lists no longer authorises the address.",
+    "unauthorized": ("connections_unauthorized", "Connections closed unread: the address is not authorized."),
+    "no_longer_authorized": (
+        "connections_no_longer_authorized",
+        "Connections ended: a change of the address lists no longer authorizes the address.",
     ),
     "closed": ("connections_closed", "Connections that have ended."),
     "evicted": ("connections_evicted", "Connections closed to make room for others."),

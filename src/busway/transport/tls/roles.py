@@ -1,4 +1,4 @@
-"""The role of a client: one UTF-8 string in its certificate (MODBUS/TCP Security, role-based authorisation).
+"""The role of a client: one UTF-8 string in its certificate (MODBUS/TCP Security, role-based authorization).
 
 Knows the extension and its encoding; knows no right that a role has.
 

@@ -1,4 +1,4 @@
-"""A client that is not authorised is closed before a byte of it is parsed, and counted."""
+"""A client that is not authorized is closed before a byte of it is parsed, and counted."""
 
 import socket
 
@@ -16,7 +16,7 @@ def test_a_host_that_is_refused_is_closed_unheard_and_counted() -> None:
         return False
 
     device = busway.Device(holding_registers=10)
-    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device}, authorise=nobody) as server:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device}, authorize=nobody) as server:
         port = int(server.endpoints[0].rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), 5) as client:
             try:
@@ -28,20 +28,20 @@ def test_a_host_that_is_refused_is_closed_unheard_and_counted() -> None:
     assert answer == b""
     assert device.holding_registers[0] == 0
     assert asked == ["127.0.0.1"]
-    assert status.counters.unauthorised == 1
+    assert status.counters.unauthorized == 1
     assert status.counters.accepted == 0
 
 
 @pytest.mark.clause("T35")
 def test_a_datagram_of_a_refused_host_is_dropped_and_counted() -> None:
     device = busway.Device(holding_registers=10)
-    with busway.serve_in_thread("udp://127.0.0.1:0", units={1: device}, authorise=lambda host: False) as server:
+    with busway.serve_in_thread("udp://127.0.0.1:0", units={1: device}, authorize=lambda host: False) as server:
         with (
             busway.connect(server.endpoints[0], timeout=0.1, retries=0) as link,
             pytest.raises(busway.WriteOutcomeUnknown),
         ):
             link.unit(1).write_single_register(0, 7)
-        assert server.status().counters.unauthorised == 1
+        assert server.status().counters.unauthorized == 1
     assert device.holding_registers[0] == 0
 
 
