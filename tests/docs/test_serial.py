@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from busway.options.declaration import declared
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.options.ports import OpeningParameters, SerialSettings
-from busway.options.text import option_names
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "serial.md"
 CLASSES = (SerialSettings, OpeningParameters, FramingParameters, SerialClientParameters, BreakerParameters)
@@ -28,7 +28,7 @@ def test_its_example_runs_and_prints_what_it_says(run_page: Callable[[Path], Non
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
 def test_every_option_is_spelled_out(text: str, kind: type) -> None:
     explained = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))))
-    assert [name for name in option_names(kind) if name not in explained] == []
+    assert [name for name in declared(kind) if name not in explained] == []
 
 
 @pytest.mark.clause("S20")

@@ -60,6 +60,15 @@ def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -
     return time
 
 
+def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
+    """The least and the greatest number that an option of a parameter class may be."""
+    from ..options.declaration import Range, declared
+
+    limits = declared(kind)[option].limits
+    assert isinstance(limits, Range)
+    return limits.low, limits.high
+
+
 def refuse_unknown_option(value: str) -> None:
     """Refuse a value that is a misspelt option; a minus sign begins a number or ``-inf``."""
     if re.match(r"--?[a-zA-Z]", value) and value.lower() not in ("-inf", "-infinity", "-nan"):
@@ -76,12 +85,15 @@ def opened_unit(
         ConfigError, InvalidRequest: URL or option can not be.
     """
     from ..client.blocking import connect
+    from ..options.client import ClientParameters
 
     options: dict[str, Any] = {}  # fields of different types
     if timeout is not None:
-        options["timeout"] = seconds(timeout, "--timeout", high=3600)
+        low, high = limits_of(ClientParameters, "timeout")
+        options["timeout"] = seconds(timeout, "--timeout", low=low, high=high)
     if retries is not None:
-        options["retries"] = whole_number(retries, "--retries", 0, 100)
+        low, high = limits_of(ClientParameters, "retries")
+        options["retries"] = whole_number(retries, "--retries", int(low), int(high))
     number = None if unit is None else whole_number(unit, "--unit", 0, 255)
     show_traffic(verbose)
     with connect(url, **options) as link:

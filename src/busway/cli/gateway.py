@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
-from ..options.gateway import GatewayParameters
-from .arguments import CAPTURE, VERBOSE, seconds, show_traffic
+from .arguments import CAPTURE, VERBOSE, limits_of, seconds, show_traffic
 from .exits import ExitCode
 from .files import capturing
 from .output import print_aligned, say
@@ -119,7 +118,7 @@ def gateway(
     def read_and_remember() -> "GatewayConfiguration":
         nonlocal drain
         configuration = read()
-        drain = configuration.file.gateway.built(GatewayParameters).drain
+        drain = configuration.file.gateway.parameters().drain
         return configuration
 
     service = Service(read_and_remember, wishes)
@@ -137,6 +136,7 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
     """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
     from ..apps.gateway.configuration import load_gateway, simple_gateway
     from ..options.client import CLIENT_DEADLINE
+    from ..options.gateway import GatewayListenerParameters
 
     files = [word for word in words if not _is_url(word)]
     if not files:
@@ -144,7 +144,8 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
             raise ConfigError(
                 "add the URL of a serial line or server to forward to, for example rtu:///dev/ttyUSB0", key="UPSTREAM"
             )
-        within = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", high=3600)
+        low, high = limits_of(GatewayListenerParameters, "client_deadline")
+        within = CLIENT_DEADLINE if deadline is None else seconds(deadline, "--client-deadline", low=low, high=high)
         return lambda: simple_gateway(words[:-1], words[-1], changes=changes, client_deadline=within)
     if len(words) > 1:
         raise ConfigError(f"either URLs or one file, not {' '.join(words)}", key="FILE")
@@ -184,7 +185,7 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
     unit = ServiceUnit(
         command=[*program(), *kept],
         plan=configuration.plan,
-        drain=configuration.file.gateway.built(GatewayParameters).drain,
+        drain=configuration.file.gateway.parameters().drain,
         written=[] if log is None else [str(Path(log).absolute().parent)],
         name=Path(configuration.name).stem if is_file else "gateway",
     )

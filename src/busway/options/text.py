@@ -22,11 +22,6 @@ _TRUE = frozenset({"1", "true", "yes", "on"})
 _FALSE = frozenset({"0", "false", "no", "off"})
 
 
-def option_names(kind: type[Any]) -> tuple[str, ...]:  # any parameter class, which share no base
-    """Names of the options that a parameter class takes."""
-    return tuple(declared(kind))
-
-
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
     """Build the error for an unknown option: it suggests the nearest known option, or else lists all.
 

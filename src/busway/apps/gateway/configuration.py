@@ -23,7 +23,7 @@ from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE
 from ...options.endpoints import Endpoint, parse_endpoint
-from ...options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
+from ...options.gateway import GatewayListenerParameters, UpstreamParameters
 from ...options.server import ListenerParameters, ServerParameters, UnitParameters
 from ...options.sockets import SocketParameters
 from ...options.tls import TlsParameters
@@ -237,8 +237,8 @@ def _put_together(
         ),
         upstreams=tuple(replace(upstream, unit_gaps=unit_gaps(routes, name)) for name, upstream in upstreams.items()),
         table=RoutingTable(tuple(one.route for one in routes)),
-        own_unit=file.gateway.built(GatewayParameters).own_unit,
-        own_registers=file.gateway.built(GatewayParameters).own_registers,
+        own_unit=file.gateway.parameters().own_unit,
+        own_registers=file.gateway.parameters().own_registers,
         server=server,
     )
     return GatewayConfiguration(replace(common, warnings=warnings), file, plan, tuple(routes))

@@ -19,7 +19,6 @@ from ...config.files.gateway import GatewayFile
 from ...config.files.lines import Path as Place
 from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
-from ...options.gateway import GatewayParameters
 from ...pdu.functions import STANDARD
 from ...server.naming import is_loopback
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
@@ -300,7 +299,7 @@ def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> Worst
 def _listeners_without_units(
     file: GatewayFile, routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]
 ) -> Faults:
-    own = file.gateway.built(GatewayParameters).own_unit
+    own = file.gateway.parameters().own_unit
     for listener in listeners:
         units = {unit for one in _of_listener(routes, listener) for unit in one.route.units}
         units |= set() if own is None else {own}
@@ -385,7 +384,7 @@ def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) 
 
 
 def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults:
-    own = file.gateway.built(GatewayParameters).own_unit
+    own = file.gateway.parameters().own_unit
     if own is None:
         return
     is_written = "own_unit" in file.gateway.model_fields_set

@@ -26,10 +26,11 @@ from ...config.preflight import check_files, check_roles
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
+from ...options.declaration import declared
 from ...options.endpoints import Endpoint, parse_endpoint
 from ...options.offer import options_for
 from ...options.server import ListenerParameters
-from ...options.text import build_parameters, option_names
+from ...options.text import build_parameters
 from ...options.tls import TlsParameters
 from ...server.listener import Listener
 
@@ -257,7 +258,7 @@ class _Makers:
         return build_parameters(TlsParameters, rooted(self._security, self._name))
 
     def _limits(self, own: Mapping[str, Any], at: Place) -> ListenerParameters | None:
-        known = option_names(ListenerParameters)
+        known = declared(ListenerParameters)
         general = {key: value for key, value in self._general.items() if key in known}
         chosen = {**general, **own, **self._changes}
         return self._check_options.make(

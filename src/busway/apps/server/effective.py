@@ -10,9 +10,8 @@ from typing import Any
 
 from ...client.settings import options_of
 from ...config.links import NamedLink
-from ...options.declaration import NONE
+from ...options.declaration import NONE, declared
 from ...options.offer import SERVERS, Offer, options_for
-from ...options.text import option_names
 from ...server.listener import Listener
 from .configuration import Configuration
 
@@ -23,7 +22,7 @@ def effective(configuration: Configuration) -> Iterator[str]:
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
     chosen = Offer.of(*SERVERS).chosen(given)
     for kind in SERVERS:
-        without = frozenset(option_names(kind)) - frozenset(options_for("server", kind))
+        without = frozenset(declared(kind)) - frozenset(options_for("server", kind))
         yield from values(chosen.build(kind), without=without)
     for listener in configuration.listeners:
         yield from ["", "[[listener]]", *_listener(listener)]
@@ -53,7 +52,7 @@ def _link(link: NamedLink) -> Iterator[str]:
         parts += [found.port, found.conversation, found.breaker, found.framing, found.opening]
     for part in parts:
         if part is not None:
-            yield from values(part, without=frozenset(option_names(type(part))) - offered)
+            yield from values(part, without=frozenset(declared(type(part))) - offered)
 
 
 def values(

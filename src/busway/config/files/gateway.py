@@ -172,6 +172,10 @@ class RouteSection(Section):
 class GatewaySection(OptionSection):
     """``[gateway]``: options of the whole gateway."""
 
+    def parameters(self) -> GatewayParameters:
+        """The options, with the defaults of those that are left out."""
+        return self.built(GatewayParameters)
+
 
 def _no_units(value: object) -> object:
     if value:

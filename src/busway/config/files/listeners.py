@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import AfterValidator, Field, model_validator
 
+from ...options.declaration import declared
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
-from ...options.text import option_names
 from ...options.tls import TlsParameters
 from .lines import Path
 from .options import OptionSection, with_options_of
@@ -51,7 +51,7 @@ class ListenerSection(OptionSection):
             if name in self.model_fields_set and name not in self.on_lines:
                 if carrier == "serial":
                     faults.append(((name,), "has no effect on a serial line"))
-                elif carrier != "tls" and name in option_names(TlsParameters):
+                elif carrier != "tls" and name in declared(TlsParameters):
                     faults.append(((name,), "is for tls:// listeners"))
         if faults:
             raise FileProblems(faults)

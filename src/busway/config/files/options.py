@@ -13,9 +13,9 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from ...errors import ConfigError
-from ...options.declaration import NONE, Option, Range
+from ...options.declaration import NONE, Option, Range, declared
 from ...options.offer import Offer
-from ...options.text import build_parameters, option_names
+from ...options.text import build_parameters
 from ...values.refusal import shown
 from .schema import FileProblems, Section
 
@@ -45,7 +45,7 @@ class OptionSection(Section):
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
         """Those of some parameter classes."""
-        known = {name for kind in kinds for name in option_names(kind)}
+        known = {name for kind in kinds for name in declared(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     def built(self, kind: type[Parameters]) -> Parameters:
