@@ -149,13 +149,13 @@ class AuditLog:
             raise ConfigError(f"one of serve, refuse is needed, not {shown(on_failure)}", key="on_failure")
         if not 0 <= repeat_interval <= 3600:
             raise ConfigError(f"seconds are 0…3600, not {shown(repeat_interval)}", key="repeat_interval")
-        self.path = Path(path)
-        self.timestamp = WallClock(now)
-        self.written = 0
-        self.lost = 0
-        self.failures = 0
-        self.is_failing = False
-        self.denials_left_out = 0
+        self.path: Path = Path(path)
+        self.timestamp: WallClock = WallClock(now)
+        self.written: int = 0
+        self.lost: int = 0
+        self.failures: int = 0
+        self.is_failing: bool = False
+        self.denials_left_out: int = 0
         self._interval = interval
         self._repeat_interval = repeat_interval
         self._repeated = RepeatedDenials()

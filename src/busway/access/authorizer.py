@@ -54,7 +54,7 @@ class PolicyRights:
     __slots__ = ("_audit", "rights")
 
     def __init__(self, rights: Rights, audit: AuditLog | None) -> None:
-        self.rights = rights
+        self.rights: Rights = rights
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
@@ -106,7 +106,7 @@ class PolicyAuthorizer:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.refusals: Counter[str] = Counter()
-        self.generation = 0
+        self.generation: int = 0
         self._audit = audit
         self._in_force = _InForce(policy)
         self._lock = threading.Lock()

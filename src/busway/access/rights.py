@@ -117,7 +117,7 @@ class Rights:
     def __init__(self, rules: tuple[Rule, ...], default: Action) -> None:
         self._rules = rules
         self._default = default
-        self.permits_all = not rules and default.permits(True)
+        self.permits_all: bool = not rules and default.permits(True)
         self._of_units: dict[tuple[int, int | None], tuple[tuple[int, Rule], ...]] = {}
         self._zones: dict[UnitAccess, tuple[list[int], tuple[Zone, ...]]] = {}
 

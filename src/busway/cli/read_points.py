@@ -113,7 +113,7 @@ class PointReader:
         self._unit = unit
         self._rules = section.read.rules()
         self._all = {point.name: point for point in section.described()}
-        self.points = chosen_points(section, names)
+        self.points: list[Point] = chosen_points(section, names)
         needed = self._with_inputs(self.points)
         self._derivation = Derivation(needed)
         self._stored = [point for point in needed if not point.formula]

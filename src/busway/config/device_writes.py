@@ -30,7 +30,7 @@ class PlacedItems:
     """
 
     def __init__(self, spans: Sequence[tuple[int, int]]) -> None:
-        self.order = sorted(range(len(spans)), key=lambda index: spans[index])
+        self.order: list[int] = sorted(range(len(spans)), key=lambda index: spans[index])
         self._spans = [spans[index] for index in self.order]
         # Points may overlap: the furthest end so far ascends, where the ends themselves need not.
         self._ends = list(accumulate((end for _, end in self._spans), max))

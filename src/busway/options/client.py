@@ -50,7 +50,7 @@ ON_STREAMS = On("mbap tcp", "mbap tls")
 class ClientParameters:
     """Options of a client session."""
 
-    on: ClassVar = On("client")
+    on: ClassVar[On] = On("client")
 
     # Behind TCP, TLS and UDP there may be a gateway: it answers within `CLIENT_DEADLINE`, so that its client gets
     # exception 0A or 0B before its own timeout.
@@ -171,7 +171,7 @@ class LinkSelection(Enum):
 class ManagementParameters:
     """How the connections of a link are managed (Messaging on TCP/IP V1.0b §4.2.1)."""
 
-    on: ClassVar = On("client tcp", "client tls", "client udp")
+    on: ClassVar[On] = On("client tcp", "client tls", "client udp")
 
     hold: Annotated[
         float | Hold,

@@ -11,7 +11,7 @@ from .declaration import ByFraming, On, Range, Strict, check
 class SerialClientParameters:
     """Options of a serial line's master in addition to `ClientParameters`."""
 
-    on: ClassVar = On("client rtu", "client ascii")
+    on: ClassVar[On] = On("client rtu", "client ascii")
 
     turnaround_delay: Annotated[
         float,
@@ -47,7 +47,7 @@ class SerialClientParameters:
 class BreakerParameters:
     """Options of the circuit breakers: when a unit is suspended, and when it is probed."""
 
-    on: ClassVar = On("client")
+    on: ClassVar[On] = On("client")
 
     # A device on TCP delays no other. In a gateway the units of an upstream server share its connection, so the default
     # is that of a serial line.
@@ -77,7 +77,7 @@ class BreakerParameters:
 class FramingParameters:
     """Options of the framing of a serial line."""
 
-    on: ClassVar = On("rtu", "ascii")
+    on: ClassVar[On] = On("rtu", "ascii")
 
     strict_timing: Annotated[
         bool,

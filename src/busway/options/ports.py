@@ -45,7 +45,7 @@ class Rs485(Word):
 class SerialSettings:
     """The settings of one serial line (Serial Line V1.02 §2.5, §3.2)."""
 
-    on: ClassVar = On("serial")
+    on: ClassVar[On] = On("serial")
 
     baud: Annotated[int, Range(LOWEST_BAUD, HIGHEST_BAUD), Alias("baudrate"), "bits per second."] = 19_200
     parity: Annotated[Parity, "even, odd or none."] = Parity.EVEN
@@ -133,7 +133,7 @@ class SerialSettings:
 class OpeningParameters:
     """How a port is opened and waited at."""
 
-    on: ClassVar = On("serial")
+    on: ClassVar[On] = On("serial")
 
     port_wait: Annotated[
         float,

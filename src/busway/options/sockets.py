@@ -21,7 +21,7 @@ class SocketParameters:
     half-open connection for more than two hours, so ours are shorter.
     """
 
-    on: ClassVar = On("tcp", "tls", "udp")
+    on: ClassVar[On] = On("tcp", "tls", "udp")
 
     connect_timeout: Annotated[
         float,

@@ -52,7 +52,7 @@ class Verify(Enum):
 class TlsParameters:
     """Parameters of a secure connection or listener."""
 
-    on: ClassVar = On("tls")
+    on: ClassVar[On] = On("tls")
 
     certificate: Annotated[
         str | None,

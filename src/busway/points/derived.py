@@ -30,9 +30,9 @@ class Accumulator:
     __slots__ = ("_last", "resets", "rollover", "total")
 
     def __init__(self, rollover: float) -> None:
-        self.rollover = rollover
-        self.total = 0.0
-        self.resets = 0
+        self.rollover: float = rollover
+        self.total: float = 0.0
+        self.resets: int = 0
         self._last: float | None = None
 
     def take(self, value: float) -> float:

@@ -113,7 +113,7 @@ class ListenerContext:
     ) -> None:
         self.loop = loop
         self._pipeline = pipeline
-        self.listener = settings.endpoint.url
+        self.listener: str = settings.endpoint.url
         self.hosts: tuple[str, ...] = ()
         self.settings = settings
         self.parameters: ListenerParameters = settings.limits
@@ -123,9 +123,9 @@ class ListenerContext:
             listed_unit=self._listed_unit,
         )
         self.diagnostics.ascii_delimiter = settings.framing.delimiter
-        self.diagnosis = Diagnosis()
-        self.rates = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
-        self.damaged = 0
+        self.diagnosis: Diagnosis = Diagnosis()
+        self.rates: Rates | None = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
+        self.damaged: int = 0
         self._units = units
         self._session_parameters = session_parameters
         self._server_slots = slots

@@ -68,7 +68,7 @@ class DeviceResponder:
         self._silent = unlisted is UnlistedUnit.SILENCE
         self.functions = functions
         # Counted when a device changes, not summed up at every receive call: a server may have 247 devices.
-        self.generation = 0
+        self.generation: int = 0
         for device in distinct.values():
             device.watch(self._device_changed)
 

@@ -118,7 +118,7 @@ class Server:
             from ..access.audit_observer import AuditObserver
 
             self._observers.append(AuditObserver(audit))
-        self.counters = ServerCounters()
+        self.counters: ServerCounters = ServerCounters()
 
     @property
     def endpoints(self) -> list[str]:

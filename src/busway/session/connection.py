@@ -51,13 +51,13 @@ class ConnectionLife:
         moved: Moved,
     ) -> None:
         self._conversation = conversation
-        self.endpoint = endpoint
+        self.endpoint: str = endpoint
         self._moved = WeakMethod(moved)
         self._asked_before = 0  # requests before this connection
         self.reconnect: Reconnect = reconnect
         self.hold: float = hold
         self.failure: LinkDown | None = None
-        self.closed = False
+        self.closed: bool = False
 
     # How a connection begins.
 

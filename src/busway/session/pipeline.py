@@ -113,7 +113,7 @@ class RequestPipeline:
     ) -> None:
         self.responder = responder
         self.authorizer = authorizer
-        self.observers = tuple(observers)
+        self.observers: tuple[RequestObserver, ...] = tuple(observers)
         self.clock = clock
         self._decode = responder.functions.decode_request
         self._answer = responder.answer
@@ -215,7 +215,7 @@ class FastPath:
         self._rights = rights
         self.reads: dict[bytes, ReadPlan] = {}
         self.functions: dict[bytes, Answer | None] = {}
-        self.forwards = ForwardPlans()
+        self.forwards: ForwardPlans = ForwardPlans()
 
     def bind(self, unit: int, function: int) -> Answer | None:
         """Learn what answers a function of a unit; None where all requests take the generic path."""

@@ -53,11 +53,11 @@ class ClientIdentity:
     __slots__ = ("audit_text", "is_priority", "listener", "peer", "role")
 
     def __init__(self, peer: str = "", listener: str = "", role: str | None = None, is_priority: bool = False) -> None:
-        self.peer = peer
-        self.listener = listener
-        self.role = role
-        self.is_priority = is_priority
-        self.audit_text = ""
+        self.peer: str = peer
+        self.listener: str = listener
+        self.role: str | None = role
+        self.is_priority: bool = is_priority
+        self.audit_text: str = ""
 
 
 _UNKNOWN: Final = ClientIdentity()
@@ -77,9 +77,9 @@ class Judged:
     __slots__ = ("check", "is_denied", "is_write", "replaced", "rule")
 
     def __init__(self, rule: str, *, is_denied: bool = False, is_write: bool = False) -> None:
-        self.rule = rule
-        self.is_denied = is_denied
-        self.is_write = is_write
+        self.rule: str = rule
+        self.is_denied: bool = is_denied
+        self.is_write: bool = is_write
         self.check: Callable[[Replaced], None] | None = None
         self.replaced: Replaced | None = None
 
@@ -122,11 +122,11 @@ class RequestContext:
         transaction: int = 0,
         finish: Callable[["RequestContext", Message | Deferral], None] | None = None,
     ) -> None:
-        self.unit = unit
-        self.function = function
-        self.diagnostics = diagnostics
-        self.client = client
-        self.transaction = transaction
+        self.unit: int = unit
+        self.function: int = function
+        self.diagnostics: CommunicationState = diagnostics
+        self.client: ClientIdentity = client
+        self.transaction: int = transaction
         self.executed: set[int] | None = None
         self.gone: Callable[[], None] | None = None
         self.judged: Judged | None = None

@@ -141,10 +141,10 @@ class SerialServerSession:
         self._takes_more = True
         self.deferred: list[Deferred] = []
         self.failures: list[ResponderFailure] = []
-        self.requests = 0
-        self.foreign = 0
-        self.damaged_frames = 0
-        self.abandoned = 0
+        self.requests: int = 0
+        self.foreign: int = 0
+        self.damaged_frames: int = 0
+        self.abandoned: int = 0
 
     @property
     def waiting(self) -> int:

@@ -148,12 +148,12 @@ class TcpServerSession:
         self.broken: str = ""
         self.deferred: Sequence[Deferred] = ()  # no list of 56 bytes in each idle connection
         self.failures: list[ResponderFailure] = []
-        self.unfinished = 0
-        self.requests = 0
-        self.discarded = 0
-        self.refused_busy = 0
-        self.rest = b""
-        self.spent = 0
+        self.unfinished: int = 0
+        self.requests: int = 0
+        self.discarded: int = 0
+        self.refused_busy: int = 0
+        self.rest: bytes = b""
+        self.spent: int = 0
 
     @property
     def waiting(self) -> int:

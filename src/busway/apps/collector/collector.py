@@ -110,10 +110,10 @@ class Collector:
     """
 
     def __init__(self, configuration: CollectorConfiguration) -> None:
-        self.configuration = configuration
-        self.readers_lost = 0
+        self.configuration: CollectorConfiguration = configuration
+        self.readers_lost: int = 0
         self._committer: Committer | None = None
-        self.knowledge = Knowledge()
+        self.knowledge: Knowledge = Knowledge()
         self._learnt_text = ""
         self._links: dict[str, _RunningLink] = {}
         self._readers: list[_Reader] = []

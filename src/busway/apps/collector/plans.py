@@ -67,7 +67,7 @@ class PlanBook:
         self._probes: list[PlannedRead] | None = None
         self._probe: PlannedRead | None = None
         self._cheapest: PlannedRead | None = None
-        self.made = 0
+        self.made: int = 0
 
     @property
     def cost(self) -> ReadCost:

@@ -33,7 +33,7 @@ class ReplyTimeout:
         self._numbered = numbered
         self._smoothed: float | None = None
         self._deviation = 0.0
-        self.seconds = configured
+        self.seconds: float = configured
 
     def answered(self, elapsed: float) -> None:
         """Note a reply after ``elapsed`` seconds."""

@@ -180,9 +180,9 @@ class LinkSchedule:
     def __init__(self, timeout: float, *, batch: int = 1, share: float = DEAD_SHARE) -> None:
         self.timeout = timeout
         self.devices: dict[str, ScheduledDevice] = {}
-        self.refused_writes = 0
-        self.busy = 0.0
-        self.probing = 0.0
+        self.refused_writes: int = 0
+        self.busy: float = 0.0
+        self.probing: float = 0.0
         self._batch = batch
         self._share = share
         self._credit = timeout

@@ -132,7 +132,7 @@ class Batch(Call):
             target.unit, requests, requests[0].is_write, target.timeout, target.retries, False, asker.peer, deadline
         )
         self.owner = self
-        self.places = len(tags)
+        self.places: int = len(tags)
         if asker.is_priority:
             self.is_priority = True
         self.forwarder: Forwarder = target.forwarder

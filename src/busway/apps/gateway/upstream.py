@@ -159,8 +159,8 @@ class Upstream:
         self.news: UpstreamLog = UpstreamLog(name, settings.endpoint.url, is_waited_for=is_port, clock=clock)
         self._link_of: OrderedDict[str, AsyncLinkDriver] = OrderedDict()  # by client; asked last comes last
         self._users: dict[AsyncLinkDriver, int] = {}  # number of clients of each
-        self.register_width = settings.parameters.register_width
-        self.pipelines = settings.line is None  # whether it takes several requests at once
+        self.register_width: int = settings.parameters.register_width
+        self.pipelines: bool = settings.line is None  # whether it takes several requests at once
 
     # Open and close.
 

@@ -96,7 +96,7 @@ class CollectedDeviceSection(Section):
 class SinkSection(Section):
     """``[[sink]]``: where samples are handed on; its other keys are those of its kind."""
 
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
 
     name: str = Field(min_length=1)
     url: str = Field(min_length=1)

@@ -108,7 +108,7 @@ class MetricsEndpoint:
         except BaseException:
             bound.close()
             raise
-        self.tally = observer.tally
+        self.tally: RequestTally = observer.tally
         self._registry = registry_of(
             ServerCollector(self._ask, self.tally),
             *(() if links is None else (ClientCollector(links),)),

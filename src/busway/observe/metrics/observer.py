@@ -59,7 +59,7 @@ class MetricsObserver:
     """
 
     def __init__(self, tally: RequestTally | None = None, *, classify: Classify = classify_by_listener) -> None:
-        self.tally = tally or RequestTally()
+        self.tally: RequestTally = tally or RequestTally()
         self._classify = classify
         self._counted: dict[tuple[PeerClass, bytes], tuple[Series, Durations]] = {}  # by unit and function
 

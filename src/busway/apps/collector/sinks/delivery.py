@@ -110,7 +110,7 @@ class Delivery:
         """
         self.name = name
         self._sink, self._folder, self._manifest = sink, folder, manifest
-        self.options = options or DeliveryOptions()
+        self.options: DeliveryOptions = options or DeliveryOptions()
         self._now, self._pause = now, pause
         self._reader = CommitReader(folder, manifest)
         self._cursor, self._lost = manifest.cursors().get(name, (0, 0))

@@ -91,7 +91,7 @@ class PrometheusPage:
         self._points, self._values, self._stale, self._now = tuple(points), values, stale, now
         self._service = HttpService(bind_tcp(*parse_host_port(where, "url")), self._answer, name="busway prometheus")
         host, port = self._service.socket.getsockname()[:2]
-        self.url = f"http://{host}:{port}/metrics"
+        self.url: str = f"http://{host}:{port}/metrics"
         self._service.start()
 
     def close(self) -> None:

@@ -94,7 +94,7 @@ class StoreWriter:
         make_folder(self.folder)
         self._lock = StoreLock(self.folder)
         try:
-            self.manifest = Manifest(self.folder, writes=True)
+            self.manifest: Manifest = Manifest(self.folder, writes=True)
             remove_unfinished(self.folder, self.manifest)
             remove_unlisted(self.folder, self.manifest)
             self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
