@@ -279,3 +279,19 @@ def test_a_store_of_a_later_format_is_refused(tmp_path: Path) -> None:
 
 def test_the_group_of_points_of_the_meter_is_as_the_tests_expect() -> None:
     assert METER.points == ("voltage", "current", "state")
+
+
+@pytest.mark.parametrize("sealed", [False, True])
+def test_a_system_clock_that_is_stepped_by_an_hour_loses_nothing(tmp_path: Path, sealed: bool) -> None:
+    if sealed:
+        pytest.importorskip("pyarrow")
+    numbers = []
+    with StoreWriter(tmp_path, StoreOptions(seals=sealed), now=NOON) as writer:
+        for step, clock in enumerate((0, 1, 3601, 3602, -3599, -3598, 2, 3)):
+            numbers.append(writer.commit([read_of(PUMP, step, step)], [], at(clock)).number)
+            writer.seal_closed()
+        assert numbers == sorted(set(numbers))
+        table = Store(tmp_path).read()
+        assert table.value == list(range(8)), "samples have times of their own, which do not jump"
+    with StoreWriter(tmp_path, now=at(10)):
+        assert Store(tmp_path).read().gaps == [Gap(at(3602), at(3602), Reason.KILLED)]

@@ -80,6 +80,8 @@ class NatsSink:
                 **self._options,
             )
             self._jetstream = self._client.jetstream(timeout=self._timeout)
+            # The library prepares replies with the first request: it is this one, so that messages keep their order.
+            await self._jetstream.account_info()
             if self._stream is not None:
                 await self._make_stream(self._stream)
         except (nats.errors.Error, OSError, TimeoutError) as error:

@@ -210,7 +210,11 @@ class Manifest:
                 " rows = ?, bytes = ? WHERE id = ?",
                 (part.low, part.high, part.first_commit, part.last_commit, part.alive, part.rows, part.bytes, part.id),
             )
-            database.execute("INSERT OR REPLACE INTO facts VALUES ('alive', ?)", (part.alive,))
+            database.execute(  # a clock that was set back does not make the store younger
+                "INSERT INTO facts VALUES ('alive', ?)"
+                " ON CONFLICT (name) DO UPDATE SET value = max(value, excluded.value)",
+                (part.alive,),
+            )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
         """List sealed parts instead of a closed one, whose file is to be unlinked then."""
