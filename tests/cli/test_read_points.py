@@ -4,6 +4,9 @@ import csv
 import io
 import json
 import re
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -189,6 +192,23 @@ def test_the_example_of_the_how_to_prints_what_the_page_says(run: Callable[..., 
     served.write("0x1", True)
     with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: served}) as server:
         assert run("read", server.endpoints[0], "--points", str(file)).out == printed
+
+
+def test_watching_reads_again_with_the_time_and_ends_quietly_with_an_interrupt(url: str, plant: str) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "busway", "read", url, "--points", plant, "level", "--watch", "10ms", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    with process:
+        first, second = (json.loads(process.stdout.readline()) for _ in range(2))
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=10)
+        assert (process.returncode, said) == (0, "")
+    assert first["value"] == second["value"] == 3.1
+    assert first["time"] < second["time"]
 
 
 def test_neither_addresses_nor_points_is_refused(run: Callable[..., Any], nobody: str) -> None:
