@@ -111,8 +111,8 @@ def test_a_file_that_can_not_be_read_is_named(tmp_path: Path) -> None:
         ('[[include]]\nfile = "x.toml"\nsurprise = 1\n', "plant.toml:1: include"),
         ("[[unit]]\nunit = 1\nholes = 0\n", "plant.toml:3: unit[0].holes"),
         (
-            '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\nmaximum = 1\n',
-            "plant.toml:6: unit[0].point[0].maximum",
+            '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\nbehaviour = { kind = "noise" }\n',
+            "plant.toml:6: unit[0].point[0].behaviour",
         ),
     ],
 )
@@ -121,6 +121,12 @@ def test_a_simulation_file_is_told_from_others_with_what_reads_it(text: str, pla
         parse_configuration(text, "plant.toml")
     sentence = "only simulation files have this; such a file is read by: busway simulate plant.toml --check"
     assert str(caught.value) == f"{place}: {sentence}"
+
+
+def test_what_a_point_can_say_is_no_mark_of_a_simulation_file() -> None:
+    text = '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\nmaximum = 1\nenumeration = { off = 0 }\n'
+    (unit,) = parse_configuration(text, "plant.toml").file.unit
+    assert (unit.point[0].maximum, unit.point[0].enumeration) == (1.0, {"off": 0})
 
 
 def test_a_key_that_no_file_has_is_no_mark_of_a_simulation_file() -> None:
