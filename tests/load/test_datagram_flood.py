@@ -18,6 +18,8 @@ SENDERS = 1500
 ROUNDS = 12
 PEERS = 32
 """Conversations that the server keeps at once."""
+PIECE = 100
+"""Datagrams of a flood that the system's buffer holds: then the server is given the time to read them."""
 MEGABYTE = 1 << 20
 
 LONGEST = question(0, count=125)
@@ -41,11 +43,11 @@ def test_flood_of_datagrams_costs_bounded_memory_and_brings_nobody_more_than_his
 ) -> None:
     server = start_server("udp://127.0.0.1:0", max_connections=PEERS)
     port = server.ask("status")["port"]
-    with _senders(port) as senders:
-        _flood(senders)
+    with _senders(port) as senders, _probe(port) as probe:
+        _flood(senders, probe)
         before, resident, handles = server.ask("status"), server.resident, server.handles
         for _ in range(ROUNDS - 1):
-            _flood(senders)
+            _flood(senders, probe)
         after = server.ask("status")
         assert after["connections"] == PEERS
         assert after["counters"]["accepted"] - after["counters"]["closed"] == PEERS
@@ -74,9 +76,31 @@ def _senders(port: int) -> Iterator[list[socket.socket]]:
         yield senders
 
 
-def _flood(senders: list[socket.socket]) -> None:
+@contextmanager
+def _probe(port: int) -> Iterator[socket.socket]:
+    """A socket of one more host, which waits for its answers."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.9.1", 0))
+        probe.connect(("127.0.0.1", port))
+        probe.settimeout(0.2)
+        yield probe
+
+
+def _flood(senders: list[socket.socket], probe: socket.socket) -> None:
     for number, sender in enumerate(senders):
         sender.send(USELESS[number % len(USELESS)] if number % 2 else _own_question(number))
+        if number % PIECE == PIECE - 1:
+            _wait_until_answered(probe)
+
+
+def _wait_until_answered(probe: socket.socket) -> None:
+    """What was sent before has been read: the server reads in order."""
+    for _ in range(100):
+        probe.send(question(78, 78))
+        with suppress(TimeoutError):
+            probe.recv(1500)
+            return
+    raise TimeoutError("the server answers no datagram")
 
 
 def _own_question(number: int) -> bytes:
