@@ -89,13 +89,7 @@ class OwedReply:
 
     def may_be(self, pdu: bytes) -> bool:
         """Whether this PDU may be the reply to this request."""
-        if pdu[0] & ~_EXCEPTION != self.function:
-            return False
-        if pdu[0] & _EXCEPTION:
-            return True
-        request = self.request
-        size = request.expected_size
-        return (size in (UNKNOWN_LENGTH, len(pdu))) and pdu.startswith(request.expected_prefix)
+        return may_answer(self.request, pdu)
 
     def is_of(self, call: object, position: int) -> bool:
         """Whether this is an earlier attempt of the request at ``position`` of ``call``."""
@@ -136,7 +130,9 @@ class UnitDoubt:
 
     def owe(self, reply: OwedReply) -> None:
         """Note a request that got no reply in time, or before the connection ended."""
-        self.pending = [one for one in self.pending[1 - OWED_LIMIT :] if one.until > reply.sent]
+        self.pending = [one for one in self.pending if one.until > reply.sent]
+        if len(self.pending) >= OWED_LIMIT:
+            self.pending.remove(min(self.pending, key=lambda one: one.until))
         self.pending.append(reply)
         if len(self.owed) >= OWED_LIMIT:
             last = self.owed[-1]
@@ -297,6 +293,16 @@ class UnitDoubt:
 
     def _is_alike(self, request: Request, last: Request, *, is_exception: bool) -> bool:
         return request.wire[0] == last.wire[0] and (is_exception or _same_shape(request, last))
+
+
+def may_answer(request: Request, pdu: bytes) -> bool:
+    """Whether this PDU may be the reply, or an exception, to a prepared request."""
+    if pdu[0] & ~_EXCEPTION != request.wire[0]:
+        return False
+    if pdu[0] & _EXCEPTION:
+        return True
+    size = request.expected_size
+    return size in (UNKNOWN_LENGTH, len(pdu)) and pdu.startswith(request.expected_prefix)
 
 
 _READS: Final = (ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters)

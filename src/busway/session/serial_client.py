@@ -42,7 +42,7 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .breaker import Breakers
 from .call import Call
-from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt
+from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
 from .line_framing import LineFraming
 from .retries import CallTracker, ClientCounters, function_of
 
@@ -572,7 +572,7 @@ class SerialClientSession:
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
         """Repeat the read in flight at once: its reply may be the one that was just taken for an older one."""
         call = awaited.call
-        if call is None or awaited.request.is_write or frame.pdu[0] & 0x7F != awaited.request.wire[0]:
+        if call is None or awaited.request.is_write or not may_answer(awaited.request, frame.pdu):
             return
         self._owe(awaited)
         self._idle(frame.ended)
