@@ -16,7 +16,8 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import AddressRange, Route, RoutingTable
 from busway.codes import Table
 from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read

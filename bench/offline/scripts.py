@@ -17,7 +17,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import busway
-from busway.apps.gateway.gateway import Gateway, simple_plan
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import simple_plan
 from busway.framing.rtu import encode_rtu
 from offline.wire import NUMBERS, Canned, Device, MemoryLoop
 

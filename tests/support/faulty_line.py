@@ -5,7 +5,8 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.connections import FaultyTap
 from busway.faults.fault import AppliedFault, Faults, Selection

@@ -12,7 +12,8 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.configuration import simple_gateway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.framing.mbap import MbapFrame

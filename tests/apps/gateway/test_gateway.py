@@ -11,7 +11,8 @@ from scripted_peer import ScriptedPeer, first_address
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import ALL_UNITS, AddressRange, Route, RouteAction, RoutingTable
 from busway.codes import Table
 from busway.framing.mbap import MbapFrame

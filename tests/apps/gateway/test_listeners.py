@@ -13,7 +13,8 @@ from handles import open_handles
 from waiting import until
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.faults.clients import SLOW_LORIS
 from busway.framing.rtu import encode_rtu

@@ -7,7 +7,8 @@ from collections.abc import AsyncIterator
 import pytest
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener

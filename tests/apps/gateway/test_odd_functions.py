@@ -8,7 +8,8 @@ import pytest
 from handlers import ScriptedHandler
 
 import busway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable

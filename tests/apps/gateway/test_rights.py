@@ -10,8 +10,9 @@ from waiting import until
 import busway
 from busway.access.rules import Action, Policy, Rule
 from busway.apps.gateway.configuration import parse_gateway
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.overview import gateway_rows
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.errors import ConfigError
 from busway.server.listener import Listener

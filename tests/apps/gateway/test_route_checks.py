@@ -3,7 +3,7 @@
 import pytest
 
 from busway.apps.gateway.configuration import parse_gateway
-from busway.apps.gateway.gateway import UpstreamSettings
+from busway.apps.gateway.plan import UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import ALL_UNITS, Route
 from busway.config.files.problems import FileError

@@ -15,7 +15,8 @@ import foreign
 import pytest
 from serial_peers import UNIT, new_line, start_server, url_of
 
-from busway.apps.gateway.gateway import Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.server.listener import Listener
 

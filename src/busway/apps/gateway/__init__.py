@@ -4,7 +4,8 @@ Knows servers and links; a gateway is a server whose handler gives each request 
 
 * `configuration`: a gateway made from a file; `file_routes`: its routes; `route_checks` and `policy_gaps`: what of them
   cannot work; `overview`: both as rows of text
-* `gateway`: listeners and upstreams with their life: start, drain, reload, status; `own_unit`: the gateway as a device
+* `gateway`: starts, drains, reloads and stops listeners and upstreams, by a `plan`; `status`; `own_unit`: the gateway
+  as a device
 * `router`: the requests of one listener: route and translate; `routes`, `address_index`, `translation`,
   `decoded_reads`: what it needs for that
 * `forwarding`: batches of requests on their way upstream: share, cancel, answer; `read_cache`, `waiter_deadlines`

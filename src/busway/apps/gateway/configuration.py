@@ -32,7 +32,8 @@ from ...server.listener_settings import listener_settings
 from ...server.strict import with_server_preset
 from ..server.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
-from .gateway import UPSTREAM_DEFAULTS, Gateway, GatewayListener, GatewayPlan, UpstreamSettings
+from .gateway import Gateway
+from .plan import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import check_routes
 from .routes import RoutingTable
 

@@ -12,7 +12,7 @@ from ...config.files.lines import Path as Place
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint
-from .gateway import UpstreamSettings
+from .plan import UpstreamSettings
 from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
 
 

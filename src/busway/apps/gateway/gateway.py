@@ -13,194 +13,36 @@ Knows servers, routes and upstreams; knows no file.
 import asyncio
 import contextlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from ...access.addresses import HostAuthorizer, allow_all
 from ...access.authorizer import PolicyAuthorizer
 from ...access.rates import Rates
 from ...access.rules import Policy
-from ...client.settings import LinkSettings, link_settings, options_of
-from ...codes import DEFAULT_TCP_PORT, LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
+from ...codes import DEFAULT_TCP_PORT, TCP_DEVICE_UNIT
 from ...errors import ConfigError
-from ...options.client import CLIENT_DEADLINE, ClientParameters
-from ...options.declaration import declared
-from ...options.endpoints import Endpoint, parse_endpoint
-from ...options.gateway import GatewayParameters, UpstreamParameters
-from ...options.lines import BreakerParameters
+from ...options.endpoints import parse_endpoint
+from ...options.gateway import GatewayParameters
 from ...options.server import ListenerParameters
-from ...options.text import build_parameters
-from ...pdu.functions import STANDARD, FunctionTable
-from ...server.counters import ServerCounters
-from ...server.listener import Listener
+from ...pdu.functions import FunctionTable
 from ...server.local import DeviceResponder
 from ...server.naming import is_loopback
-from ...server.server import Server, ServerStatus
-from ...server.status import ConnectionStatus, ListenerStatus
+from ...server.server import Server
 from ...session.pipeline import RequestObserver
-from ...session.reconnect import ConnectionState
 from ...session.responder import Responder
 from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
-from .own_unit import STATES, own_device
-from .router import GatewayListenerCounters, ListenerRouter
-from .routes import RoutingTable
-from .upstream import Upstream, UpstreamStatus
+from .own_unit import own_device
+from .plan import GatewayListener, GatewayPlan, UpstreamSettings
+from .router import ListenerRouter
+from .status import GatewayListenerStatus, GatewayStatus, upstream_numbers
+from .upstream import Upstream
 
 if TYPE_CHECKING:
     from ...access.audit_log import AuditLog
-
-UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
-    "port_wait": 0.0,
-    "timeout": ClientParameters().timeout,
-    "open_after": BreakerParameters().open_after,
-}
-"""Options of links with another default in a gateway: it does not wait for a missing port; on a network, its attempts
-end before its clients give up, and a silent unit does not stall the others."""
-_CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
-
-
-@dataclass(frozen=True, slots=True)
-class GatewayListener:
-    """A listener of a gateway.
-
-    Attributes:
-        name: its name in routes.
-        settings: endpoint, access, certificates and limits.
-        deadline: seconds until each request is answered, if necessary with 0A or 0B; None for no limit. Requests
-            still queued then are not sent.
-        silent_broadcasts: whether a write to unit 0 is not answered.
-    """
-
-    name: str
-    settings: Listener
-    deadline: float | None = CLIENT_DEADLINE
-    silent_broadcasts: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class UpstreamSettings:
-    """An upstream of a gateway.
-
-    Attributes:
-        name: its name in routes.
-        link: endpoint, timeouts and gaps, as for `busway.open`.
-        options: connections, shared reads, broadcasts.
-        unit_gaps: seconds of silence after a reply, by unit; on serial lines only.
-        same_device: groups of units that are the same device: a write to one drops remembered values of the others.
-    """
-
-    name: str
-    link: LinkSettings
-    options: UpstreamParameters = field(default_factory=UpstreamParameters)
-    unit_gaps: Mapping[int, float] = field(default_factory=dict)
-    same_device: tuple[frozenset[int], ...] = ()
-
-    def __post_init__(self) -> None:
-        self._check_same_device()
-        if self.unit_gaps and self.link.line is None:
-            raise ConfigError("units have gaps of their own on serial lines only", key="unit_gaps")
-        if self.options.connections > 1 and self.link.endpoint.carrier == "serial":
-            raise ConfigError("a serial port is opened once", key="connections")
-
-    def _check_same_device(self) -> None:
-        seen: set[int] = set()
-        first, last = (0, 255) if self.link.line is None else (1, LAST_SERIAL_UNIT)
-        for group in self.same_device:
-            if len(group) < 2:
-                raise ConfigError("a group is two units or more: [[1, 2]]", key="same_device")
-            wrong = next((unit for unit in sorted(group) if not first <= unit <= last), None)
-            if wrong is not None:
-                raise ConfigError(f"a unit of this line is {first}…{last}, not {wrong}", key="same_device")
-            if group & seen:
-                raise ConfigError(f"unit {min(group & seen)} is in two groups", key="same_device")
-            seen |= group
-
-    @classmethod
-    def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
-        """Create settings from a URL and options of this class and of links. Raises `ConfigError`.
-
-        A missing port is not waited for, unless ``port_wait`` says so: clients get 0A at once. ``timeout``
-        is 1 second, and ``open_after`` 3, for every scheme.
-        """
-        endpoint = parse_endpoint(url)
-        offered = options_of(endpoint)
-        for key, value in UPSTREAM_DEFAULTS.items():
-            if key in offered and key not in endpoint.options:
-                options.setdefault(key, value)
-        own = {key: options.pop(key) for key in declared(UpstreamParameters) if key in options}
-        rest = {key: options.pop(key) for key in ("unit_gaps", "same_device") if key in options}
-        return cls(name, link_settings(url, options), build_parameters(UpstreamParameters, own), **rest)
-
-
-@dataclass(frozen=True, slots=True)
-class GatewayListenerStatus:
-    """Status of a listener."""
-
-    name: str
-    server: ServerStatus
-    counters: GatewayListenerCounters
-
-
-@dataclass(frozen=True, slots=True)
-class GatewayStatus:
-    """Status of a gateway, also as the sum of its servers.
-
-    Attributes:
-        running: whether it is started.
-        uptime: seconds since the start; 0 while stopped.
-        endpoints: URLs of the listeners, with the ports that they are bound to.
-        gateway_listeners, upstreams: status of each.
-        open_requests: requests that are not answered yet.
-    """
-
-    running: bool
-    uptime: float
-    endpoints: tuple[str, ...]
-    gateway_listeners: tuple[GatewayListenerStatus, ...]
-    upstreams: tuple[UpstreamStatus, ...]
-    open_requests: int
-
-    @property
-    def connections(self) -> tuple[ConnectionStatus, ...]:
-        """The connections of all listeners."""
-        return tuple(one for listener in self.gateway_listeners for one in listener.server.connections)
-
-    @property
-    def listeners(self) -> tuple[ListenerStatus, ...]:
-        """The status of all listeners."""
-        return tuple(one for listener in self.gateway_listeners for one in listener.server.listeners)
-
-    @property
-    def counters(self) -> ServerCounters:
-        """The counters of all listeners, added up."""
-        total = ServerCounters()
-        for listener in self.gateway_listeners:
-            counted = listener.server.counters
-            pairs = ((total, counted), (total.priority, counted.priority), (total.other, counted.other))
-            for mine, theirs in pairs:
-                for one in fields(mine):
-                    value = getattr(mine, one.name)
-                    if isinstance(value, int):
-                        setattr(mine, one.name, value + getattr(theirs, one.name))
-        return total
-
-    @property
-    def supported_connections(self) -> int:
-        """Most connections that all listeners accept together."""
-        return sum(listener.server.supported_connections for listener in self.gateway_listeners)
-
-    @property
-    def remote_connections(self) -> int:
-        """Number of clients' connections."""
-        return sum(listener.server.remote_connections for listener in self.gateway_listeners)
-
-    @property
-    def local_connections(self) -> int:
-        """Number of open connections to upstreams."""
-        return sum(link.state in _CONNECTED for upstream in self.upstreams for link in upstream.links)
 
 
 @dataclass(slots=True)
@@ -215,52 +57,6 @@ class _RunningListener:
         self.listener = listener
         self.responder.deadline = listener.deadline
         self.responder.silent_broadcasts = listener.silent_broadcasts
-
-
-@dataclass(frozen=True)
-class GatewayPlan:
-    """The configuration of a gateway, checked as a whole.
-
-    Attributes:
-        listeners, upstreams: each with a unique name.
-        table: the routes between them.
-        own_unit: unit identifier of the gateway itself; None: it answers as no unit.
-        own_registers: whether its own unit has input registers with its status.
-        functions: the table of functions; other functions are forwarded unread.
-        server: options of `Server` for all listeners (parameters, limits, sockets, policy, audit …).
-    """
-
-    listeners: tuple[GatewayListener, ...]
-    upstreams: tuple[UpstreamSettings, ...]
-    table: RoutingTable
-    own_unit: int | None = TCP_DEVICE_UNIT
-    own_registers: bool = False
-    functions: FunctionTable = STANDARD
-    server: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not self.listeners:
-            raise ConfigError("a gateway needs at least one listener to listen on", key="listener")
-        for key, names in (
-            ("listener", [one.name for one in self.listeners]),
-            ("link", [one.name for one in self.upstreams]),
-        ):
-            twice = next((name for name in names if names.count(name) > 1), None)
-            if twice is not None:
-                raise ConfigError(f"the name {twice!r} stands twice", key=key)
-        upstreams = {one.name for one in self.upstreams}
-        listeners = {one.name for one in self.listeners}
-        for route in self.table.routes:
-            if route.upstream and route.upstream not in upstreams:
-                raise ConfigError(
-                    f"there is no line {route.upstream!r}, but {', '.join(sorted(upstreams)) or 'none at all'}",
-                    key="route.upstream",
-                )
-            unknown = sorted(route.listeners - listeners)
-            if unknown:
-                raise ConfigError(
-                    f"there is no listener {unknown[0]!r}, but {', '.join(sorted(listeners))}", key="route.listeners"
-                )
 
 
 class Gateway:
@@ -521,7 +317,7 @@ class Gateway:
             sum(listener.server.counters.requests for listener in status.gateway_listeners),
             sum(listener.counters.no_route for listener in status.gateway_listeners),
         ]
-        return own, [_upstream_numbers(upstream) for upstream in status.upstreams]
+        return own, [upstream_numbers(upstream) for upstream in status.upstreams]
 
     # Inside.
 
@@ -611,41 +407,3 @@ def _changes(
         if old.get(one.name) != one:
             yield f"{what} {one.name} {'changed' if one.name in old else 'added'}"
     yield from (f"{what} {name} closed" for name in old if name not in names)
-
-
-def _upstream_numbers(upstream: UpstreamStatus) -> list[int]:
-    counters = upstream.counters
-    return [
-        max((STATES.index(one.state) for one in upstream.links), default=0),
-        sum(one.in_flight for one in upstream.links),
-        sum(one.queued for one in upstream.links),
-        sum(len(one.suspended) for one in upstream.links),
-        counters.forwarded,
-        counters.answered,
-        counters.exceptions,
-        counters.no_answer,
-        counters.no_path,
-        counters.shared + counters.recalled,
-    ]
-
-
-def simple_plan(
-    listeners: Sequence[str | Endpoint | Listener], upstream: str | Endpoint, **options: Any
-) -> GatewayPlan:
-    """The common case: every unit of every listener to one upstream.
-
-    Args:
-        listeners: URLs to listen on.
-        upstream: URL of the upstream.
-        options: of the upstream, as for `UpstreamSettings.of`.
-    """
-    from .routes import ALL_UNITS, Route
-
-    endpoint = parse_endpoint(upstream)
-    units = ALL_UNITS if endpoint.framing == "mbap" else frozenset(range(1, 248))
-    wanted = [one if isinstance(one, Listener) else Listener(one) for one in listeners]
-    return GatewayPlan(
-        listeners=tuple(GatewayListener(parse_endpoint(one.endpoint).url, one) for one in wanted),
-        upstreams=(UpstreamSettings.of("line", upstream, **options),),
-        table=RoutingTable((Route(upstream="line", units=units),)),
-    )

@@ -10,7 +10,7 @@ from ...codes import BROADCAST_UNIT, exception_meaning
 from ..server.overview import Row, overview
 from .configuration import GatewayConfiguration
 from .file_routes import PlacedRoute
-from .gateway import GatewayListener, GatewayPlan, UpstreamSettings
+from .plan import GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import worst_case
 from .routes import ALL_UNITS, Route, RouteAction, units_text
 

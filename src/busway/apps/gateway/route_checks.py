@@ -22,7 +22,7 @@ from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.naming import is_loopback
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
-from .gateway import UpstreamSettings
+from .plan import UpstreamSettings
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
 

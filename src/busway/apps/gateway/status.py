@@ -1,0 +1,101 @@
+"""The status of a gateway: that of its listeners, its upstreams, and all of them together.
+
+Knows counters and states; knows no connection.
+"""
+
+from dataclasses import dataclass, fields
+
+from ...server.counters import ServerCounters
+from ...server.server import ServerStatus
+from ...server.status import ConnectionStatus, ListenerStatus
+from ...session.reconnect import ConnectionState
+from .own_unit import STATES
+from .router import GatewayListenerCounters
+from .upstream import UpstreamStatus
+
+_CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value})
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayListenerStatus:
+    """Status of a listener."""
+
+    name: str
+    server: ServerStatus
+    counters: GatewayListenerCounters
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayStatus:
+    """Status of a gateway, also as the sum of its servers.
+
+    Attributes:
+        running: whether it is started.
+        uptime: seconds since the start; 0 while stopped.
+        endpoints: URLs of the listeners, with the ports that they are bound to.
+        gateway_listeners, upstreams: status of each.
+        open_requests: requests that are not answered yet.
+    """
+
+    running: bool
+    uptime: float
+    endpoints: tuple[str, ...]
+    gateway_listeners: tuple[GatewayListenerStatus, ...]
+    upstreams: tuple[UpstreamStatus, ...]
+    open_requests: int
+
+    @property
+    def connections(self) -> tuple[ConnectionStatus, ...]:
+        """The connections of all listeners."""
+        return tuple(one for listener in self.gateway_listeners for one in listener.server.connections)
+
+    @property
+    def listeners(self) -> tuple[ListenerStatus, ...]:
+        """The status of all listeners."""
+        return tuple(one for listener in self.gateway_listeners for one in listener.server.listeners)
+
+    @property
+    def counters(self) -> ServerCounters:
+        """The counters of all listeners, added up."""
+        total = ServerCounters()
+        for listener in self.gateway_listeners:
+            counted = listener.server.counters
+            pairs = ((total, counted), (total.priority, counted.priority), (total.other, counted.other))
+            for mine, theirs in pairs:
+                for one in fields(mine):
+                    value = getattr(mine, one.name)
+                    if isinstance(value, int):
+                        setattr(mine, one.name, value + getattr(theirs, one.name))
+        return total
+
+    @property
+    def supported_connections(self) -> int:
+        """Most connections that all listeners accept together."""
+        return sum(listener.server.supported_connections for listener in self.gateway_listeners)
+
+    @property
+    def remote_connections(self) -> int:
+        """Number of clients' connections."""
+        return sum(listener.server.remote_connections for listener in self.gateway_listeners)
+
+    @property
+    def local_connections(self) -> int:
+        """Number of open connections to upstreams."""
+        return sum(link.state in _CONNECTED for upstream in self.upstreams for link in upstream.links)
+
+
+def upstream_numbers(upstream: UpstreamStatus) -> list[int]:
+    """The values of an upstream's registers of the own unit (`UPSTREAM_REGISTERS`)."""
+    counters = upstream.counters
+    return [
+        max((STATES.index(one.state) for one in upstream.links), default=0),
+        sum(one.in_flight for one in upstream.links),
+        sum(one.queued for one in upstream.links),
+        sum(len(one.suspended) for one in upstream.links),
+        counters.forwarded,
+        counters.answered,
+        counters.exceptions,
+        counters.no_answer,
+        counters.no_path,
+        counters.shared + counters.recalled,
+    ]
