@@ -267,6 +267,11 @@ class Manifest:
         rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
         return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
 
+    def count_points(self) -> int:
+        """How many points there are."""
+        found: int = self._all("SELECT count(*) FROM points")[0][0]
+        return found
+
     def former_names(self) -> dict[str, int]:
         """Names that points had before, as ``device/point``, and the ids of those points."""
         rows = self._all(

@@ -203,7 +203,7 @@ class Store:
 
     def _rows_in_piece(self, chosen: list[StoredPoint]) -> int:
         """Rows of parts in one piece, so that about `_PIECE` of them are of the chosen points."""
-        return _PIECE * max(1, len(self.points())) // max(1, len(chosen))
+        return _PIECE * max(1, self._from_manifest(Manifest.count_points)) // max(1, len(chosen))
 
     def _walk(
         self, stretch: tuple[int, int, int], ask: Callable[[TimePiece], Result]
