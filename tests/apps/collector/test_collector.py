@@ -31,7 +31,7 @@ def plant(folder: Path, links: Mapping[str, str], devices: Mapping[str, str], pe
     (folder / "pump.toml").write_text(PUMP)
     text = f'[collector]\nstore = "data"\n[poll_class]\nall.period = {period}\n'
     for name, url in links.items():
-        text += f'[[link]]\nname = "{name}"\nurl = "{url}"\ntimeout = 0.5\n'
+        text += f'[[link]]\nname = "{name}"\nurl = "{url}"\ntimeout = 5.0\n'
     for name, link in devices.items():
         text += f'[[device]]\nname = "{name}"\nlink = "{link}"\nunit = 1\nprofile = "pump.toml"\n'
     file = folder / "plant.toml"
@@ -87,9 +87,8 @@ async def test_what_was_learnt_survives_a_restart(tmp_path: Path) -> None:
         file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=0.02)
         for run in range(2):
             async with busway.collect(file) as collector:
+                assert bool(collector.status()[0].learnt) is bool(run)  # before anything was asked
                 await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt), 20)
-                if run:
-                    assert collector.status()[0].failures == 0
         kept = json.loads((tmp_path / "data" / "learnt.json").read_text())
         assert kept["devices"]["pump"]["holes"][0]["start"] == 49
 
@@ -129,9 +128,9 @@ async def test_reading_the_file_again_leaves_links_alone_that_did_not_change(tmp
             plant(tmp_path, links, {"one": "a", "two": "b", "three": "b"})
             assert await collector.reload(load_collector(file)) == ["link b began anew"]
             assert collector._links["a"] is untouched
+            assert not untouched.task.done()
             assert collector.status()[0].rounds >= rounds["one"]
             await first_values(collector, ["three"], 3)
-            assert {each.skipped for each in collector.status() if each.name == "one"} == {0}
             plant(tmp_path, {"a": links["a"]}, {"one": "a"})
             assert await collector.reload(load_collector(file)) == ["link b ended"]
             assert await collector.reload(load_collector(file)) == ["nothing changed"]

@@ -14,6 +14,7 @@ from busway.apps.collector.cost import network_cost
 from busway.apps.collector.derived_points import DerivedPoints
 from busway.apps.collector.plans import PlanBook
 from busway.apps.collector.poller import LinkPoller
+from busway.apps.collector.reply_timeout import SHORTEST
 from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, SampleClock
 from busway.apps.collector.samples import SampleBatch, StateInterval
 from busway.apps.collector.schedule import LinkSchedule
@@ -207,7 +208,7 @@ async def test_the_timeout_follows_the_device_where_replies_are_numbered() -> No
     bench = Bench([number("a", 4)])
     await bench.until(150)
     assert bench.device.timeouts[0] == 1.0
-    assert bench.device.timeouts[-1] == 0.1
+    assert bench.device.timeouts[-1] == SHORTEST
 
 
 async def test_maintenance_is_an_interval_without_reads() -> None:

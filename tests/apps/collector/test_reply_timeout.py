@@ -17,8 +17,8 @@ def test_on_a_line_it_is_never_shortened() -> None:
 def test_it_falls_to_several_times_the_usual_reply_time_but_not_below_the_least() -> None:
     timeout = ReplyTimeout(3.0, numbered=True)
     for _ in range(100):
-        timeout.answered(0.2)
-    assert 0.2 <= timeout.seconds < 0.3
+        timeout.answered(0.4)
+    assert 0.4 <= timeout.seconds < 0.5
     for _ in range(100):
         timeout.answered(0.001)
     assert timeout.seconds == SHORTEST

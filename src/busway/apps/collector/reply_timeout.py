@@ -9,8 +9,8 @@ Pure: knows seconds.
 
 from typing import Final
 
-SHORTEST: Final = 0.1
-"""Seconds: a device that answers in a millisecond may still clean up its memory now and then."""
+SHORTEST: Final = 0.2
+"""Seconds, as Linux has it for TCP: who answers in a millisecond may still clean up memory now and then."""
 _GAIN: Final = 0.125
 _DEVIATION_GAIN: Final = 0.25
 
