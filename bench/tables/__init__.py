@@ -25,14 +25,15 @@ class Entry:
 
 
 TABLES = {
-    "server": Entry("tables.server", 104, 12),
+    "server": Entry("tables.server", 100, 12),
     "client": Entry("tables.client", 68, 11, rounds=3),
     "policy": Entry("tables.policy", 20, 5),
     "tls": Entry("tables.tls", 22, 6),
     "gateway": Entry("tables.gateway", 26, 4),
-    "poll": Entry("tables.poll", 80, 6, rounds=2),
+    "poll": Entry("tables.poll", 75, 6, rounds=2),
     "growth": Entry("tables.growth", 20, 4),
     "store": Entry("tables.store", 20, rounds=2),
+    "collect": Entry("tables.collect", 12, rounds=1),
     "codec": Entry("tables.codec", 10, 3),
     "layers": Entry("tables.layers", 8, 4, rounds=1),
     "startup": Entry("tables.startup", 18, 4),
