@@ -75,11 +75,12 @@ _ANYBODY: Final = Asker()
 class _InForce:
     """A policy and what is compiled from it. Replaced as a whole, so that nothing outlives its policy."""
 
-    __slots__ = ("of_clients", "of_rules", "policy")
+    __slots__ = ("of_askers", "of_clients", "of_rules", "policy")
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
-        self.of_clients: dict[Asker, PolicyRights] = {}
+        self.of_clients: dict[ClientIdentity, tuple[Asker, PolicyRights]] = {}
+        self.of_askers: dict[Asker, PolicyRights] = {}  # a host that connects anew has the rights it had
         self.of_rules: dict[tuple[str, ...], PolicyRights] = {}
 
 
@@ -128,7 +129,7 @@ class PolicyAuthorizer:
 
     def rights_of(self, client: ClientIdentity) -> PolicyRights:
         """The rights of a client."""
-        return self._rights_of(_asker(client))
+        return self._known(client)[1]
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
@@ -138,8 +139,8 @@ class PolicyAuthorizer:
         Function 22 under limits is permitted for now where the device will show the value that it changes
         (`RequestContext.replacing`), and decided then.
         """
-        asker = _asker(context.client)
-        rights = self._rights_of(asker).rights
+        asker, known = self._known(context.client)
+        rights = known.rights
         if rights.permits_all and self._audit is None:
             return None
         listed = None if served is None else served.unit
@@ -185,8 +186,8 @@ class PolicyAuthorizer:
             units: the units that it reaches.
             charged: ids of the rules that have counted it already; rules that count it now are added.
         """
-        asker = _asker(context.client)
-        rights = self._rights_of(asker).rights
+        asker, known = self._known(context.client)
+        rights = known.rights
         if rights.permits_all:
             return 0
 
@@ -240,25 +241,33 @@ class PolicyAuthorizer:
                 charged.add(id(rule))
         return None
 
-    def _rights_of(self, asker: Asker) -> PolicyRights:
+    def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
+        """A client as rules see it, and its rights."""
         in_force = self._in_force
-        found = in_force.of_clients.get(asker)
+        found = in_force.of_clients.get(client)
         if found is None:
             if len(in_force.of_clients) >= _MOST_CLIENTS:
                 in_force.of_clients.clear()
-            rules = in_force.policy.rules_for(asker)
-            key = tuple(rule.name for rule in rules)
-            found = in_force.of_rules.get(key)
-            if found is None:
-                if len(in_force.of_rules) >= _MOST_RIGHTS:
-                    del in_force.of_rules[next(iter(in_force.of_rules))]
-                found = in_force.of_rules[key] = PolicyRights(Rights(rules, in_force.policy.default), self._audit)
-            in_force.of_clients[asker] = found
+            asker = Asker(host_of_peer(client.peer), client.role, client.listener)
+            found = in_force.of_clients[client] = asker, _rights_of(asker, in_force, self._audit)
         return found
 
 
-def _asker(client: ClientIdentity) -> Asker:
-    return Asker(host_of_peer(client.peer), client.role, client.listener)
+def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> PolicyRights:
+    found = in_force.of_askers.get(asker)
+    if found is not None:
+        return found
+    if len(in_force.of_askers) >= _MOST_CLIENTS:
+        in_force.of_askers.clear()
+    rules = in_force.policy.rules_for(asker)
+    key = tuple(rule.name for rule in rules)
+    found = in_force.of_rules.get(key)
+    if found is None:
+        if len(in_force.of_rules) >= _MOST_RIGHTS:
+            del in_force.of_rules[next(iter(in_force.of_rules))]
+        found = in_force.of_rules[key] = PolicyRights(Rights(rules, in_force.policy.default), audit)
+    in_force.of_askers[asker] = found
+    return found
 
 
 def _busy(rule: Rule) -> Decision:

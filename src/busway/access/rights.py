@@ -12,7 +12,7 @@ Knows rules and the facts of one request (`busway.access.question`); knows no cl
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from ..codes import ExceptionCode, Table
 from .notation import Range, merged
@@ -82,8 +82,7 @@ class Zone:
         return None if self.rule is None else self.rule.rate
 
 
-@dataclass(frozen=True, slots=True)
-class UnitAccess:
+class UnitAccess(NamedTuple):
     """One kind of access to a unit.
 
     Attributes:
