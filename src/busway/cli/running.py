@@ -21,7 +21,8 @@ from .signals import on_hangup
 if TYPE_CHECKING:
     from ..access.addresses import AddressList
     from ..access.rules import AccessRules
-    from ..apps.server.service import DeclaredServer, Service
+    from ..apps.server.interfaces import DeclaredServer
+    from ..apps.server.service import Service
 
 NO_STANDARD_PORT = typer.Option(
     False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."

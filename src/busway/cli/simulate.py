@@ -59,7 +59,8 @@ from .sources import (
 )
 
 if TYPE_CHECKING:
-    from ..apps.server.service import DeclaredServer, Service
+    from ..apps.server.interfaces import DeclaredServer
+    from ..apps.server.service import Service
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.hosting import ControlPage
 

@@ -5,7 +5,7 @@
 `devices`           device files → devices that can be served
 `links`             the options of a named link
 `certificates`      the certificates that a listener uses
-`live_access`       allow lists and default rules that can be replaced while a server runs
+`reloadable_access` allow lists and default rules that can be replaced while a server runs
 `preflight`         checks before anything runs: roles that no client can have, files that cannot be read
 `report`            the problems and warnings of a file, each with the line of its key
 `paths`, `reading`  files by their names

@@ -9,7 +9,7 @@ from ...access.addresses import AddressList
 from ...codes import Table
 from ...config.certificates import tls_of
 from ...config.files.device import UnitSection
-from ...config.live_access import reaches_network
+from ...config.reloadable_access import reaches_network
 from ...options.declaration import NONE
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters

@@ -12,22 +12,21 @@ while it runs, without a connection being lost.
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from ...access.addresses import AddressList
-from ...access.rules import AccessRules, Policy, Rule
-from ...config.certificates import tls_of, try_certificates
-from ...config.files.system import SystemFile
-from ...config.live_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
+from ...access.rules import AccessRules, Policy
+from ...config.certificates import tls_of
+from ...config.reloadable_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
 from ...config.unhurried import collecting_paused, keep_uncollected, let_go
 from ...errors import ConfigError
-from ...pdu.functions import FunctionTable
 from ...server.listener import Listener
-from ...session.pipeline import RequestObserver
+from .interfaces import DeclaredServer, RunningServer
+from .reload import ReloadedConfiguration, read_again
 
 if TYPE_CHECKING:
     from ...access.audit_log import AuditLog
@@ -36,80 +35,6 @@ _log = logging.getLogger("busway.service")
 
 _MANY_RULES: Final = 10_000
 """Beyond so many, one round of the garbage collector would be felt: 10 ms for the objects of these."""
-_REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
-
-
-class RunningServer(Protocol):
-    """What runs: a server, or a gateway."""
-
-    @property
-    def endpoints(self) -> list[str]:
-        """URLs of the listeners as they are bound."""
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it answers."""
-
-    def status(self) -> Any:  # a dataclass, of its own kind
-        """How it stands now."""
-
-    @property
-    def functions(self) -> FunctionTable:
-        """The functions that it decodes."""
-
-    def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of requests, before the start."""
-
-    def replace_policy(self, policy: Policy) -> None:
-        """Let another policy hold from the next request on."""
-
-    def end_unauthorized(self) -> int:
-        """End connections of hosts that may no longer connect; how many there were."""
-
-    def reload_security(self) -> None:
-        """Read certificates anew. Raises `ConfigError`; what cannot be used leaves its listener as it was."""
-
-    async def __aenter__(self) -> object:
-        """Start."""
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> bool | None:
-        """Stop."""
-
-
-class DeclaredServer(Protocol):
-    """What a file declares: a `Configuration`, or that of a gateway."""
-
-    @property
-    def file(self) -> SystemFile:
-        """Its sections."""
-
-    @property
-    def listeners(self) -> tuple[Listener, ...]:
-        """Where it listens."""
-
-    @property
-    def access(self) -> AccessRules | None:
-        """The rules that it has."""
-
-    @property
-    def audit(self) -> str | None:
-        """Path of the audit log."""
-
-    @property
-    def control(self) -> str | None:
-        """Where it is controlled; None for the usual place."""
-
-    @property
-    def at_once(self) -> frozenset[str]:
-        """Sections that hold at once when the file is read again."""
-
-    def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
-        """What it declares, not started yet."""
-
-    async def let_follow(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Let what runs follow it, as far as it can without a new start; what changed. Raises `ModbusError`."""
 
 
 def declared_rules(configuration: DeclaredServer) -> AccessRules | None:
@@ -144,31 +69,6 @@ class Wishes:
     standard_port: bool | None = None
     can_reload: bool = False
     name: str = "server"
-
-
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """What reading the files again gave.
-
-    Attributes:
-        configuration: what they declare.
-        rules: the rules on access.
-        are_other_rules: whether these are not those in force.
-        later: sections that have changed and hold from the next start.
-        before: the rules in force.
-    """
-
-    configuration: DeclaredServer
-    rules: AccessRules | None
-    are_other_rules: bool
-    later: list[str]
-    before: tuple[Rule, ...]
-
-    def rule_lists(self) -> list[list[Any]]:
-        """What is of no use afterwards and may be large, for `let_go`."""
-        policy = self.configuration.file.policy
-        read = () if self.rules is None else self.rules.policy.rules
-        return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
 
 
 class Service:
@@ -264,7 +164,7 @@ class Service:
         """
         async with self._reloading:
             with collecting_paused():
-                found: list[_Reading] = []  # and not the thread's result, which would live a little longer
+                found: list[ReloadedConfiguration] = []  # and not the thread's result, which would live a little longer
                 await asyncio.to_thread(lambda: found.append(self._read_again()))
                 reading = found.pop()
                 done = await self._follow(reading)
@@ -279,18 +179,11 @@ class Service:
         if self._rules is not None and len(self._rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
 
-    def _read_again(self) -> _Reading:
-        """Read the files and judge them, in a thread: what runs goes on meanwhile."""
+    def _read_again(self) -> ReloadedConfiguration:
         new = self._read()
-        rules = self._wishes.rules(new)
-        for listener in new.listeners:
-            try_certificates(listener)
-        if rules is not None:
-            rules.policy.prepare()
-        before = () if self._rules is None else self._rules.policy.rules
-        return _Reading(new, rules, rules != self._rules, _differences(self.configuration, new), before)
+        return read_again(self.configuration, new, self._rules, self._wishes.rules(new))
 
-    async def _follow(self, reading: _Reading) -> list[str]:
+    async def _follow(self, reading: ReloadedConfiguration) -> list[str]:
         """Let what runs follow what was read; what was done, a sentence each."""
         new, rules = reading.configuration, reading.rules
         cautious = self._policy(rules, NETWORK_SCHEMES) if self._is_guarded else None
@@ -377,17 +270,3 @@ class Service:
                 allow_list.lists = (one.access,)
                 changed = True
         return changed
-
-
-def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
-    """The sections in which two configurations differ, without what holds at once."""
-    found = []
-    for name in type(old.file).model_fields:
-        before, after = getattr(old.file, name), getattr(new.file, name)
-        if name == "listener":
-            before, after = (
-                [one.model_dump(exclude=set(_REPLACEABLE_OF_LISTENERS)) for one in each] for each in (before, after)
-            )
-        if name not in new.at_once and before != after:
-            found.append(name)
-    return found
