@@ -26,6 +26,22 @@ POLICY = (
 )
 
 
+COLLECTOR = """
+[collector]
+store = "samples"
+[poll_class]
+all.period = 0.5
+[[link]]
+name = "a"
+url = "tcp://127.0.0.1:9"
+[[device]]
+name = "meter"
+link = "a"
+unit = 1
+profile = "meter"
+"""
+
+
 @dataclass
 class Plant:
     """What the commands are run against, and files."""
@@ -41,6 +57,8 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     folder = tmp_path_factory.mktemp("plant")
     (folder / "plant.toml").write_text(FILE, "utf-8")
     (folder / "policy.toml").write_text(POLICY, "utf-8")
+    (folder / "collect.toml").write_text(COLLECTOR, "utf-8")
+    (folder / "map.csv").write_text("name,address,type\nlevel,4x1,uint16\n", "utf-8")
     filled(folder / "data", 3).close(at(10))
     device = busway.Device(
         holding_registers=10, identification={0: "Größe AG", 1: "\N{SNOWMAN}", 2: "1"}, server_id=b"caf\xc3\xa9\xff"
@@ -83,6 +101,8 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
         "policy": [["check", str(folder / "policy.toml")]],
         "query": [[str(folder / "data"), *how] for how in ([], ["--json"], ["--csv"], ["--list"], ["--bucket", "1s"])],
         "store": [["check", str(folder / "data")]],
+        "collect": [["plan", str(folder / "collect.toml"), *how] for how in ([], ["--json"])],
+        "points": [["convert", str(folder / "map.csv")]],
         "certs": [[str(folder / "lab"), "--force"], ["show", str(folder / "lab" / "ca.pem")]],
     }
 
