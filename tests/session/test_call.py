@@ -157,6 +157,17 @@ def test_a_batch_ends_the_same_whether_its_requests_fly_together_or_each_by_itse
         assert calls[0].open == calls[1].open
 
 
+@pytest.mark.parametrize("apart", [False, True])
+def test_writes_that_are_repeated_after_a_lost_connection_keep_their_order(apart: bool) -> None:
+    wire = ClientWire(max_transactions=2, single_adu_segments=apart, retries=1)
+    wire.ask(*(WriteSingleRegister(5, value) for value in (1, 2, 3)), idempotent=True)
+    first, _ = wire.transmit()
+    wire.feed(faulty("", first))
+    wire.transmit()
+    wire.reconnect()
+    assert [frame.pdu[-1] for frame in wire.transmit()] == [2, 3]
+
+
 def registers(call: Call) -> list[list[int]]:
     return [one.registers for one in call.outcomes if isinstance(one, ReadHoldingRegisters.Reply)]
 

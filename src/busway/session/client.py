@@ -359,10 +359,15 @@ class TcpClientSession:
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
-        """Split all pipelined batches into single requests in flight."""
-        for batch in self._batches:
-            self._pending.update(batch.apart())
-        self._batches.clear()
+        """Split all pipelined batches into single requests in flight, in the order in which all were sent."""
+        if self._batches:
+            in_flight = list(self._pending.items())
+            for batch in self._batches:
+                in_flight += batch.apart()
+            self._batches.clear()
+            in_flight.sort(key=lambda one: (one[1].sent, one[1].position))
+            self._pending.clear()
+            self._pending.update(in_flight)
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
         """Process the first ``size`` bytes of ``buffer``. Calls completed by them are in ``finished``."""
