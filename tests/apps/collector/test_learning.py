@@ -111,6 +111,22 @@ def test_behind_a_network_the_price_of_a_register_is_learnt_too() -> None:
     assert learner.cost.per_register == pytest.approx(behind.per_register, rel=0.05)
 
 
+def test_noise_of_a_quick_network_does_not_make_a_read_look_free() -> None:
+    learner = CostLearner(network_cost(), fixed=False)
+    for width, seconds in [(2, 0.0006), (36, 0.0300), (18, 0.0150)] * 4:  # a busy machine while wide reads were made
+        learner.observe(H, width, seconds)
+    assert learner.cost.base >= 0.0006 / 4
+    assert learner.cost.of(H, 36) == pytest.approx(0.030, rel=0.05)
+
+
+def test_a_single_slow_read_of_a_width_says_nothing_about_the_price_of_a_register() -> None:
+    learner = CostLearner(network_cost(), fixed=False)
+    for width, seconds in [(36, 0.050), (18, 0.020), *[(2, 0.001)] * 20]:
+        learner.observe(H, width, seconds)
+    assert learner.cost.per_register < 1e-6
+    assert learner.cost.base == pytest.approx(0.001, rel=0.01)
+
+
 def test_a_cost_is_not_known_before_three_widths() -> None:
     learner = CostLearner(baud_cost(9600))
     for _ in range(60):

@@ -8,7 +8,8 @@ What a read costs:
    less the price of its registers. The median of the last `MEMORY` estimates is the base: up to half of them may be
    wrong, for example because a frame was repeated.
 2. Where the line is not known (behind a network), the price of a register is learnt too, as the median slope between
-   reads of different widths, from `WIDTHS` widths on.
+   reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. The base stays at least
+   `LEAST_BASE` of the narrowest read, so that noise on a quick network never makes a read look free.
 
 What the device refuses:
 
@@ -41,6 +42,10 @@ SETTLED_AFTER: Final = 48
 """Reads after which the cost counts as known."""
 WIDTHS: Final = 3
 """Different widths that a device has to be asked for before its cost counts as known."""
+READS_OF_A_WIDTH: Final = 3
+"""Reads of one width before its median says anything about the price of a register: the first ones open connections."""
+LEAST_BASE: Final = 0.25
+"""Least share of the narrowest read that its base is. On a line of 9600 baud the base of 43 registers is a quarter."""
 SILENCES: Final = 3
 """Silences in a row of one read before its halves are asked."""
 QUESTIONS: Final = 64
@@ -97,13 +102,21 @@ class CostLearner:
         if not self._fixed:
             slope = self._slope()
             if slope is not None:
-                base = median(seconds - slope * width for _, width, seconds in self._seen)
-                return ReadCost(max(base, 1e-6), slope, slope / 16)
+                return self._network_cost(slope)
         middle = len(self._in_order) // 2
         base = self._in_order[middle]
         if len(self._in_order) % 2 == 0:
             base = (base + self._in_order[middle - 1]) / 2
         return self._assumed.with_base(max(base, 1e-6))
+
+    def _network_cost(self, slope: float) -> ReadCost:
+        """The cost with a learnt price of a register, within what a line can have."""
+        _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
+        least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
+        base = median(seconds - slope * width for _, width, seconds in self._seen)
+        if base < least:  # what one wide read lost on its way looks like a price
+            slope = max(median((seconds - least) / width for _, width, seconds in self._seen), NETWORK_REGISTER)
+        return ReadCost(max(base, least, 1e-6), slope, slope / 16)
 
     def _slope(self) -> float | None:
         """Seconds of a register, as the median slope between widths of registers; None while there are too few."""
@@ -111,9 +124,9 @@ class CostLearner:
         for table, width, seconds in self._seen:
             if not table.holds_bits:
                 by_width.setdefault(width, []).append(seconds)
-        if len(by_width) < WIDTHS:
+        middles = {width: median(each) for width, each in by_width.items() if len(each) >= READS_OF_A_WIDTH}
+        if len(middles) < WIDTHS:
             return None
-        middles = {width: median(each) for width, each in by_width.items()}
         slopes = [(middles[b] - middles[a]) / (b - a) for a, b in combinations(sorted(middles), 2)]
         return max(median(slopes), NETWORK_REGISTER)
 
