@@ -12,7 +12,7 @@
 """
 
 from .conversion import Conversion, Linear
-from .decoder import DecodedRead, ReadDecoder
+from .decoder import DecodedRead, ReadDecoder, decode_point
 from .derived import Accumulator, Derivation
 from .point import Point
 from .quality import Quality, Reading, Reason
@@ -34,4 +34,5 @@ __all__ = [
     "Reason",
     "ReportRule",
     "WriteRule",
+    "decode_point",
 ]

@@ -16,6 +16,7 @@ import struct
 from array import array
 from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 from ..codes import Table
@@ -23,7 +24,7 @@ from ..errors import BadReply, InvalidRequest
 from ..values.orders import Wire, byte_order
 from .conversion import LARGEST_EXPONENT, pattern
 from .point import Point
-from .quality import Reason
+from .quality import Reading, Reason
 
 _LETTERS: Final = {
     "int16": "h",
@@ -96,6 +97,27 @@ class ReadDecoder:
             raise InvalidRequest(f"{len(data)} bytes, but {self.count} {self.table.label}s take {self.size}")
         values, flaws = self._decode(data, {} if known is None else known)
         return DecodedRead(values, flaws or _NO_FLAWS)
+
+
+@lru_cache(maxsize=4096)
+def _alone(point: Point) -> ReadDecoder:
+    """The decoder of a read of nothing but this point, compiled once."""
+    return ReadDecoder([point], point.table, point.start, point.width)
+
+
+def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = None) -> Reading:
+    """Decode one point by itself.
+
+    Args:
+        point: the point.
+        data: its registers in wire order, or a byte with its bit as the lowest.
+        known: exponents by the name of the point that holds them, for ``scale_from``.
+
+    Raises:
+        InvalidRequest: there are not as many bytes as it takes.
+    """
+    found = _alone(point).decode(data, dict(known or {}))
+    return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
 
 
 _Decode = Callable[[Wire, MutableMapping[str, int]], tuple[list[Any], dict[int, int] | None]]

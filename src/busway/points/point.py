@@ -1,13 +1,12 @@
 """A point: one value of a device that has a name. What others call a tag.
 
 Knows where it stands, its type, how its raw number becomes a value, and what is to be done with it; knows no device,
-no request and no file. `decoder` decodes the points of a read together.
+no request and no file. `decoder` decodes points.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ..codes import Table
 from ..errors import InvalidRequest
@@ -15,11 +14,7 @@ from ..values import Address, ValueType
 from ..values.orders import Wire
 from ..values.refusal import shown
 from .conversion import Conversion, value_of
-from .quality import Reading, Reason
 from .rules import AlarmRule, ReportRule, WriteRule
-
-if TYPE_CHECKING:
-    from .decoder import ReadDecoder
 
 _WHOLE: Final = ("int", "uint", "bcd", "field")
 _PLAIN: Final = Conversion()
@@ -112,19 +107,6 @@ class Point:
         """Whether it holds a number, not one bit, text or several values."""
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
-    def decode(self, data: Wire, known: Mapping[str, int] | None = None) -> Reading:
-        """What its items say.
-
-        Args:
-            data: its registers in wire order, or a byte with its bit as the lowest.
-            known: exponents by the name of the point that holds them, for ``scale_from``.
-
-        Raises:
-            InvalidRequest: there are not as many bytes as it takes.
-        """
-        found = _alone(self).decode(data, dict(known or {}))
-        return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
-
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
         """The items that hold a value.
 
@@ -207,11 +189,3 @@ class Point:
 
     def __hash__(self) -> int:
         return hash((self.name, self.table, self.start, self.form))
-
-
-@lru_cache(maxsize=4096)
-def _alone(point: Point) -> "ReadDecoder":
-    """The decoder of a read of nothing but this point, compiled once."""
-    from .decoder import ReadDecoder
-
-    return ReadDecoder([point], point.table, point.start, point.width)

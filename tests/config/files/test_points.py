@@ -7,7 +7,7 @@ from busway.config.devices import build_device
 from busway.config.files.device import UnitSection, item_range, parse_device_file
 from busway.config.files.problems import FileError
 from busway.errors import InvalidRequest
-from busway.points import AlarmRule, ItemRange, Point, ReportRule
+from busway.points import AlarmRule, ItemRange, Point, ReportRule, decode_point
 
 UNIT = "[[unit]]\nunit = 1\n"
 POINT = UNIT + '[[unit.point]]\nname = "a"\naddress = "4x1"\n'
@@ -37,8 +37,8 @@ def test_a_point_says_all_that_a_file_can_say() -> None:
         'write = { function = 6, verify = "3x5", step = 0.5 }\n'
     )["a"]
     assert (point.table, point.start, point.type) == (Table.HOLDING_REGISTERS, 0, "int16")
-    assert point.decode(b"\x00\x64").value == 6.0
-    assert point.decode(b"\x80\x00").value is None
+    assert decode_point(point, b"\x00\x64").value == 6.0
+    assert decode_point(point, b"\x80\x00").value is None
     assert point.reporting == ReportRule("change", None, 2.5, True, 60.0)
     assert point.alarms == (AlarmRule("HH", 25.0, 3.0, 1.0, True),)
     assert point.writing is not None

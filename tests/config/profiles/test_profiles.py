@@ -19,7 +19,7 @@ from busway.cli.read_points import PointReader
 from busway.config.profiles import DEVICES, ready_made
 from busway.config.profiles.loading import load_profile
 from busway.errors import ConfigError
-from busway.points import Quality
+from busway.points import Quality, decode_point
 from busway.values import parse_address
 
 REAL = tuple(DEVICES)[5:]
@@ -141,7 +141,7 @@ def test_the_bytes_of_a_manual_s_example_travel_and_mean_its_value(
 ) -> None:
     request, reply = bytes.fromhex(request_pdu), bytes.fromhex(reply_pdu)
     points = {point.name: point for point in load_profile(f"device:{profile}", unit=1).described()}
-    meant = points[name].decode(reply[2:]).value
+    meant = decode_point(points[name], reply[2:]).value
     assert meant == pytest.approx(value, rel=1e-6)
     with played(profile) as (simulation, url):
         simulation.point(f"7/{name}").put(meant)
@@ -156,12 +156,12 @@ def test_the_bytes_of_a_manual_s_example_travel_and_mean_its_value(
 
 def test_what_a_device_says_of_values_that_it_has_not_is_no_value() -> None:
     abb = {point.name: point for point in load_profile("device:abb_b23", unit=1).described()}
-    assert abb["voltage_l3"].decode(b"\xff" * 4).value is None
-    assert abb["power"].decode(b"\x7f\xff\xff\xff").value is None
+    assert decode_point(abb["voltage_l3"], b"\xff" * 4).value is None
+    assert decode_point(abb["power"], b"\x7f\xff\xff\xff").value is None
     sma = {point.name: point for point in load_profile("device:sma", unit=1).described()}
-    assert sma["power"].decode(bytes.fromhex("80000000")).value is None
-    assert sma["health"].decode(bytes.fromhex("00FFFFFD")).value is None
-    assert sma["health"].label(sma["health"].decode(bytes.fromhex("00000133")).value) == "ok"
+    assert decode_point(sma["power"], bytes.fromhex("80000000")).value is None
+    assert decode_point(sma["health"], bytes.fromhex("00FFFFFD")).value is None
+    assert sma["health"].label(decode_point(sma["health"], bytes.fromhex("00000133")).value) == "ok"
 
 
 def test_a_profile_takes_parameters_and_refuses_others(tmp_path: object) -> None:
