@@ -89,6 +89,7 @@ FACTS = [
     ("umg96rm", "apparent_power", "holding:19034", "float32", "ABCD", 1),
     ("umg96rm", "frequency", "holding:19050", "float32", "ABCD", 1),
     ("umg96rm", "energy_import", "holding:19068", "float32", "ABCD", 1),
+    ("umg96rm", "energy_export", "holding:19076", "float32", "ABCD", 1),
     ("umg96rm", "current_thd_l3", "holding:19120", "float32", "ABCD", 1),
     ("em24", "power", "300041", "int32", "CDAB", 0.1),
     ("em24", "energy_import", "300067", "int32", "CDAB", 0.1),
@@ -103,9 +104,12 @@ FACTS = [
     ("dtsu666", "energy_import", "holding:0x101E", "float32", "ABCD", 1),
     ("wago879", "voltage_l1", "holding:0x5002", "float32", "ABCD", 1),
     ("wago879", "power", "holding:0x5012", "float32", "ABCD", 1),
-    ("sma", "power", "input:30775", "int32", "ABCD", 1),
-    ("sma", "frequency", "input:30803", "uint32", "ABCD", 0.01),
-    ("sma", "energy_total", "input:30513", "uint64", "ABCDEFGH", 1),
+    ("sma", "power", "holding:30775", "int32", "ABCD", 1),
+    ("sma", "frequency", "holding:30803", "uint32", "ABCD", 0.01),
+    ("sma", "dc_current", "holding:30769", "int32", "ABCD", 0.001),
+    ("sma", "dc_voltage", "holding:30771", "int32", "ABCD", 0.01),
+    ("sma", "temperature", "holding:30953", "int32", "ABCD", 0.1),
+    ("sma", "energy_total", "holding:30513", "uint64", "ABCDEFGH", 1),
     ("sun2000", "active_power", "holding:32080", "int32", "ABCD", 0.001),
     ("sun2000", "energy_total", "holding:32106", "uint32", "ABCD", 0.01),
     ("sun2000", "energy_day", "holding:32114", "uint32", "ABCD", 0.01),
@@ -161,7 +165,13 @@ def test_what_a_device_says_of_values_that_it_has_not_is_no_value() -> None:
     sma = {point.name: point for point in load_profile("device:sma", unit=1).described()}
     assert decode_point(sma["power"], bytes.fromhex("80000000")).value is None
     assert decode_point(sma["health"], bytes.fromhex("00FFFFFD")).value is None
+    assert decode_point(sma["energy_day"], b"\xff" * 8).value is None
     assert sma["health"].label(decode_point(sma["health"], bytes.fromhex("00000133")).value) == "ok"
+    sun2000 = {point.name: point for point in load_profile("device:sun2000", unit=1).described()}
+    assert decode_point(sun2000["active_power"], b"\x7f\xff\xff\xff").value is None
+    assert decode_point(sun2000["temperature"], b"\x7f\xff").value is None
+    assert decode_point(sun2000["energy_total"], b"\xff" * 4).value is None
+    assert decode_point(sun2000["frequency"], b"\xff\xff").value is None
 
 
 def test_a_profile_takes_parameters_and_refuses_others(tmp_path: object) -> None:
