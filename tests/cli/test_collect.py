@@ -3,7 +3,9 @@
 import json
 import os
 import signal
+import socket
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from program import Busway
@@ -16,6 +18,7 @@ from busway.codes import Table
 PLANT = """\
 [collector]
 store = "data"
+page = "off"
 [poll_class]
 all.period = 0.1
 [[link]]
@@ -68,8 +71,8 @@ def test_a_file_with_errors_names_all_of_them(run, tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("period", "perod").replace('link = "a"', 'lnk = "a"'))
     result = run("collect", str(file))
     assert result.code == 2
-    assert "plant.toml:4: poll_class.all.perod" in result.err
-    assert "plant.toml:10: device[0].lnk" in result.err
+    assert "plant.toml:5: poll_class.all.perod" in result.err
+    assert "plant.toml:11: device[0].lnk" in result.err
 
 
 @pytest.mark.parametrize("words", [("plans", "x"), ("plan", "x", "y")])
@@ -121,3 +124,28 @@ def test_a_second_collector_on_the_store_is_refused_with_the_pid_of_the_first(ru
             assert run("collect", "learnt", file, "--forget", "meter-7").code == 2
             program.stop()
     assert os.path.exists(tmp_path / "data" / "learnt.json")
+
+
+def test_the_page_is_served_and_its_address_is_said(tmp_path: Path) -> None:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device()}) as server:
+        file = Path(written(tmp_path, server.endpoints[0]))
+        file.write_text(file.read_text().replace('"off"', '"127.0.0.1:0"'))
+        with Busway("collect", str(file)) as program:
+            url = program.wait_for("page on").split("page on ")[1].split()[0]
+            with urlopen(url + "api/points", timeout=20) as answer:
+                assert len(json.load(answer)["points"]) == 26
+            program.stop()
+
+
+def test_without_a_free_port_the_page_is_left_out_and_polling_goes_on(tmp_path: Path) -> None:
+    with (
+        busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device()}) as server,
+        socket.create_server(("127.0.0.1", 0)) as taken,
+    ):
+        file = Path(written(tmp_path, server.endpoints[0]))
+        file.write_text(file.read_text().replace('"off"', f'"127.0.0.1:{taken.getsockname()[1]}"'))
+        with Busway("collect", str(file), "--status-every", "100ms") as program:
+            assert "no page: " in program.wait_for("no page")
+            program.wait_for("collects into")
+            out, _ = program.stop()
+        assert "of 1 devices answer" in out

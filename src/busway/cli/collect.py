@@ -6,11 +6,13 @@
 """
 
 import asyncio
+from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
 import typer
 
 from ..errors import ConfigError, ModbusError
+from ..extras import missing_extra
 from .arguments import JSON, VERBOSE, seconds, show_traffic
 from .exits import ExitCode
 from .output import print_aligned, print_json, say, say_problems
@@ -76,7 +78,9 @@ async def _collect(configuration: "CollectorConfiguration", file: str, every: fl
     from ..apps.collector.collector import Collector
 
     with stop_event() as stop:
-        async with Collector(configuration) as collector:
+        async with AsyncExitStack() as stack:
+            collector = await stack.enter_async_context(Collector(configuration))
+            await _open_page(stack, collector)
             tasks: set[asyncio.Task[None]] = set()
 
             def read_again() -> None:
@@ -95,6 +99,23 @@ async def _collect(configuration: "CollectorConfiguration", file: str, every: fl
             for task in tasks:
                 task.cancel()
             _print_status(collector, as_json=as_json)
+
+
+async def _open_page(stack: AsyncExitStack, collector: "Collector") -> None:
+    """Show the page, and say where; without it, say why and go on: polling matters more."""
+    at = collector.configuration.file.collector.page
+    if at == "off":
+        return
+    try:
+        try:
+            from ..apps.web.collector_page import CollectorPage
+        except ImportError as error:
+            raise missing_extra(error) or error from error
+        page = await stack.enter_async_context(CollectorPage(collector, at))
+    except ModbusError as error:
+        say(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
+    else:
+        say(f"page on {page.url}" + (f", its token in {page.token_path}" if page.token else ""))
 
 
 def _say_what_runs(collector: "Collector") -> None:

@@ -15,7 +15,7 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -59,6 +59,7 @@ class CollectedDeviceStatus:
         worst_wait: the longest time in seconds that a round waited for others.
         last_error: what was wrong last; empty where nothing ever was.
         learnt: what was learnt of it, in sentences.
+        silent_since: since when its rounds have stopped, nanoseconds since 1970 UTC; None while it is polled.
     """
 
     name: str
@@ -71,6 +72,7 @@ class CollectedDeviceStatus:
     worst_wait: float
     last_error: str
     learnt: tuple[str, ...]
+    silent_since: int | None = None
 
 
 @dataclass(slots=True)
@@ -235,6 +237,11 @@ class Collector:
         assert self._committer is not None
         return self._committer.status()
 
+    def subscribe(self, told: Callable[[Commit], None]) -> None:
+        """Have a function called with each commit from now on, in the thread of the store: it must be quick."""
+        assert self._committer is not None
+        self._committer.subscribe(told)
+
     def sink_statuses(self) -> Sequence[SinkStatus]:
         """How each sink does."""
         return () if self._sinks is None else self._sinks.statuses()
@@ -284,6 +291,7 @@ class Collector:
             0.0 if scheduled is None else scheduled.worst_wait,
             device.last_error,
             tuple(device.book.knowledge.lines()),
+            None if device.suspended is None else device.suspended.begin,
         )
 
     # Reading the file again.

@@ -1,18 +1,20 @@
-"""The control API of a simulation and its page: HTTP, one WebSocket, and the files of the page.
+"""The pages of a simulation and of a collector with their APIs: HTTP, one WebSocket, and the files of the pages.
 
-===============  =======================================================================
-`hosting`        starts and stops everything: `ControlPage`
-`access`         checks Host, Origin, token and size of every request
-`connections`    limits number and time of connections
-`operations`     the FastAPI application: errors and the OpenAPI document
-`messages`       JSON of requests and responses
-`api`            the resources
-`stream`         the WebSocket: a snapshot, then changes
-`traffic`        the last frames on the wire
-`subject`        the interface of a simulation that this package needs
-``page``         HTML, style and script
-===============  =======================================================================
+====================  =======================================================================
+`hosting`             starts and stops everything: `ControlPage`
+`access`              checks Host, Origin, token and size of every request
+`connections`         limits number and time of connections
+`operations`          the FastAPI application: errors and the OpenAPI document
+`messages`            JSON of requests and responses
+`api`                 the resources
+`stream`              the WebSocket: a snapshot, then changes
+`traffic`             the last frames on the wire
+`subject`             the interface of a simulation that this package needs
+`collector_page`      the API and the page of a collector
+`collector_messages`  JSON of its responses
+``page``              HTML, style and script
+====================  =======================================================================
 
 1. It needs the extra ``web``, and is imported only when the page is started.
-2. It runs in the event loop of the simulation, so it never reads a state that is half changed.
+2. It runs in the event loop of the simulation or collector, so it never reads a state that is half changed.
 """

@@ -14,7 +14,8 @@ import hashlib
 import logging
 import secrets
 import socket
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from importlib.resources import files
@@ -22,6 +23,7 @@ from types import TracebackType
 from typing import Any, Final, Self, cast
 
 import uvicorn
+from fastapi import FastAPI
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
@@ -62,6 +64,21 @@ _FILES: Final = {
     f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
     for name in ("app", "link", "points", "trends", "traffic", "faults", "status", "dom")
 }
+FilesByPath = Mapping[str, tuple[str, str]]
+"""Name below the folder of the page, and type, by path."""
+SHARED_FILES: Final[FilesByPath] = {
+    path: _FILES[path]
+    for path in (
+        "/style.css",
+        "/icon.svg",
+        "/uplot/uPlot.min.css",
+        "/uplot/uPlot.esm.js",
+        "/uplot/LICENSE",
+        "/link.js",
+        "/dom.js",
+    )
+}
+"""What every page has."""
 _HEADERS: Final = (
     (
         b"content-security-policy",
@@ -85,49 +102,43 @@ class _File:
     tag: str
 
 
-class ControlPage:
-    """The API and the page of a simulation while the ``async with`` block lasts::
-
-        async with ControlPage(simulation) as page:
-            print(page.url)
+class HostedPage(ABC):
+    """An API and its page while the ``async with`` block lasts.
 
     Args:
-        subject: the running simulation.
         at: host and port; port 0 takes a free one.
         token: token that every request to the API must carry. None: none on loopback, a new one elsewhere.
-        name: name of the simulation, for the page.
+        key: the option that ``at`` comes from.
 
     Attributes:
         url: URL of the page, without the token; empty while stopped.
         token: required token; empty if none is needed.
-        api: the resources.
-        streams: the WebSockets.
 
     Raises:
         ConfigError: the address is invalid, or the token is too short.
     """
 
-    def __init__(
-        self,
-        subject: PageSubject,
-        at: str = DEFAULT_ADDRESS,
-        *,
-        token: str | None = None,
-        name: str = "simulation",
-    ) -> None:
+    def __init__(self, at: str, *, token: str | None = None, key: str = KEY) -> None:
         if token is not None and (len(token) < SHORTEST_TOKEN or not _is_token(token)):
             raise ConfigError(
                 f"a token has at least {SHORTEST_TOKEN} characters, letters, digits, - . _ and ~ alone", key="token"
             )
-        self._address = parse_host_port(at, KEY)
+        self._address = parse_host_port(at, key)
         self._given = token
         self.url: str = ""
         self.token: str = ""
-        self.traffic: Traffic = Traffic(self._ports)
-        self.api: Api = Api(subject, self.traffic, name)
-        self.streams: Streams = Streams(self.api)
         self._server: _Server | None = None
         self._task: asyncio.Task[None] | None = None
+
+    @abstractmethod
+    def application(self, rules: PageAccessRules) -> Application:
+        """The ASGI application, with these rules of access."""
+
+    def _begin(self) -> None:  # noqa: B027 - most have nothing to begin
+        """Do what comes before the first request."""
+
+    def _end(self) -> None:  # noqa: B027 - most have nothing to end
+        """Do what comes after the last request."""
 
     @property
     def page_url(self) -> str:
@@ -139,18 +150,20 @@ class ControlPage:
         """URL of the page for logs and terminals: with the token only if it was made here and stands nowhere else."""
         return self.url if self._given is not None else self.page_url
 
+    def _new_token(self) -> str:
+        """The token of a page that is not on loopback, where none was given."""
+        return secrets.token_urlsafe(_TOKEN_BYTES)
+
     async def start(self) -> None:
-        """Listen. Raises `LinkDown` if the address cannot be bound, `ConfigError` if traffic is already recorded."""
+        """Listen. Raises `LinkDown` if the address cannot be bound, `ConfigError` if the page cannot begin."""
         if self._task is not None:
             return
         bound = await asyncio.to_thread(bind_tcp, *self._address)
         try:
             local = is_loopback(bound.getsockname()[0])
-            self.token = (
-                self._given if self._given is not None else "" if local else secrets.token_urlsafe(_TOKEN_BYTES)
-            )
+            self.token = self._given if self._given is not None else "" if local else self._new_token()
             self.url = f"http://{_reachable_name(bound)}/"
-            self.traffic.start()
+            self._begin()
             server = self._server = _Server(_configured(self.application(PageAccessRules(self.token, local))))
             self._task = asyncio.create_task(server.serve([bound]))
             await server.answering.wait()
@@ -164,34 +177,8 @@ class ControlPage:
         if task is not None and self._server is not None:
             self._server.should_exit = True
             await task
-        self.traffic.stop()
+        self._end()
         self.url = ""
-
-    def application(self, rules: PageAccessRules) -> Application:
-        """The ASGI application, with these rules of access."""
-        page = _page()
-
-        async def show_file(request: Request) -> Response:
-            found = page[request.url.path]
-            headers = {"ETag": found.tag, "Cache-Control": "no-cache"}
-            if request.headers.get("if-none-match") == found.tag:
-                return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
-            return Response(found.content, media_type=found.kind, headers=headers)
-
-        inner = new_application(
-            "busway simulator",
-            "Values, faults and traffic of a simulated plant. The WebSocket /stream reports events as they happen.",
-            {Exception: _failed},
-        )
-        self.api.add_to(inner)
-        inner.routes.extend(Route(path, show_file) for path in page)
-        inner.routes.append(WebSocketRoute("/stream", self.streams.serve))
-        secure_document(inner)
-        return _with_headers(PageAccess(inner, rules, lambda path: path in page))
-
-    def _ports(self) -> set[int]:
-        endpoints = [parse_endpoint(url) for url in self.api.server.endpoints]
-        return {one.port for one in endpoints if one.port is not None}
 
     async def __aenter__(self) -> Self:
         await self.start()
@@ -201,6 +188,81 @@ class ControlPage:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.stop()
+
+
+class ControlPage(HostedPage):
+    """The API and the page of a simulation while the ``async with`` block lasts::
+
+        async with ControlPage(simulation) as page:
+            print(page.url)
+
+    Args:
+        subject: the running simulation.
+        at: host and port; port 0 takes a free one.
+        token: token that every request to the API must carry. None: none on loopback, a new one elsewhere.
+        name: name of the simulation, for the page.
+
+    Attributes:
+        api: the resources.
+        streams: the WebSockets.
+
+    Raises:
+        ConfigError: the address is invalid, the token is too short, or traffic is already recorded.
+    """
+
+    def __init__(
+        self,
+        subject: PageSubject,
+        at: str = DEFAULT_ADDRESS,
+        *,
+        token: str | None = None,
+        name: str = "simulation",
+    ) -> None:
+        super().__init__(at, token=token)
+        self.traffic: Traffic = Traffic(self._ports)
+        self.api: Api = Api(subject, self.traffic, name)
+        self.streams: Streams = Streams(self.api)
+
+    def _begin(self) -> None:
+        self.traffic.start()
+
+    def _end(self) -> None:
+        self.traffic.stop()
+
+    def application(self, rules: PageAccessRules) -> Application:
+        """The ASGI application, with these rules of access."""
+        inner = page_application(
+            "busway simulator",
+            "Values, faults and traffic of a simulated plant. The WebSocket /stream reports events as they happen.",
+        )
+        self.api.add_to(inner)
+        inner.routes.append(WebSocketRoute("/stream", self.streams.serve))
+        return guarded(inner, _FILES, rules)
+
+    def _ports(self) -> set[int]:
+        endpoints = [parse_endpoint(url) for url in self.api.server.endpoints]
+        return {one.port for one in endpoints if one.port is not None}
+
+
+def page_application(title: str, description: str) -> FastAPI:
+    """An application without routes that logs what it cannot answer."""
+    return new_application(title, description, {Exception: _failed})
+
+
+def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Application:
+    """An application with the files of its page, under rules of access."""
+    page = _read_files(shown)
+
+    async def show_file(request: Request) -> Response:
+        found = page[request.url.path]
+        headers = {"ETag": found.tag, "Cache-Control": "no-cache"}
+        if request.headers.get("if-none-match") == found.tag:
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+        return Response(found.content, media_type=found.kind, headers=headers)
+
+    inner.routes.extend(Route(path, show_file) for path in page)
+    secure_document(inner)
+    return _with_headers(PageAccess(inner, rules, lambda path: path in page))
 
 
 class _Server(uvicorn.Server):
@@ -238,11 +300,11 @@ def _configured(application: Application) -> uvicorn.Config:
     )
 
 
-def _page() -> dict[str, _File]:
-    """The files of the page by path."""
+def _read_files(shown: FilesByPath) -> dict[str, _File]:
+    """The files of a page by path."""
     place = files(__package__) / "page"
     found = {}
-    for path, (name, kind) in _FILES.items():
+    for path, (name, kind) in shown.items():
         content = place.joinpath(name).read_bytes()
         found[path] = _File(content, kind, f'"{hashlib.sha256(content).hexdigest()[:16]}"')
     return found

@@ -72,6 +72,7 @@ class CollectorSection(Section):
     keep_days: float | None = Field(default=None, gt=0, le=100_000)
     keep_bytes: int | None = Field(default=None, ge=1_000_000)
     learn: bool = True
+    page: str = Field(default="127.0.0.1:8503", min_length=1, max_length=200)
 
 
 class PollClassSection(Section):

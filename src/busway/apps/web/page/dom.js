@@ -28,7 +28,7 @@ export function valueText(value, point) {
   if (typeof value === "boolean") return value ? "on" : "off";
   if (Array.isArray(value)) return value.map((one) => valueText(one, null)).join(", ");
   if (typeof value === "number") {
-    const label = point && point.labels.get(value);
+    const label = point?.labels.get(value);
     if (label !== undefined) return `${label} (${value})`;
     return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(7)));
   }

@@ -1,0 +1,124 @@
+"""What the API of a collector's page answers.
+
+Knows shapes alone. Times of samples are milliseconds since 1970 UTC, those of trends seconds, as the chart has them.
+"""
+
+from pydantic import Field
+
+from .messages import Answer, Plain
+
+
+class CollectorAnswer(Answer):
+    """A collector and its store."""
+
+    name: str
+    store: str
+    devices: int
+    samples: int = Field(description="Samples stored since the start.")
+    waiting: int = Field(description="Samples that are not yet committed.")
+    lost: int = Field(description="Samples that could not be stored.")
+    error: str | None = Field(description="What is wrong with the store.")
+
+
+class CollectedPoint(Answer):
+    """A point that is collected."""
+
+    device: str
+    point: str
+    unit_of_measure: str
+
+
+class CollectedPoints(Answer):
+    """All points."""
+
+    points: list[CollectedPoint]
+
+
+class CollectedValues(Answer):
+    """Last committed values, in columns with an entry for each point."""
+
+    now: int = Field(description="Time of the answer; the age of a value is the difference.")
+    value: list[Plain | None]
+    quality: list[str] = Field(description="good, uncertain, bad; empty for a point that was not read yet.")
+    reason: list[str]
+    time: list[int | None]
+
+
+class DeviceAnswer(Answer):
+    """How a device does."""
+
+    name: str
+    link: str
+    state: str
+    reads: int
+    failures: int
+    skipped: int
+    last_error: str
+    learnt: list[str]
+    silent_since: int | None = Field(description="Since when it is not polled; null while it is.")
+
+
+class CollectedDevices(Answer):
+    """All devices."""
+
+    now: int
+    devices: list[DeviceAnswer]
+
+
+class LinkAnswer(Answer):
+    """A link: seconds of reads per second."""
+
+    name: str
+    planned: float
+    busy: float = Field(description="Since the start.")
+    probing: float = Field(description="The part of it that went to silent devices.")
+    problems: list[str]
+
+
+class ReadAnswer(Answer):
+    """A read as it is planned."""
+
+    link: str
+    device: str
+    poll_class: str
+    first: str
+    count: int
+    points: int
+    seconds: float
+
+
+class LinksAnswer(Answer):
+    """All links, and their reads."""
+
+    links: list[LinkAnswer]
+    reads: list[ReadAnswer]
+    more_reads: int = Field(description="Reads that are left out.")
+
+
+class SinkAnswer(Answer):
+    """How a sink does."""
+
+    name: str
+    behind: int = Field(description="Commits that it has not taken yet.")
+    sent: int
+    lost: int
+    set_aside: int
+    error: str | None
+
+
+class SinksAnswer(Answer):
+    """All sinks."""
+
+    sinks: list[SinkAnswer]
+    prometheus: list[str] = Field(description="URLs of pages for Prometheus.")
+
+
+class TrendAnswer(Answer):
+    """History of a point; null where nothing is known."""
+
+    begin: float
+    end: float
+    time: list[float]
+    minimum: list[float | None]
+    maximum: list[float | None]
+    mean: list[float | None]

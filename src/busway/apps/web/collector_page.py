@@ -1,0 +1,295 @@
+"""The page of a collector, and the read-only API below it.
+
+Knows a running collector, its store and HTTP; asks no device.
+
+1. What is shown was committed: values come from commits, history from the store.
+2. Nothing here changes anything. A trend has at most `MOST_BUCKETS` buckets, and at most `MOST_QUERIES` are read at a
+   time.
+3. Elsewhere than on loopback a token is needed. It is made once, and kept in the folder of the store, in a file that
+   only its owner can read.
+"""
+
+import asyncio
+import os
+import time
+from pathlib import Path
+from typing import Annotated, Final
+
+from fastapi import FastAPI, Query
+from starlette.exceptions import HTTPException
+
+from ...errors import ConfigError
+from ...safe_files import read_safely
+from ..collector.admission import LinkLoad
+from ..collector.collector import Collector
+from ..collector.preview import CollectorPreview, preview
+from ..collector.samples import NANOSECONDS, quality_of, reason_text
+from ..collector.sinks.prometheus import LastValues
+from ..collector.store.frames import BucketTable
+from ..collector.store.reading import Store
+from ..collector.store.writer import Commit
+from .access import Application, PageAccessRules
+from .collector_messages import (
+    CollectedDevices,
+    CollectedPoint,
+    CollectedPoints,
+    CollectedValues,
+    CollectorAnswer,
+    DeviceAnswer,
+    LinkAnswer,
+    LinksAnswer,
+    ReadAnswer,
+    SinkAnswer,
+    SinksAnswer,
+    TrendAnswer,
+)
+from .hosting import SHARED_FILES, HostedPage, guarded, page_application
+from .messages import Failure, plain_value
+
+TOKEN_FILE: Final = "page-token"
+"""The file in the store that keeps the token."""
+MOST_BUCKETS: Final = 2000
+MOST_QUERIES: Final = 2
+MOST_READS: Final = 2000
+"""Reads that the view of links shows at most."""
+_PLAN_SECONDS: Final = 30.0
+"""How long a plan is shown before it is made anew."""
+_LONGEST: Final = 366 * 86_400.0
+_MILLION: Final = 1_000_000
+_FILES: Final = {
+    **SHARED_FILES,
+    "/": ("collector.html", "text/html; charset=utf-8"),
+    "/collector.js": ("collector.js", "text/javascript; charset=utf-8"),
+    "/history.js": ("history.js", "text/javascript; charset=utf-8"),
+}
+
+
+class CollectorPage(HostedPage):
+    """The API and the page of a running collector while the ``async with`` block lasts.
+
+    Args:
+        collector: it has begun.
+        at: host and port; port 0 takes a free one.
+        token: as for every page; None elsewhere than on loopback: that of the store, made at the first start.
+
+    Attributes:
+        token_path: the file that keeps the token of the store.
+
+    Raises:
+        ConfigError: the address is invalid, the token is too short, or that of the store cannot be read or made.
+    """
+
+    def __init__(self, collector: Collector, at: str, *, token: str | None = None) -> None:
+        super().__init__(at, token=token, key="page")
+        self.token_path: Path = Path(collector.configuration.store) / TOKEN_FILE
+        self.api: CollectorApi = CollectorApi(collector)
+
+    def _new_token(self) -> str:
+        return kept_token(self.token_path, super()._new_token())
+
+    def application(self, rules: PageAccessRules) -> Application:
+        """The ASGI application, with these rules of access."""
+        inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
+        self.api.add_to(inner)
+        return guarded(inner, _FILES, rules)
+
+
+def kept_token(path: Path, new: str) -> str:
+    """The token in a file; where there is none it is made of ``new``, for its owner alone. Raises `ConfigError`."""
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        found = read_safely(path, most=1000).decode("ascii", "replace").strip()
+        if not found:
+            raise ConfigError("is empty; remove it, and a new token is made", file=str(path)) from None
+        return found
+    except OSError as error:
+        raise ConfigError(f"cannot be made: {error.strerror}", file=str(path)) from error
+    with os.fdopen(handle, "w", encoding="ascii") as file:
+        file.write(new + "\n")
+    return new
+
+
+class CollectorApi:
+    """The resources of one collector."""
+
+    def __init__(self, collector: Collector) -> None:
+        self._collector = collector
+        self._values = LastValues()
+        self._newest = 0
+        self._queries = asyncio.Semaphore(MOST_QUERIES)
+        self._planned: tuple[float, CollectorPreview] | None = None
+        self._planning = asyncio.Lock()
+        collector.subscribe(self._committed)
+
+    def _committed(self, commit: Commit) -> None:
+        self._newest = commit.number
+        self._values.update(commit)
+
+    def add_to(self, application: FastAPI) -> None:
+        """Add the resources to an application."""
+        add = application.add_api_route
+        add("/api/collector", self.get_collector, methods=["GET"], summary="The collector and its store")
+        add("/api/points", self.list_points, methods=["GET"], summary="The points that are collected")
+        add("/api/values", self.list_values, methods=["GET"], summary="The last committed value of each point")
+        add("/api/devices", self.list_devices, methods=["GET"], summary="The devices, and what was learnt of them")
+        add("/api/links", self.list_links, methods=["GET"], summary="The links, their load and their reads")
+        add("/api/sinks", self.list_sinks, methods=["GET"], summary="The sinks, and how far behind they are")
+        add(
+            "/api/trend",
+            self.get_trend,
+            methods=["GET"],
+            summary="The history of a point, in buckets",
+            responses={404: {"model": Failure, "description": "There is no such point."}},
+        )
+
+    async def get_collector(self) -> CollectorAnswer:
+        """Name, size and store of the collector."""
+        configuration, store = self._collector.configuration, self._collector.store_status()
+        return CollectorAnswer(
+            name=Path(configuration.name).stem,
+            store=configuration.store,
+            devices=len(configuration.devices),
+            samples=store.samples,
+            waiting=store.waiting,
+            lost=store.lost,
+            error=store.error or store.upkeep_error,
+        )
+
+    async def list_points(self) -> CollectedPoints:
+        """All points, in the order of `list_values`."""
+        return CollectedPoints(
+            points=[
+                CollectedPoint(device=device.name, point=point.name, unit_of_measure=point.unit_of_measure)
+                for device in self._collector.configuration.devices.values()
+                for point in device.points
+            ]
+        )
+
+    async def list_values(self) -> CollectedValues:
+        """Columns with an entry for each point; nothing for a point that was not read since the start."""
+        known = {(sample[0], sample[1]): sample[2:] for sample in self._values.samples()}
+        answer = CollectedValues(now=time.time_ns() // _MILLION, value=[], quality=[], reason=[], time=[])
+        for device in self._collector.configuration.devices.values():
+            for point in device.points:
+                found = known.get((device.name, point.name))
+                answer.value.append(None if found is None else plain_value(found[0]))
+                answer.quality.append("" if found is None else quality_of(found[1]).label)
+                answer.reason.append("" if found is None or not found[1] else reason_text(found[1]))
+                answer.time.append(None if found is None else found[2] // _MILLION)
+        return answer
+
+    async def list_devices(self) -> CollectedDevices:
+        """How each device does."""
+        return CollectedDevices(
+            now=time.time_ns() // _MILLION,
+            devices=[
+                DeviceAnswer(
+                    name=each.name,
+                    link=each.link,
+                    state=each.state,
+                    reads=each.reads,
+                    failures=each.failures,
+                    skipped=each.skipped,
+                    last_error=each.last_error,
+                    learnt=list(each.learnt),
+                    silent_since=None if each.silent_since is None else each.silent_since // _MILLION,
+                )
+                for each in self._collector.status()
+            ],
+        )
+
+    async def list_links(self) -> LinksAnswer:
+        """Load planned and real, and the reads with what each costs."""
+        planned, real = await self._plan(), self._collector.loads()
+        devices = self._collector.configuration.devices
+        return LinksAnswer(
+            links=[_link(load, real.get(load.link, (0.0, 0.0))) for load in planned.loads],
+            reads=[
+                ReadAnswer(
+                    link=devices[read.device].link if read.device in devices else "",
+                    device=read.device,
+                    poll_class=read.poll_class,
+                    first=read.first,
+                    count=read.count,
+                    points=read.points,
+                    seconds=read.seconds,
+                )
+                for read in planned.reads[:MOST_READS]
+            ],
+            more_reads=max(len(planned.reads) - MOST_READS, 0),
+        )
+
+    async def _plan(self) -> CollectorPreview:
+        async with self._planning:
+            now = time.monotonic()
+            if self._planned is None or now - self._planned[0] > _PLAN_SECONDS:
+                collector = self._collector
+                made = await asyncio.to_thread(preview, collector.configuration, collector.knowledge)
+                self._planned = now, made
+            return self._planned[1]
+
+    async def list_sinks(self) -> SinksAnswer:
+        """How each sink does."""
+        return SinksAnswer(
+            sinks=[
+                SinkAnswer(
+                    name=each.name,
+                    behind=max(self._newest - each.cursor, 0),
+                    sent=each.sent,
+                    lost=each.lost,
+                    set_aside=each.set_aside,
+                    error=each.error,
+                )
+                for each in self._collector.sink_statuses()
+            ],
+            prometheus=self._collector.pages,
+        )
+
+    async def get_trend(
+        self,
+        device: Annotated[str, Query(max_length=200)],
+        point: Annotated[str, Query(max_length=200)],
+        seconds: Annotated[float, Query(ge=1, le=_LONGEST, description="How far back.")] = 3600.0,
+        buckets: Annotated[int, Query(ge=10, le=MOST_BUCKETS)] = 600,
+    ) -> TrendAnswer:
+        """Minimum, maximum and mean for each bucket. A null stands where nothing is known."""
+        configuration = self._collector.configuration
+        known = configuration.devices.get(device)
+        if known is None or all(each.name != point for each in known.points):
+            raise HTTPException(404, f"there is no point {device}/{point}")
+        classes = [configuration.periods[each] for each in known.items if each in configuration.periods]
+        length = max(seconds / buckets, 0.001)
+        now = time.time_ns()
+        async with self._queries:
+            table = await asyncio.to_thread(
+                _read, configuration.store, f"{device}/{point}", now - int(seconds * NANOSECONDS), length
+            )
+        return _trend(table, now, seconds, max(3 * max(classes, default=1.0), 2 * length))
+
+
+def _link(load: LinkLoad, real: tuple[float, float]) -> LinkAnswer:
+    return LinkAnswer(name=load.link, planned=load.load, busy=real[0], probing=real[1], problems=list(load.problems))
+
+
+def _read(folder: str, point: str, since: int, bucket: float) -> BucketTable:
+    return Store(folder).read(point, since=since, bucket=bucket)
+
+
+def _trend(table: BucketTable, now: int, seconds: float, longest: float) -> TrendAnswer:
+    """Columns for a chart. Times that are further apart than ``longest`` seconds have a gap between them."""
+    answer = TrendAnswer(
+        begin=now / NANOSECONDS - seconds, end=now / NANOSECONDS, time=[], minimum=[], maximum=[], mean=[]
+    )
+    for at, low, high, mean in zip(table.time, table.minimum, table.maximum, table.mean, strict=True):
+        moment = at / NANOSECONDS
+        if answer.time and moment - answer.time[-1] > longest:
+            _add(answer, (answer.time[-1] + moment) / 2, None, None, None)
+        _add(answer, moment, low, high, mean)
+    return answer
+
+
+def _add(answer: TrendAnswer, at: float, low: float | None, high: float | None, mean: float | None) -> None:
+    answer.time.append(at)
+    for column, value in ((answer.minimum, low), (answer.maximum, high), (answer.mean, mean)):
+        column.append(None if value is None else float(value))

@@ -1,0 +1,115 @@
+"""The API of the collector's page: committed values, history with gaps, links, devices, sinks; and who may ask."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page_collector import WatchedCollector, watched_collector
+
+import busway
+from busway.apps.collector.store.frames import BucketTable
+from busway.apps.web.collector_page import TOKEN_FILE, CollectorPage, _trend, kept_token
+from busway.errors import ConfigError
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    with watched_collector(tmp_path_factory.mktemp("plant")) as running:
+        until(lambda: all(running.ask("/api/values")[1]["quality"]))
+        yield running
+
+
+def until(holds: Any) -> None:
+    limit = time.monotonic() + 30
+    while not holds():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+
+
+def test_values_stand_in_the_order_of_the_points_with_quality_and_reason(plant: WatchedCollector) -> None:
+    points = plant.ask("/api/points")[1]["points"]
+    assert [each["point"] for each in points] == ["speed", "level", "gone"]
+    assert points[0]["unit_of_measure"] == "rpm"
+    values = plant.ask("/api/values")[1]
+    assert values["value"] == [1.5, 7, None]
+    assert values["quality"] == ["good", "good", "bad"]
+    assert "address" in values["reason"][2]
+    assert 0 <= values["now"] - values["time"][0] < 20_000
+
+
+def test_a_value_that_is_shown_is_in_the_store(plant: WatchedCollector) -> None:
+    plant.device.holding_registers[1] = 4711
+    until(lambda: plant.ask("/api/values")[1]["value"][1] == 4711)
+    assert 4711 in busway.Store(plant.collector.configuration.store).read("pump/level", since="1m").value
+
+
+def test_a_trend_has_at_most_the_buckets_that_were_asked_for(plant: WatchedCollector) -> None:
+    status, found = plant.ask("/api/trend", device="pump", point="speed", seconds=60, buckets=10)
+    assert status == 200
+    assert 1 <= len(found["time"]) <= 11
+    assert found["minimum"][-1] == found["maximum"][-1] == found["mean"][-1] == 1.5
+    assert found["end"] - found["begin"] == pytest.approx(60)
+
+
+def test_a_trend_of_no_point_is_refused_with_a_sentence(plant: WatchedCollector) -> None:
+    assert plant.ask("/api/trend", device="pump", point="*") == (404, {"error": "there is no point pump/*"})
+    assert plant.ask("/api/trend", device="pump", point="speed", buckets=100_000)[0] == 422
+
+
+def test_links_have_their_load_and_reads_with_their_cost(plant: WatchedCollector) -> None:
+    found = plant.ask("/api/links")[1]
+    assert [each["name"] for each in found["links"]] == ["hall"]
+    assert found["links"][0]["planned"] > 0
+    assert found["links"][0]["busy"] > 0
+    assert found["reads"][0]["first"] == "4x1"
+    assert found["reads"][0]["seconds"] > 0
+
+
+def test_devices_say_how_they_do(plant: WatchedCollector) -> None:
+    (device,) = plant.ask("/api/devices")[1]["devices"]
+    assert (device["name"], device["state"], device["silent_since"]) == ("pump", "polled", None)
+    assert device["reads"] > 0
+
+
+def test_sinks_say_how_far_behind_they_are(plant: WatchedCollector) -> None:
+    (sink,) = plant.ask("/api/sinks")[1]["sinks"]
+    assert sink["name"] == "lines"
+    until(lambda: plant.ask("/api/sinks")[1]["sinks"][0]["sent"] > 0)
+
+
+def test_nothing_can_be_changed(plant: WatchedCollector) -> None:
+    paths = plant.ask("/openapi.json")[1]["paths"]
+    assert {method for methods in paths.values() for method in methods} == {"get"}
+
+
+def test_time_without_samples_is_a_gap_in_a_trend() -> None:
+    second = 1_000_000_000
+    table = BucketTable(
+        ["pump"] * 4, ["speed"] * 4, [0, second, 9 * second, 10 * second], [1, 2, None, 4], [1, 2, None, 4],
+        [1.0, 2.0, None, 4.0], [1, 1, 0, 1], [1, 1, 1, 1], [0, 0, 16, 0],
+    )  # fmt: skip
+    found = _trend(table, 11 * second, 11, 2.0)
+    assert found.time == [0, 1, 5, 9, 10]
+    assert found.mean == [1, 2, None, None, 4]
+
+
+def test_a_token_is_made_once_for_its_owner_alone(tmp_path: Path) -> None:
+    file = tmp_path / TOKEN_FILE
+    assert kept_token(file, "first-token-of-many") == "first-token-of-many"
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert kept_token(file, "another-token-of-many") == "first-token-of-many"
+    file.write_text("")
+    with pytest.raises(ConfigError, match="is empty"):
+        kept_token(file, "another-token-of-many")
+
+
+def test_elsewhere_than_on_loopback_the_token_of_the_store_is_needed(tmp_path: Path) -> None:
+    with watched_collector(tmp_path, "0.0.0.0:0") as plant:
+        port = plant.page.url.rstrip("/").rpartition(":")[2]
+        plant.page.url = f"http://127.0.0.1:{port}/"
+        assert plant.ask("/api/values")[0] == 401
+        assert plant.ask("/api/values", token="wrong-token-of-someone")[0] == 401
+        token = (tmp_path / "data" / TOKEN_FILE).read_text().strip()
+        assert plant.ask("/api/values", token=token)[0] == 200
+        assert isinstance(plant.page, CollectorPage)
