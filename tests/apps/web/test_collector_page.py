@@ -1,8 +1,10 @@
 """The API of the collector's page: committed values, history with gaps, links, devices, sinks; and who may ask."""
 
+import re
 import time
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from page_collector import WatchedCollector, watched_collector
@@ -76,6 +78,19 @@ def test_sinks_say_how_far_behind_they_are(plant: WatchedCollector) -> None:
     (sink,) = plant.ask("/api/sinks")[1]["sinks"]
     assert sink["name"] == "lines"
     until(lambda: plant.ask("/api/sinks")[1]["sinks"][0]["sent"] > 0)
+
+
+def test_the_page_and_all_that_it_names_are_served(plant: WatchedCollector) -> None:
+    waiting, seen = ["/"], set[str]()
+    while waiting:
+        path = waiting.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        with urlopen(plant.page.url.rstrip("/") + path, timeout=20) as answer:
+            text = answer.read().decode()
+        waiting += [f"/{name}" for name in re.findall(r'(?:src=|href=|from )"\.?/([^"]+)"', text)]
+    assert {"/collector.js", "/history.js", "/dom.js", "/link.js", "/style.css", "/uplot/uPlot.esm.js"} <= seen
 
 
 def test_nothing_can_be_changed(plant: WatchedCollector) -> None:
