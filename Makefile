@@ -40,8 +40,8 @@ help: ## this list
 # --- what users run ---------------------------------------------------------------------------------------------------
 
 .PHONY: demo
-demo: $(VENV)/.installed ## a small plant on 127.0.0.1, polled and shown for ten seconds
-	@$(RUN)/busway demo $(DEMO_FLAGS)
+demo: $(VENV)/.installed ## a small plant, a gateway, a collector and its page on 127.0.0.1 for a minute
+	@$(RUN)/busway collect demo $(DEMO_FLAGS)
 
 # --- what developers run ----------------------------------------------------------------------------------------------
 

@@ -155,3 +155,18 @@ def test_without_a_free_port_the_page_is_left_out_and_polling_goes_on(tmp_path: 
             program.wait_for("collects into")
             out, _ = program.stop()
         assert "of 1 devices answer" in out
+
+
+def test_the_demo_shows_a_plant_from_its_line_to_the_page_and_ends_by_itself() -> None:
+    with Busway("collect", "demo", "--for", "8s") as program:
+        said = program.wait_for("page")
+        if "page on " in said:  # the port may be taken here
+            with urlopen(said.split("page on ")[1].split()[0] + "api/points", timeout=20) as answer:
+                points = {each["point"] for each in json.load(answer)["points"]}
+            assert {"tank.level", "meter.power", "tank.temperature"} <= points
+        out, _ = program.end()
+    assert "of 3 devices answer" in out
+
+
+def test_how_long_the_demo_lasts_is_for_the_demo_alone(run, tmp_path: Path) -> None:
+    assert run("collect", written(tmp_path), "--for", "1s").code == 2

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   busway collect plant.toml
+  busway collect demo
   busway collect plan plant.toml
   busway collect learnt plant.toml
   busway collect learnt plant.toml --pin meter-7
@@ -34,11 +35,13 @@ Examples:
 """
 
 ACTIONS = ("plan", "learnt")
+DEMO_PAGE = "127.0.0.1:8503"
 
 
 def collect(
-    words: list[str] = typer.Argument(..., metavar="[plan|learnt] FILE", help="A collector file, in TOML."),
+    words: list[str] = typer.Argument(..., metavar="[plan|learnt] FILE|demo", help="A collector file, in TOML."),
     status_every: str = typer.Option("60s", "--status-every", metavar="TIME", help="Print a status this often: 60s."),
+    lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 60s."),
     pin: str | None = typer.Option(None, "--pin", metavar="DEVICE", help="learnt: keep what was learnt of a device."),
     forget: str | None = typer.Option(None, "--forget", metavar="DEVICE", help="learnt: learn it anew."),
     as_json: bool = JSON,
@@ -47,7 +50,11 @@ def collect(
     """Poll devices and keep what they say."""
     from ..apps.collector.configuration import load_collector
 
+    if words == ["demo"]:
+        return _demo(lasts, verbose)
     action, file = _action_and_file(words)
+    if lasts is not None:
+        raise ConfigError("is for demo", key="--for")
     if action != "learnt" and (pin or forget):
         raise ConfigError("is for learnt", key="--pin" if pin else "--forget")
     every = seconds(status_every, "--status-every", low=0.1)
@@ -60,6 +67,16 @@ def collect(
     from ..server.loops import run
 
     run(_collect(configuration, file, every, as_json=as_json))
+    return ExitCode.DONE
+
+
+def _demo(lasts: str | None, verbose: int) -> int:
+    from ..server.loops import run
+    from .collect_demo import collect_demo
+
+    limit = seconds(lasts or "60s", "--for", low=0.1)
+    show_traffic(verbose)
+    run(collect_demo(limit, DEMO_PAGE))
     return ExitCode.DONE
 
 
@@ -80,7 +97,7 @@ async def _collect(configuration: "CollectorConfiguration", file: str, every: fl
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
             collector = await stack.enter_async_context(Collector(configuration))
-            await _open_page(stack, collector)
+            await open_page(stack, collector)
             tasks: set[asyncio.Task[None]] = set()
 
             def read_again() -> None:
@@ -95,13 +112,13 @@ async def _collect(configuration: "CollectorConfiguration", file: str, every: fl
                         async with asyncio.timeout(every):
                             await stop.wait()
                     except TimeoutError:
-                        _print_status(collector, as_json=as_json)
+                        print_status(collector, as_json=as_json)
             for task in tasks:
                 task.cancel()
-            _print_status(collector, as_json=as_json)
+            print_status(collector, as_json=as_json)
 
 
-async def _open_page(stack: AsyncExitStack, collector: "Collector") -> None:
+async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
     """Show the page, and say where; without it, say why and go on: polling matters more."""
     at = collector.configuration.file.collector.page
     if at == "off":
@@ -145,7 +162,7 @@ async def _read_again(collector: "Collector", file: str) -> None:
         say(f"read again: {'; '.join(done)}")
 
 
-def _print_status(collector: "Collector", *, as_json: bool) -> None:
+def print_status(collector: "Collector", *, as_json: bool) -> None:
     store, devices = collector.store_status(), collector.status()
     if as_json:
         print_json(

@@ -93,34 +93,43 @@ def demo(
 
 
 async def _run(port: int, limit: float | None) -> None:
-    from ..apps.simulator.plant import Plant
     from ..client.aio import open_link
 
-    plant = Plant()
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
-            near, far = _line(stack)
-            devices = _devices(plant, far)
-            await stack.enter_async_context(devices)
-            gateway = await _started(near or devices.endpoints[0], port)
-            stack.push_async_exit(gateway)
-            (url,) = gateway.endpoints
+            plant, url = await started_plant(stack, port)
             link = await stack.enter_async_context(open_link(url, shared=False, timeout=2.0, max_transactions=3))
             if limit is None:
                 _print_commands(url, f"The plant is behind the gateway on {url}. Try, in another terminal:")
             polled, began = Polled(), time.monotonic()
-            moving = asyncio.create_task(_move(plant))
-            try:
-                await _poll(link, plant, polled, stop, limit, url)
-            finally:
-                moving.cancel()
-                with suppress(asyncio.CancelledError):
-                    await moving
+            await _poll(link, plant, polled, stop, limit, url)
     _print_summary(polled, time.monotonic() - began)
     if limit is not None:
         served = int(url.rpartition(":")[2])
         option = "" if served == 5020 else f" --port {served}"
         _print_commands(url, f"Try next, in another terminal while `busway demo --forever{option}` runs:")
+
+
+async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]":
+    """A plant that lives behind a gateway until ``stack`` ends, and the gateway's URL."""
+    from ..apps.simulator.plant import Plant
+
+    plant = Plant()
+    near, far = _line(stack)
+    devices = _devices(plant, far)
+    await stack.enter_async_context(devices)
+    gateway = await _started(near or devices.endpoints[0], port)
+    stack.push_async_exit(gateway)
+    (url,) = gateway.endpoints
+    moving = asyncio.create_task(_move(plant))
+
+    async def stand_still() -> None:
+        moving.cancel()
+        with suppress(asyncio.CancelledError):
+            await moving
+
+    stack.push_async_callback(stand_still)
+    return plant, url
 
 
 def _line(stack: AsyncExitStack) -> tuple[str, str]:
