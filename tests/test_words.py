@@ -106,3 +106,9 @@ def test_no_word_of_the_glossary_is_retired() -> None:
     assert retired == sorted(set(retired))
     assert [word for word, _ in WORDS if retired_in(word)] == []
     assert [word for _, word in RETIRED if retired_in(word)] == []
+
+
+def test_the_sources_spell_cannot_as_one_word() -> None:
+    texts = {file: file.read_text(encoding="utf-8") for kind in ("*.py", "*.js") for file in SOURCES.rglob(kind)}
+    assert len(texts) > 100
+    assert [str(file) for file, text in texts.items() if re.search(r"\bcan\s+not\b", text)] == []

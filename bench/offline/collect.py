@@ -25,12 +25,12 @@ from typing import Any
 
 from busway.apps.collector.cost import baud_cost, network_cost
 from busway.apps.collector.plan import PlainItem, plan_reads
-from busway.apps.collector.plans import PlanBook
+from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.sample_clock import SampleClock
 from busway.apps.collector.samples import SampleBatch
 from busway.apps.collector.schedule import LinkSchedule
-from busway.apps.collector.store.committing import Committer
+from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.codes import Table
 from busway.pdu.read_items import ReadHoldingRegisters

@@ -139,7 +139,7 @@ def test_nobody_there_is_said(run: Run, line: PacedLine) -> None:
     result = run("scan", url(line), "--units", "9", "--timeout", "100ms", "--listen", "20ms")
     assert result.code == 3
     assert not result.out
-    assert "nobody answers" in result.err
+    assert "no unit answered" in result.err
 
 
 def test_a_gateway_that_speaks_for_an_absent_unit_is_not_that_unit(run: Run, device: Callable[..., str]) -> None:

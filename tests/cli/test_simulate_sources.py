@@ -148,7 +148,7 @@ def test_a_device_that_is_not_there_ends_with_the_code_for_it(
 def test_a_file_that_can_not_be_written_is_said(tank: str, points: Path, run: Callable[..., Any]) -> None:
     result = run("simulate", "--clone", tank, "--map", str(points), "--out", "/nowhere/plant.toml")
     assert result.code == 2
-    assert "/nowhere/plant.toml: can not be written: no such file or directory" in result.err
+    assert "/nowhere/plant.toml: cannot be written: no such file or directory" in result.err
 
 
 @pytest.mark.parametrize(

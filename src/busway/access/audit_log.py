@@ -45,7 +45,7 @@ _RETRY: Final = 1.0
 _LOOK_PAUSE: Final = 1.0
 """Seconds between two looks at the room of the file system."""
 _LATE: Final = 1.0
-"""Seconds by which a timer may be late before it is taken for one whose event loop has gone."""
+"""Seconds that a timer may be late before it is taken for one whose event loop has gone."""
 
 
 class FlushSchedule(Protocol):
@@ -315,9 +315,9 @@ class AuditLog:
         if has_room is not self._has_room:
             self._has_room = has_room
             if has_room:
-                _log.warning("%s: denials leave lines again; %d left none", self.path, self._left_out)
+                _log.warning("%s: denials are logged again; %d were not logged", self.path, self._left_out)
             else:
-                _log.error("%s: denials leave no lines: the %d bytes left are kept for writes", self.path, free)
+                _log.error("%s: denials are not logged: the %d bytes left are kept for writes", self.path, free)
 
     # ---- the file
 

@@ -33,8 +33,8 @@ class Decision:
         rule: the rule that decided: the one that refused, or the first that permitted; None for the default.
         reason: why, in words; empty if allowed.
         rates: the rules with a rate through which it went.
-        needs_current: whether it was refused without knowing what function 22 would write; whoever knows the register
-            asks again with `Question.with_current`.
+        needs_current: whether it was refused without knowing what function 22 would write; a caller that knows the
+            register asks again with `Question.with_current`.
     """
 
     allowed: bool

@@ -29,7 +29,7 @@ from .question import END, FILES, Asker, Space
 
 EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
 DEFAULT_RULE: Final = "default"
-"""The name by which logs call the decision of no rule."""
+"""The name in logs of a decision that no rule made."""
 _NOWHERE: Final[tuple[Range, ...]] = ()
 _EMPTY: Final = "is empty, so the rule would never fit; leave it out"
 Chosen = TypeVar("Chosen", bound=Enum)

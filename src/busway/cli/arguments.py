@@ -82,7 +82,7 @@ def opened_unit(
     """The unit of a URL behind a blocking link; nothing is sent yet.
 
     Raises:
-        ConfigError, InvalidRequest: URL or option can not be.
+        ConfigError, InvalidRequest: invalid URL or option.
     """
     from ..client.blocking import connect
     from ..options.client import ClientParameters

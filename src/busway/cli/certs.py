@@ -99,7 +99,7 @@ def _write(directory: Path, made: "dict[str, Issued]", *, force: bool) -> None:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"can not be made: {reason[:1].lower()}{reason[1:]}", file=str(directory)) from error
+        raise ConfigError(f"cannot be made: {reason[:1].lower()}{reason[1:]}", file=str(directory)) from error
     for name, (certificate, key) in files.items():
         made[name].write(certificate, key)
         print(certificate)

@@ -28,7 +28,7 @@ _LAST = 65_535
 
 
 @dataclass(frozen=True, slots=True)
-class CloneWishes:
+class CloneOptions:
     """What the options ask for, as they were written.
 
     Attributes:
@@ -57,46 +57,46 @@ class CloneWishes:
     verbose: int = 0
 
 
-def refuse_without_clone(wishes: CloneWishes) -> None:
+def refuse_without_clone(options: CloneOptions) -> None:
     """Refuse options that would have no effect without ``--clone``. Raises `ConfigError` that names the first."""
-    given = {"--out": wishes.out, "--watch": wishes.watch, "--range": wishes.ranges, "--thorough": wishes.thorough}
-    for option, value in {**given, "--force": wishes.force}.items():
+    given = {"--out": options.out, "--watch": options.watch, "--range": options.ranges, "--thorough": options.thorough}
+    for option, value in {**given, "--force": options.force}.items():
         if value:
             raise ConfigError("goes with --clone only", key=option)
 
 
-def clone_device(wishes: CloneWishes) -> int:
+def clone_device(options: CloneOptions) -> int:
     """Record the device, and write the file."""
     from ..apps.simulator.device_text import device_text
 
-    duration = None if wishes.watch is None else seconds(wishes.watch, "--watch")
-    if wishes.map is None and duration is not None:
+    duration = None if options.watch is None else seconds(options.watch, "--watch")
+    if options.map is None and duration is not None:
         raise ConfigError("needs --map: without names there is nothing to watch", key="--watch")
-    if wishes.map is not None and (wishes.ranges is not None or wishes.thorough):
-        raise ConfigError("does not go with --map", key="--thorough" if wishes.ranges is None else "--range")
-    if wishes.force and wishes.out is None:
+    if options.map is not None and (options.ranges is not None or options.thorough):
+        raise ConfigError("does not go with --map", key="--thorough" if options.ranges is None else "--range")
+    if options.force and options.out is None:
         raise ConfigError("goes with --out only", key="--force")
-    if wishes.out is not None and not wishes.force and os.path.lexists(wishes.out):
-        raise _there_already(wishes.out)
+    if options.out is not None and not options.force and os.path.lexists(options.out):
+        raise _there_already(options.out)
     with opened_unit(
-        wishes.url, unit=wishes.unit, timeout=wishes.timeout, retries=wishes.retries, verbose=wishes.verbose
+        options.url, unit=options.unit, timeout=options.timeout, retries=options.retries, verbose=options.verbose
     ) as unit:
-        clone = _recorded(unit, wishes, duration)
+        clone = _recorded(unit, options, duration)
     for remark in clone.remarks:
         say(remark)
-    remarks = [f"Recorded from {wishes.url}, unit {unit.number}.", *clone.remarks]
-    _put_out(device_text([clone.section], remarks=remarks, compact=wishes.map is None), wishes)
+    remarks = [f"Recorded from {options.url}, unit {unit.number}.", *clone.remarks]
+    _put_out(device_text([clone.section], remarks=remarks, compact=options.map is None), options)
     return ExitCode.DONE
 
 
-def _recorded(unit: "BlockingUnit", wishes: CloneWishes, duration: float | None) -> "Clone":
+def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | None) -> "Clone":
     from ..apps.simulator.clone import RANGES, clone_points, clone_tables, watch_points
     from ..apps.simulator.register_map import read_register_map
 
-    if wishes.map is None:
-        ranges = RANGES if wishes.ranges is None else _ranges(wishes.ranges)
-        return clone_tables(unit, ranges=ranges, thorough=wishes.thorough, progress=say)
-    clone = clone_points(unit, read_register_map(wishes.map), progress=say)
+    if options.map is None:
+        ranges = RANGES if options.ranges is None else _ranges(options.ranges)
+        return clone_tables(unit, ranges=ranges, thorough=options.thorough, progress=say)
+    clone = clone_points(unit, read_register_map(options.map), progress=say)
     if duration is None:
         return clone
     say(f"watching for {duration:g} s")
@@ -130,15 +130,15 @@ def _there_already(out: str) -> ConfigError:
     return ConfigError("is there already; --force writes over it", file=out)
 
 
-def _put_out(text: str, wishes: CloneWishes) -> None:
+def _put_out(text: str, options: CloneOptions) -> None:
     from ..safe_files import open_to_replace, past_links
 
-    out = wishes.out
+    out = options.out
     if out is None:
         print(text, end="")
         return
     try:
-        if wishes.force:
+        if options.force:
             handle = open_to_replace(out, is_ours=lambda head: True, kind="recording")
         else:
             handle = os.open(past_links(out), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
@@ -148,5 +148,5 @@ def _put_out(text: str, wishes: CloneWishes) -> None:
         raise _there_already(out) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=out) from error
+        raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=out) from error
     say(f"{out} is written")

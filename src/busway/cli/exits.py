@@ -4,10 +4,10 @@
 code  meaning
 ====  ==========================================================================================
 0     done
-2     wrong use: an argument, option, file or URL that can not be; nothing was sent
+2     wrong use: an invalid argument, option, file or URL; nothing was sent
 3     no reply came, or the outcome of a write is not known
 4     the device refused with an exception code
-5     no connection, or it ended; a server that can not listen
+5     no connection, or it ended; a server that cannot listen
 6     the reply, a frame given to ``decode``, or a store given to ``store check`` is broken
 7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back
 8     the output cannot be written: a full disk, a stream that is closed

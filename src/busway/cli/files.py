@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..observe.capture import Capture
 
 PRIVATE: Final = 0o600
-"""Rights of a file that shows what passes between devices: its owner may read and write it, nobody else."""
+"""Rights of a file that shows what passes between devices: only its owner may read and write it."""
 
 
 def open_capture(name: str) -> "Capture":
@@ -34,7 +34,7 @@ def open_capture(name: str) -> "Capture":
         with contextlib.suppress(OSError):
             stream.close()
         reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"can not be written: {reason[:1].lower()}{reason[1:]}", file=name) from error
+        raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=name) from error
 
 
 __all__ = ["capturing", "open_capture", "read_text"]
@@ -45,7 +45,7 @@ def capturing(name: str | None) -> Iterator[None]:
     """Write what links and servers receive and send meanwhile into a capture file; nothing where there is no name.
 
     Raises:
-        ConfigError: the file can not be written.
+        ConfigError: the file cannot be written.
     """
     if name is None:
         yield

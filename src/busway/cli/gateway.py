@@ -2,7 +2,7 @@
 
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 2. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
-3. SIGHUP reads the files again; what is the same as before keeps its connections, and what can not be changes nothing.
+3. SIGHUP reads the files again; unchanged parts keep their connections, and an invalid file changes nothing.
 4. The first SIGTERM or Ctrl-C lets what was asked be answered, for ``[gateway] drain`` seconds; the second ends it at
    once.
 5. ``check`` and ``--systemd-unit`` open nothing that is served.
@@ -92,7 +92,7 @@ def gateway(
     verbose: int = VERBOSE,
 ) -> int:
     """Forward client requests to serial lines or other servers."""
-    from ..apps.server.service import Service, Wishes
+    from ..apps.server.service import Overrides, Service
     from ..server.loops import run
 
     if what[0] == CHECK:
@@ -102,7 +102,7 @@ def gateway(
     if systemd_unit:
         _print_unit(read(), sys.argv[1:], audit)
         return ExitCode.DONE
-    wishes = Wishes(
+    overrides = Overrides(
         rules=access_rules(policy),
         addresses=address_list(allow, deny),
         allow_writes=allow_writes,
@@ -121,7 +121,7 @@ def gateway(
         drain = configuration.file.gateway.parameters().drain
         return configuration
 
-    service = Service(read_and_remember, wishes)
+    service = Service(read_and_remember, overrides)
     show_traffic(verbose)
     with capturing(capture):
         run(_serve(service, lambda: drain))
@@ -231,7 +231,7 @@ def _standing(gateway: "Gateway") -> str:
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
-    """Let what was asked be answered, unless somebody is in a hurry."""
+    """Drain open requests; a second signal stops at once."""
     waiting = gateway.open_requests
     manager.stopping(f"{waiting} requests to answer")
     if waiting:

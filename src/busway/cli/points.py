@@ -58,7 +58,7 @@ def points(
             with open(out, "w", encoding="utf-8") as target:
                 target.write(text)
         except OSError as error:
-            raise ConfigError(f"can not be written: {error.strerror}", key=f"--out {out}") from error
+            raise ConfigError(f"cannot be written: {error.strerror}", key=f"--out {out}") from error
     return ExitCode.DONE
 
 

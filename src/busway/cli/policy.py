@@ -1,7 +1,7 @@
 """``busway policy``: say what a policy permits, and which rules it has, without a server.
 
 1. ``test`` asks what a server would ask: first whether the host may connect, then the rules. A request that depends on
-   what stands in a register (function 22 under limits) is judged as a gateway judges it, which can not look.
+   what stands in a register (function 22 under limits) is judged as a gateway judges it, which cannot read it.
 2. Exit code 0: allowed; 4: refused.
 3. The file is a policy file, or a configuration or gateway file that has a policy.
 """

@@ -129,7 +129,7 @@ class Program(TyperGroup):
         **extra: Any,
     ) -> NoReturn:
         given = sys.argv[1:] if args is None else list(args)
-        logging.raiseExceptions = False  # a log that nobody can take is lost without a traceback
+        logging.raiseExceptions = False  # a log that cannot be written is lost without a traceback
         with guarded_streams():
             code = self._run(given or ["--help"], prog_name or "busway", complete_var, extra)
         sys.exit(int(code))

@@ -133,7 +133,7 @@ def _read_points(
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
-    """What one address means; whatever can not be asked is refused here."""
+    """What one address means; an address that cannot be read is refused here."""
     if text.startswith("-"):
         raise ConfigError("there is no such option", key=text)
     place = parse_address(text)

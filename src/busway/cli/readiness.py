@@ -3,7 +3,7 @@
 Knows the datagrams of systemd's protocol and the two variables that ask for them; knows nothing of what runs.
 
 1. Without ``NOTIFY_SOCKET`` nothing is sent, and nothing costs anything.
-2. A manager that does not listen is no reason to stop: what can not be sent is dropped.
+2. A manager that does not listen is no reason to stop: what cannot be sent is dropped.
 3. ``WATCHDOG=1`` is sent twice in the time that ``WATCHDOG_USEC`` gives, out of the event loop: one that is stuck sends
    nothing, and is restarted.
 4. Written here: the protocol is one datagram with a line of text, too little for a dependency.

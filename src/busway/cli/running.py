@@ -1,9 +1,9 @@
-"""What the commands share that run until they are stopped, `serve` and `gateway`: options, and what is said meanwhile.
+"""What the commands share that run until they are stopped, `serve` and `gateway`: options and messages.
 
 Knows options and the service that is built of them; knows neither servers nor gateways.
 
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
-2. SIGHUP reads the files again; what can not be stays as it was, and that is said.
+2. SIGHUP reads the files again; on an error the old settings stay and the error is printed.
 """
 
 import asyncio
@@ -33,12 +33,14 @@ ALLOW = typer.Option(
     None, "--allow", metavar="NET", help="Only these may connect: 10.0.0.0/8; several times if need be."
 )
 DENY = typer.Option(None, "--deny", metavar="NET", help="These may not connect.")
-PRIORITY = typer.Option(None, "--priority", metavar="NET", help="Never close a connection of these to make room.")
+PRIORITY = typer.Option(
+    None, "--priority", metavar="NET", help="Close a connection of these only for another one of these."
+)
 AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied requests and writes here.")
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Refuse a place that can not be, by the option's name. Raises `ConfigError`."""
+    """Reject an invalid metrics address. Raises `ConfigError`."""
     if text is not None:
         from ..observe.http import parse_host_port
 

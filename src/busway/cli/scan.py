@@ -70,7 +70,7 @@ def scan(
 
 
 def _units(text: str | None, endpoint: Endpoint) -> list[int]:
-    """The units of ``--units``, ascending. Unit 0 is nobody's on a line."""
+    """The units of ``--units``, ascending. Unit 0 is broadcast on a serial line."""
     if text is None:
         return units_to_ask(endpoint, None)
     low, high = (1, LAST_SERIAL_UNIT) if endpoint.framing != "mbap" else (0, 255)
@@ -111,7 +111,7 @@ def _listed(text: str | None) -> list[str | None]:
 
 
 def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
-    """Listen to a line; raise `ConfigError` where somebody talks. Nothing was sent."""
+    """Listen to a line; raise `ConfigError` if there is traffic. Nothing was sent."""
     refuse_busy_line(
         endpoint,
         listen,
@@ -214,7 +214,7 @@ class _Scan:
             )
             return
         if not self._found:
-            say(f"nobody answers on {self._where}")
+            say(f"no unit answered on {self._where}")
             return
         several = "unit answers" if len(self._found) == 1 else "units answer"
         print(f"{len(self._found)} {several} on {self._where}")

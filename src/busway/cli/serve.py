@@ -3,7 +3,7 @@
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 2. Without a file: unit 1 with 1000 items in each table, which also answers to 0 and 255, as the sole device does.
 3. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
-4. SIGHUP reads the files again; what can not be stays as it was, and that is said.
+4. SIGHUP reads the files again; on an error the old settings stay and the error is printed.
 """
 
 from collections.abc import Callable
@@ -80,10 +80,10 @@ def serve(
     verbose: int = VERBOSE,
 ) -> int:
     """Be a device."""
-    from ..apps.server.service import Service, Wishes
+    from ..apps.server.service import Overrides, Service
     from ..server.loops import run
 
-    wishes = Wishes(
+    overrides = Overrides(
         listen=listen or (),
         rules=access_rules(policy),
         addresses=address_list(allow, deny),
@@ -94,7 +94,7 @@ def serve(
         standard_port=False if no_standard_port else None,
         can_reload=file is not None or is_file(policy),
     )
-    service = Service(_reader(file, listener_changes(priority)), wishes)
+    service = Service(_reader(file, listener_changes(priority)), overrides)
     show_traffic(verbose)
     with capturing(capture):
         run(_serve(service, file))

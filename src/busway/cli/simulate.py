@@ -21,7 +21,7 @@ import typer
 
 from ..errors import ConfigError, MissingExtra
 from .arguments import CAPTURE, VERBOSE, seconds, show_traffic, whole_number
-from .cloning import CloneWishes, clone_device, refuse_without_clone
+from .cloning import CloneOptions, clone_device, refuse_without_clone
 from .exits import ExitCode
 from .files import capturing, read_text
 from .output import say
@@ -143,7 +143,7 @@ def simulate(
     verbose: int = VERBOSE,
 ) -> int:
     """Be devices that behave."""
-    wanted = CloneWishes(clone or "", unit, map_file, out, watch, ranges, thorough, force=force, verbose=verbose)
+    wanted = CloneOptions(clone or "", unit, map_file, out, watch, ranges, thorough, force=force, verbose=verbose)
     if clone is not None:
         if file is not None or device is not None:
             raise ConfigError("names what is recorded; there is nothing else to simulate", key="--clone")
@@ -155,7 +155,7 @@ def simulate(
         "seed": None if seed is None else whole_number(seed, "--seed", 0, 2**31 - 1),
         "speed": _speed(speed),
     }
-    from ..apps.server.service import Service, Wishes
+    from ..apps.server.service import Overrides, Service
     from ..apps.simulator.fault_sections import put_on_by_words
     from ..apps.simulator.simulation import Simulation
     from ..server.loops import run
@@ -172,7 +172,7 @@ def simulate(
     if check:
         _print_units(simulation)
         return ExitCode.DONE
-    wishes = Wishes(
+    overrides = Overrides(
         listen=listen or (),
         rules=access_rules(policy),
         addresses=address_list(allow, deny),
@@ -184,7 +184,7 @@ def simulate(
         can_reload=True,
         name="simulator",
     )
-    service = Service(_reader(simulation, source), wishes)
+    service = Service(_reader(simulation, source), overrides)
     if api is None and api_token is not None:
         raise ConfigError("goes with --api only", key="--api-token")
     page = None if api is None else _page(simulation, api, api_token, source.name)

@@ -1,7 +1,7 @@
 """``busway sniff``: what others say on a line. It listens and never sends.
 
 1. One line per frame: time, silence before it, unit, function, fields. What is damaged is shown with the reason, and a
-   request that nobody answers by itself.
+   request without a reply by itself.
 2. At the end – Ctrl-C, SIGTERM, ``--duration`` – come the statistics, also where the connection has ended.
 3. A serial port that vanishes is waited for and opened again; where it is still gone at the end, the exit code says so.
 """
@@ -107,7 +107,7 @@ class _Sniffing:
         self._wall = time.time() - self._began  # added to the clock of the frames it gives the time of day
 
     def run(self, lasting: float | None, stop: "Event") -> int:
-        """Listen until the time is over or somebody ends it; then the statistics."""
+        """Listen until the time is over or a signal ends it; then the statistics."""
         until = float("inf") if lasting is None else self._began + lasting
         try:
             while time.monotonic() < until and not stop.is_set():
@@ -188,7 +188,7 @@ def _sentence(event: "Heard") -> str:
     if event.response_time is not None:
         words += f" (after {event.response_time * 1000:.1f} ms)"
     if event.kind is Kind.STRAY:
-        words += " ! nobody has asked for it"
+        words += " ! unsolicited reply"
     if event.is_repeat:
         words += " (asked again)"
     return words + (" (found among damaged bytes)" if event.frame.recovered else "")

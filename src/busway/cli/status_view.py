@@ -204,7 +204,7 @@ def places_line(state: JsonObject) -> str:
 
 
 def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
-    """The interfaces beyond loopback by which a listener is reached; what they are set to is the system's business."""
+    """The interfaces beyond loopback on which a listener is reached; what they are set to is the system's business."""
     for one in listener.get("interfaces") or ():
         if not (one["address"].startswith("127.") or one["address"] == "::1"):
             yield [listener["endpoint"], one["name"], one["address"], one["netmask"], one["gateway"]]

@@ -1,4 +1,4 @@
-"""The unit file by which systemd runs a gateway.
+"""The unit file with which systemd runs a gateway.
 
 Knows directives of systemd (systemd.service(5), systemd.exec(5)) and what a gateway needs of the system; opens nothing.
 
@@ -72,7 +72,7 @@ class ServiceUnit:
         yield "ExecReload=/bin/kill -HUP $MAINPID"
         yield "Restart=always"
         yield "RestartSec=1"
-        yield "# 2: what stands in the file can not be; trying again would not change that."
+        yield "# 2: the file is invalid; a restart would not help."
         yield "RestartPreventExitStatus=2"
         yield f"TimeoutStopSec={int(self.drain) + _STOP_MARGIN}"
         yield f"WatchdogSec={_WATCHDOG_SECONDS}"

@@ -97,7 +97,7 @@ def write(
         and whole_number(unit, "--unit", 0, 255) == 0
     ):
         raise ConfigError(
-            "does not go with unit 0: nobody answers a broadcast, so nothing can be read back", key="--verify"
+            "does not go with unit 0: a broadcast is not answered, so nothing can be read back", key="--verify"
         )
     writer = choose_writer(as_json=as_json, as_csv=as_csv)
     reach: dict[str, Any] = {"unit": unit, "timeout": timeout, "retries": retries, "verbose": verbose}

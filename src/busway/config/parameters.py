@@ -36,7 +36,7 @@ def declared_parameters(
     if not isinstance(defaults, dict) or not isinstance(required, list):
         return dict(given)  # the schema will say what is wrong
     problems = [
-        source.problem(("parameters", name), f"{shown(name)} can not be a name of a parameter")
+        source.problem(("parameters", name), f"{shown(name)} cannot be the name of a parameter")
         for name in defaults
         if not name.isidentifier() or name in OF_UNITS
     ]

@@ -95,11 +95,11 @@ class Capture:
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
     def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
-        """A connection, TCP or UDP, between these ends."""
+        """Open the capture of a TCP or UDP connection between these ends."""
         return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
-        """A UDP datagram between two socket addresses."""
+        """Write a UDP datagram between two socket addresses."""
         here, there = Node.of(local), Node.of(peer)
         source, destination = (here, there) if is_outgoing else (there, here)
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)

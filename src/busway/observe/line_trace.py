@@ -65,7 +65,7 @@ def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = Non
 
 def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
     timer = threading.Timer(delay, call)
-    timer.daemon = True  # nobody waits for it at the end of the program
+    timer.daemon = True  # the program does not wait for it at its end
     return timer
 
 

@@ -107,7 +107,7 @@ class UnitStatistics:
         exceptions: replies that refused.
         unanswered: requests without a reply, those with a damaged one included.
         damaged_replies: requests after which damaged bytes came in place of the reply.
-        stray_replies: replies that nobody had asked for.
+        stray_replies: unsolicited replies.
         response_times: of the replies.
     """
 

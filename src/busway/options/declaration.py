@@ -28,7 +28,7 @@ NONE: Final = "none"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The least and the greatest number; ``words`` replace them in sentences, ``unit`` follows them."""
+    """A range of allowed numbers; ``words`` replace the bounds in sentences, ``unit`` follows them."""
 
     low: float
     high: float

@@ -8,7 +8,7 @@ from ..errors import ConfigError
 from .declaration import Name, Range, Strict, check
 from .networks import Networks
 
-NOBODY: Final = Networks()
+NO_NETWORKS: Final = Networks()
 """An empty list: no priority hosts."""
 _SLOTS = Range(1, 1_000_000)
 
@@ -85,8 +85,9 @@ class ListenerParameters:
 
     backlog: Annotated[int, Range(1, 65_535), "connections that the system may hold before they are accepted."] = 1024
     priority: Annotated[
-        Networks, "addresses and networks of the priority hosts, whose connections are never closed by us."
-    ] = NOBODY
+        Networks,
+        "addresses and networks of the priority hosts. Their connections make room only for those of priority hosts.",
+    ] = NO_NETWORKS
     max_priority_connections: Annotated[int, Range(0, 1_000_000), "connection slots for them."] = 8
     max_priority_per_remote: Annotated[int | None, _SLOTS, "of these, slots for one device; None is half of them."] = (
         None

@@ -1,6 +1,6 @@
 """Expressions over points and time: a text → what computes it. Nothing of Python is executed.
 
-Knows numbers, names and a few functions; knows no point: whoever binds an expression says what a name stands for.
+Knows numbers, names and a few functions; knows no point: the caller says what a name stands for.
 
 1. There are: numbers; ``+ - * / // % **``; comparisons, ``and or not``, ``a if b else c``; the functions below; ``t``,
    seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name, such as
@@ -208,7 +208,7 @@ def _operands(node: ast.expr, text: str) -> list[ast.expr]:
             return [node.test, node.body, node.orelse]
         case ast.Call(func=ast.Name(id=name), keywords=[]):
             return _arguments(name, node.args)
-    raise ConfigError(f"{shown(ast.unparse(node))} can not stand in an expression")
+    raise ConfigError(f"{shown(ast.unparse(node))} cannot stand in an expression")
 
 
 def _arguments(name: str, given: list[ast.expr]) -> list[ast.expr]:

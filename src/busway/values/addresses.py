@@ -25,7 +25,7 @@ Rules:
 1. ``0x10`` is coil number 10, which is offset 9. It is never hexadecimal: ``0x`` is the prefix of coils as ``4x`` is
    that of holding registers. ``0x1F`` is refused, not guessed. Sixteen in hexadecimal is ``coil:0x10``.
 2. An ``int`` is an offset, ``40001`` too: item 40002. Only the text ``"40001"`` is the notation.
-3. A bare decimal text such as ``"10"`` is refused, because nobody can tell table and base, unless the caller names
+3. A bare decimal text such as ``"10"`` is refused, because table and base are ambiguous, unless the caller names
    the table; then it is an offset. Text of five or six digits that begins with 0, 1, 3 or 4 stays the notation, and is
    refused where it names another table than the caller's.
 4. Where a manual counts otherwise, the caller declares it: ``base=0`` makes ``4x0`` and ``40000`` the first item,

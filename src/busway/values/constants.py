@@ -1,4 +1,4 @@
-"""The types of values as constants, by which a type checker knows what a read gives.
+"""The types of values as constants, from which a type checker knows what a read returns.
 
 >>> busway.FLOAT32                                         # doctest: +SKIP
 >>> link.unit(1).read("4x1", busway.FLOAT32)               # a float

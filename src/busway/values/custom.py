@@ -37,7 +37,7 @@ def custom_layout(name: str, written: str) -> struct.Struct:
 
 
 class CustomCodec:
-    """Tuples of numbers, as the format has them."""
+    """Codec for ``custom:<struct format>``: registers ⇄ tuples of numbers."""
 
     def __init__(self, name: str, layout: struct.Struct, order: ByteOrder) -> None:
         self._name = name

@@ -1,7 +1,7 @@
 """Integers, floats and binary-coded decimals ⇄ bytes in wire order.
 
 Knows the three number formats and their ranges. Knows nothing of type names beyond quoting its own in errors, and
-nothing of registers: whoever calls has checked that the length is a multiple of the value's size.
+nothing of registers: the caller has checked that the length is a multiple of the value's size.
 
 Rules:
 
@@ -237,7 +237,7 @@ class BcdCodec:
         return swapped(bytes.fromhex("".join(parts)), self._swaps)
 
     def parse(self, text: str) -> int:
-        """A decimal number; hexadecimal is refused: nobody can tell whether its digits or its value is meant."""
+        """A decimal number; hexadecimal is refused: it is ambiguous whether its digits or its value is meant."""
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:
             raise ValueError(text)

@@ -28,7 +28,7 @@ There is no ``float`` and no ``int``: devices differ in what they mean by it, so
 
 Rules:
 
-1. A `ValueType` is compiled once and kept: whoever reads often holds it or asks `value_type` again.
+1. A `ValueType` is compiled once and kept: frequent readers hold it or call `value_type` again.
 2. Bytes are in wire order, as in the messages: each register high byte first, unless the order says otherwise.
 3. What the caller gives and cannot be is `InvalidRequest`; what a device sent and cannot be is `BadReply`.
 """

@@ -12,7 +12,7 @@ from waiting import until
 import busway
 from busway.apps.collector.cost import network_cost
 from busway.apps.collector.derived_points import DerivedPoints
-from busway.apps.collector.plans import PlanBook
+from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.reply_timeout import SHORTEST
 from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, SampleClock

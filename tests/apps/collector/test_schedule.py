@@ -11,7 +11,7 @@ from busway.apps.collector.admission import admit
 from busway.apps.collector.cost import ReadCost, baud_cost, network_cost
 from busway.apps.collector.learning import ReadOutcome
 from busway.apps.collector.plan import PlainItem, ReadRules
-from busway.apps.collector.plans import PlanBook
+from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.schedule import (
     DEAD_SHARE,
     LONGEST_BACKOFF,

@@ -10,7 +10,7 @@ from busway.apps.gateway.configuration import GatewayConfiguration, load_gateway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction
-from busway.apps.server.service import Service, Wishes
+from busway.apps.server.service import Overrides, Service
 from busway.options.gateway import UpstreamParameters
 from busway.options.server import ListenerParameters, Scope
 from busway.testing.line import PacedLine
@@ -107,8 +107,8 @@ class Files:
         )
         return parse_gateway(self.text + lines, "x.toml")
 
-    def service(self, **wishes: object) -> Service:
-        return Service(self.read, Wishes(control="off", can_reload=True, **wishes))  # type: ignore[arg-type]
+    def service(self, **overrides: object) -> Service:
+        return Service(self.read, Overrides(control="off", can_reload=True, **overrides))  # type: ignore[arg-type]
 
 
 LISTENER = '[[listener]]\nname = "office"\nurl = "tcp://127.0.0.1:0"\n'
@@ -190,7 +190,7 @@ async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_r
             options = ["timeout = 0.3\n"]
             text = LISTENER + f'[[link]]\nname = "a"\nurl = "{near}"\n'
             service = Service(
-                lambda: parse_gateway(text + options[0], "x.toml"), Wishes(control="off", can_reload=True)
+                lambda: parse_gateway(text + options[0], "x.toml"), Overrides(control="off", can_reload=True)
             )
             async with service, busway.open(service.server.endpoints[0]) as link:
                 assert await read_from(link, 1) == [100]

@@ -14,7 +14,7 @@ import busway
 from busway.access.addresses import AddressList
 from busway.access.rules import Action
 from busway.apps.server.configuration import Configuration, load_configuration, parse_configuration
-from busway.apps.server.service import Service, Wishes
+from busway.apps.server.service import Overrides, Service
 from busway.config.reloadable_access import ReloadableAllowList, reaches_network, read_only_for
 from busway.framing.mbap import encode_mbap
 from busway.testing import CertificateStore
@@ -60,7 +60,9 @@ def test_an_entrance_asks_all_of_its_lists_and_takes_others() -> None:
 async def test_what_was_opened_before_is_closed_where_the_rest_can_not_be_had(tmp_path: Path) -> None:
     busy = busway.serve("tcp://127.0.0.1:0", units={1: busway.Device()})
     async with busy:
-        service = Service(lambda: configured(busy.endpoints[0]), Wishes(audit=str(tmp_path / "a.jsonl"), control="off"))
+        service = Service(
+            lambda: configured(busy.endpoints[0]), Overrides(audit=str(tmp_path / "a.jsonl"), control="off")
+        )
         with pytest.raises(busway.LinkDown, match="the port is taken"):
             async with service:
                 pass
@@ -69,12 +71,12 @@ async def test_what_was_opened_before_is_closed_where_the_rest_can_not_be_had(tm
 
 async def test_the_control_socket_answers_where_it_is_wanted_and_reads_files_again() -> None:
     text = ["read-only"]
-    wishes = Wishes(control="127.0.0.1:0", can_reload=True)
+    overrides = Overrides(control="127.0.0.1:0", can_reload=True)
 
     def read() -> Configuration:
         return configured("tcp://127.0.0.1:0", f'[policy]\ndefault = "{text[0]}"\n')
 
-    async with Service(read, wishes) as service:
+    async with Service(read, overrides) as service:
         assert await service.reload() == ["nothing has changed"]
         text[0] = "allow"
         assert await service.reload() == ["the policy was replaced"]
@@ -90,8 +92,8 @@ async def test_the_control_socket_answers_where_it_is_wanted_and_reads_files_aga
 
 async def test_a_policy_that_is_no_longer_written_leaves_network_listeners_read_only() -> None:
     rest = ['[policy]\ndefault = "allow"\n']
-    wishes = Wishes(control="off", can_reload=True, standard_port=False)
-    async with Service(lambda: configured("tcp://0.0.0.0:0", rest[0]), wishes) as service:
+    overrides = Overrides(control="off", can_reload=True, standard_port=False)
+    async with Service(lambda: configured("tcp://0.0.0.0:0", rest[0]), overrides) as service:
         assert service.read_only == ()
         rest[0] = ""
         assert await service.reload() == ["the policy was replaced"]
@@ -110,7 +112,7 @@ async def test_certificates_are_read_again_at_once_and_what_can_not_be_used_is_t
         text = "".join(f"{key} = '{value}'\n" for key, value in names[0].options().items())
         return configured("tls://127.0.0.1:0", f"[security]\n{text}")
 
-    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+    async with Service(read, Overrides(control="off", can_reload=True)) as service:
 
         def subject() -> str:
             (listener,) = service.server.status().listeners
@@ -167,7 +169,7 @@ async def asked(client: socket.socket) -> bytes:
 
 async def test_a_reload_ends_connections_of_hosts_that_are_now_denied_and_no_others() -> None:
     read = Denying("tcp://127.0.0.1:0")
-    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+    async with Service(read, Overrides(control="off", can_reload=True)) as service:
         with (
             from_host("127.0.0.1", service, socket.SOCK_STREAM) as denied,
             from_host("127.0.0.2", service, socket.SOCK_STREAM) as other,
@@ -187,7 +189,7 @@ async def test_a_reload_ends_connections_of_hosts_that_are_now_denied_and_no_oth
 
 async def test_a_reload_ends_the_conversation_of_a_udp_peer_that_is_now_denied() -> None:
     read = Denying("udp://127.0.0.1:0")
-    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+    async with Service(read, Overrides(control="off", can_reload=True)) as service:
         with (
             from_host("127.0.0.1", service, socket.SOCK_DGRAM) as denied,
             from_host("127.0.0.2", service, socket.SOCK_DGRAM) as other,
@@ -205,7 +207,7 @@ async def test_a_reload_ends_tls_connections_and_handshakes_of_hosts_that_are_no
     store = CertificateStore(tmp_path)
     text = "".join(f"{key} = '{value}'\n" for key, value in store.server().options().items())
     read = Denying("tls://127.0.0.1:0", f"[security]\n{text}")
-    async with Service(read, Wishes(control="off", can_reload=True)) as service:
+    async with Service(read, Overrides(control="off", can_reload=True)) as service:
         url = f"{service.server.endpoints[0]}?{store.client().query()}"
         async with busway.open(url, shared=False, retries=0) as link:
             await link.unit(1).write_single_register(0, 1)
@@ -232,7 +234,7 @@ async def test_requests_are_answered_while_a_file_is_read_again_and_the_policy_c
         return made
 
     async with (
-        Service(read, Wishes(control="off", can_reload=True)) as service,
+        Service(read, Overrides(control="off", can_reload=True)) as service,
         busway.open(service.server.endpoints[0], shared=False) as link,
     ):
         text[0] = "deny"
@@ -259,7 +261,7 @@ def rules(count: int, more: str = "") -> str:
 async def test_the_event_loop_turns_while_thousands_of_rules_are_read() -> None:
     text = [rules(1)]
     async with Service(
-        lambda: configured("tcp://127.0.0.1:0", text[0]), Wishes(control="off", can_reload=True)
+        lambda: configured("tcp://127.0.0.1:0", text[0]), Overrides(control="off", can_reload=True)
     ) as service:
         text[0] = rules(3000)
         reload = asyncio.create_task(service.reload())

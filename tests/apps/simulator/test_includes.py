@@ -109,7 +109,7 @@ def test_parameters_keep_their_type_where_nothing_stands_around_them() -> None:
         (including(given='{ base = "x" }'), METER, "meter.toml:14: unit[0].point[0].value: base is no number, but 'x'"),
         (including(), METER.replace("${kind}", "${kin}"), "there is no parameter 'kin'; there are kind, scale, base"),
         (including(), METER.replace("${kind}", "${kind +}"), "meter.toml:8: unit[0].name: 'kind +' is no expression"),
-        (including(), METER.replace("scale = 1", "scale = 1\nunit = 5"), "'unit' can not be a name of a parameter"),
+        (including(), METER.replace("scale = 1", "scale = 1\nunit = 5"), "'unit' cannot be the name of a parameter"),
         (including(), METER + "[[unit]]\n", "plant.toml:3: include[0].units: needs a file with one [[unit]]"),
         (including(), "nothing = 1\n" + METER, "meter.toml:1: nothing: unknown key"),
         (including(), "listen = []\n" + METER, "meter.toml:1: listen: unknown key"),

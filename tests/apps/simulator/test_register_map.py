@@ -128,7 +128,7 @@ def test_columns_marked_as_remarks_are_not_read() -> None:
         ("name,address,scale\na,4x1,ten\n", "map.csv:2: scale: must be a number, not 'ten'"),
         ("name,address,scale\na,4x1,0\n", "map.csv:2: scale: must be a number other than 0"),
         ("name,address,access\na,4x1,sometimes\n", "map.csv:2: access: must be read or read-write, not 'sometimes'"),
-        ("name,address,access\na,3x1,rw\n", "map.csv:2: access: Modbus can not write input registers"),
+        ("name,address,access\na,3x1,rw\n", "map.csv:2: access: Modbus cannot write input registers"),
         ("name,address,min,max\na,4x1,5,1\n", "map.csv:2: max: must be at least the minimum, 5"),
         ("name,address,enumeration\na,4x1,off\n", "map.csv:2: enumeration: must be written 0=off | 1=on, not 'off'"),
         ("name,address,enumeration\na,4x1,0=x|1=x\n", "map.csv:2: enumeration: x is 0 already"),

@@ -49,7 +49,7 @@ def test_half_a_file_is_put_aside_and_said(tmp_path: Path) -> None:
     save_state(str(path), STATE)
     half = path.read_bytes()[:100]
     path.write_bytes(half)
-    with pytest.raises(ConfigError, match="can not be understood, and stand in"):
+    with pytest.raises(ConfigError, match="cannot be read, and stand in"):
         load_state(str(path))
     assert not path.exists()
     assert (tmp_path / "state.json.broken").read_bytes() == half

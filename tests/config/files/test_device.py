@@ -36,7 +36,7 @@ POINT = UNIT + '[[unit.point]]\nname = "a"\n'
 
 
 def problems_of(text: str) -> list[str]:
-    """The sentences about a file that can not be used."""
+    """The sentences about a file that cannot be used."""
     with pytest.raises(FileError) as caught:
         parse_device_file(text, "x.toml")
     return str(caught.value).splitlines()
@@ -143,7 +143,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
         (POINT + 'address = "0x1"\nvalue = 1\n', "x.toml:6: unit[0].point[0].value: one bit is true or false, not 1"),
         (
             POINT + 'address = "3x1"\naccess = "read-write"\n',
-            "x.toml:6: unit[0].point[0].access: Modbus can not write input registers",
+            "x.toml:6: unit[0].point[0].access: Modbus cannot write input registers",
         ),
         (POINT + 'address = "4x1.3"\naccess = "read"\n', "x.toml:6: unit[0].point[0].access: 4x1.3 can be written as"),
         (

@@ -5,7 +5,7 @@
 `plan`          the cheapest reads for the points that are due
 `knowledge`     what was learnt of devices, as values and as text
 `learning`      learning what reads cost, and which a device refuses
-`plans`         the plans of one device, by the classes that are due
+`plan_cache`    the plans of one device, by the classes that are due
 `schedule`      which read of a link is next, and when
 `admission`     whether a link can do what its devices are to be asked
 `poller`        the polling engine of one link

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from .plans import PlanBook
+from .plan_cache import PlanBook
 
 MOST_LOAD: Final = 0.85
 """Seconds of reads in each second that a link may be planned for."""

@@ -34,7 +34,7 @@ from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
 from .sinks.running import SinkThread
-from .store.committing import Committer, StoreStatus
+from .store.commit_thread import Committer, StoreStatus
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 
@@ -228,7 +228,7 @@ class Collector:
     def watch(self, device: str, points: Iterable[str], *, period: float = 1.0, seconds: float = 10.0) -> None:
         """Read some points of a device every ``period`` seconds for ``seconds``, before everything but writes.
 
-        Call it again before that time is over for as long as somebody looks. Raises `ConfigError`.
+        Call it again before that time is over for as long as the points are viewed. Raises `ConfigError`.
         """
         self._poller_of(device).lease(device, list(points), period, seconds)
 

@@ -34,14 +34,14 @@ from ..server.configuration import Configuration, put_together
 from .admission import LinkLoad, admit
 from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .knowledge import DeviceKnowledge, Knowledge
-from .plans import PlanBook
+from .plan_cache import PlanBook
 from .samples import PointDescription
 from .sinks.delivery import DeliveryOptions
 from .sinks.interface import Sink
 from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
-"""Options of links that have another default here: nobody waits for a port that is not there, and silent devices are
+"""Options of links that have another default here: a missing port is not waited for, and silent devices are
 repeated and suspended by the schedule, which knows what else is due."""
 LEARNT_FILE: Final = "learnt.json"
 """The file beside the store that keeps what was learnt."""

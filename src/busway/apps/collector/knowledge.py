@@ -171,11 +171,11 @@ class Knowledge:
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
-        """Pin what is known of a device; False where nothing is."""
+        """Pin what was learnt about a device: `forget` keeps it unless ``pinned=True``. False if it is unknown."""
         return self._change(name, lambda known: known.pinned())
 
     def forget(self, name: str, *, pinned: bool = False) -> bool:
-        """Forget what is known of a device, and what is pinned where that is said; False where nothing is known."""
+        """Forget what was learnt about a device; pinned knowledge only with ``pinned=True``. False if it is unknown."""
         return self._change(name, lambda known: known.forgotten(pinned=pinned))
 
     def _change(self, name: str, change: Callable[[DeviceKnowledge], DeviceKnowledge]) -> bool:

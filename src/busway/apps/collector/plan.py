@@ -283,7 +283,7 @@ class _Borders:
             if around is None or not (around.start <= start and end <= around.end):
                 return None, "it does not lie in one of the readable ranges"
         elif len(items) > 1 and not self._bridge and not _is_gapless(block):
-            return None, "its group has a hole that nobody declared: give the readable range, or bridge = true"
+            return None, "its group has an undeclared hole: give the readable range, or bridge = true"
         return (start, end), ""
 
     def cut_between(self, left: _Place, right: _Place) -> bool:

@@ -6,7 +6,7 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
    silent device that fails gives none: the interval in which the device is suspended stands for its samples.
 2. The time of a sample is the middle of its transaction; half of its length is kept.
 3. Nothing that a device or a link does ends the engine. A defect in a sink or decoder is not its business: what they
-   raise ends the task, and whoever runs it knows.
+   raise ends the task, and its caller sees the error.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from ...points.quality import Reason, exception_reason
 from .derived_points import DerivedPoints
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
-from .plans import PlanBook
+from .plan_cache import PlanBook
 from .reply_timeout import ReplyTimeout
 from .sample_clock import SampleClock
 from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
@@ -40,7 +40,7 @@ _REQUESTS: Final = {
     Table.INPUT_REGISTERS: ReadInputRegisters,
     Table.HOLDING_REGISTERS: ReadHoldingRegisters,
 }
-_NOBODY_THERE: Final = frozenset(
+_GATEWAY_EXCEPTIONS: Final = frozenset(
     {ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND}
 )
 
@@ -410,8 +410,8 @@ class LinkPoller:
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
     """The reason of samples for an error, and what it says about the device."""
     if isinstance(error, ExceptionReply):
-        nobody = error.code in _NOBODY_THERE
-        return exception_reason(error.code), TurnOutcome.SILENT if nobody else TurnOutcome.ANSWERED
+        unreachable = error.code in _GATEWAY_EXCEPTIONS
+        return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED
     if isinstance(error, BadReply):
         return Reason.BROKEN_REPLY, TurnOutcome.ANSWERED
     if isinstance(error, NoReply):

@@ -26,12 +26,12 @@ from itertools import count
 from typing import Any, Final
 
 from .plan import PlannedRead
-from .plans import Classes, PlanBook
+from .plan_cache import Classes, PlanBook
 
 DEAD_SHARE: Final = 0.05
 """Part of a link's time that probes of silent devices may use together."""
 SLACK: Final = 0.05
-"""Part of its period by which a class may be read early, together with others."""
+"""Part of its period that a class may be read early, together with others."""
 LONGEST_BACKOFF: Final = 60.0
 """Seconds between two probes of a silent device, at most, where the share allows."""
 MOST_WRITES: Final = 256
@@ -42,7 +42,7 @@ _PLACED_LOAD: Final = 0.85
 """Part of the time between two devices that the reads of the first fill on average."""
 
 LEASED: Final = "(leased)"
-"""The class of points that somebody looks at."""
+"""The class of points with an active viewer lease."""
 
 
 class TurnKind(Enum):

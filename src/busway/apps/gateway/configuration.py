@@ -110,7 +110,7 @@ class GatewayConfiguration:
             plan = replace(plan, server={**plan.server, "standard_port": beside})
         return Gateway(plan, **options)
 
-    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+    async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Apply this configuration to a running gateway. Returns what changed, in words.
 
         Args:

@@ -95,7 +95,7 @@ class Configuration:
         units = options.pop("units", None) or build_units(self.file)
         return serve(*(tuple(listen) or self.listeners), **{"units": units, **self.served(), **options})
 
-    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+    async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Let a running server follow this configuration: but for policy and lists, it needs a new start."""
         return []
 

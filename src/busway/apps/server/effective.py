@@ -1,4 +1,4 @@
-"""The values that hold, those that nobody wrote included, in the words of the file.
+"""The effective configuration, defaults included, as TOML.
 
 Knows parameter classes and TOML; changes nothing.
 """

@@ -83,5 +83,5 @@ class DeclaredServer(Protocol):
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
         """What it declares, not started yet."""
 
-    async def let_follow(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Let what runs follow it, as far as it can without a new start; what changed. Raises `ModbusError`."""
+    async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+        """Apply it to a running server, as far as possible without a restart; what changed. Raises `ModbusError`."""

@@ -17,7 +17,7 @@ from ...server.listener import Listener
 from .configuration import Configuration
 
 Row = tuple[str, str, str]
-"""Kind, name, what is said about it."""
+"""Kind, name, description."""
 
 
 def overview(configuration: Configuration) -> Iterator[Row]:

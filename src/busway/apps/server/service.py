@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
+from ...config.gc_pauses import collecting_paused, keep_uncollected, let_go
 from ...config.reloadable_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
-from ...config.unhurried import collecting_paused, keep_uncollected, let_go
 from ...errors import ConfigError
 from ...server.listener import Listener
 from .interfaces import DeclaredServer, RunningServer
@@ -38,25 +38,25 @@ _MANY_RULES: Final = 10_000
 
 
 def declared_rules(configuration: DeclaredServer) -> AccessRules | None:
-    """The rules that stand in the configuration itself."""
+    """The access rules of the configuration itself."""
     return configuration.access
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
-    """What is wanted beside, or instead of, what the configuration says.
+class Overrides:
+    """Command-line overrides of the configuration.
 
     Attributes:
         listen: endpoints instead of those of the file.
         rules: gives the access rules; called again when files are read again.
         addresses: a list of who may connect, beside those of the file.
-        allow_writes: whether listeners that the network reaches take writes though nobody wrote a policy.
+        allow_writes: whether listeners that the network reaches take writes without a policy.
         audit: path of the audit log.
         metrics: address on which the metrics are offered.
         control: path or address of the control socket, or ``off``.
         standard_port: whether port 502 is listened on beside others; None leaves it to the file.
         can_reload: whether there is something to be read again.
-        name: what the program is, for whoever has several.
+        name: name of the program, to tell several apart.
     """
 
     listen: Sequence[str] = ()
@@ -76,12 +76,12 @@ class Service:
 
     Args:
         read: gives the configuration; called again by `reload`.
-        wishes: what is wanted beside it.
+        overrides: command-line overrides of it.
 
     Attributes:
         configuration: the one that it was started with.
         server: the server, after the start.
-        read_only: URLs of the listeners that are read-only because nobody wrote a policy.
+        read_only: URLs of the listeners that are read-only because there is no policy.
         metrics: where the metrics are scraped; empty without any.
 
     Raises:
@@ -90,13 +90,13 @@ class Service:
 
     server: RunningServer
 
-    def __init__(self, read: Callable[[], DeclaredServer], wishes: Wishes | None = None) -> None:
+    def __init__(self, read: Callable[[], DeclaredServer], overrides: Overrides | None = None) -> None:
         self._read = read
-        self._wishes = wishes or Wishes()
+        self._overrides = overrides or Overrides()
         self.configuration: DeclaredServer = read()
         self.read_only: tuple[str, ...] = ()
         self.metrics: str = ""
-        self._rules = self._wishes.rules(self.configuration)
+        self._rules = self._overrides.rules(self.configuration)
         self._allow_list = ReloadableAllowList()
         self._allow_lists: dict[str, ReloadableAllowList] = {}
         self._audit: AuditLog | None = None
@@ -119,12 +119,14 @@ class Service:
     async def _start(self, stack: AsyncExitStack) -> None:
         from ..control.service import OFF, open_control
 
-        configuration, wishes = self.configuration, self._wishes
+        configuration, overrides = self.configuration, self._overrides
         listeners = self._listeners(configuration)
         self._allow_list.lists = self._lists(self._rules)
         options: dict[str, Any] = {"authorize": self._allow_list}  # as `busway.serve` takes them
         self._is_guarded = (
-            self._rules is not None or wishes.can_reload or any(reaches_network(str(one.endpoint)) for one in listeners)
+            self._rules is not None
+            or overrides.can_reload
+            or any(reaches_network(str(one.endpoint)) for one in listeners)
         )
         if self._is_guarded:
             options["policy"] = self._policy(self._rules, NETWORK_SCHEMES)
@@ -132,10 +134,10 @@ class Service:
         if self._audit is not None:
             stack.callback(self._audit.close)
             options["audit"] = self._audit
-        if wishes.standard_port is not None:
-            options["standard_port"] = wishes.standard_port
+        if overrides.standard_port is not None:
+            options["standard_port"] = overrides.standard_port
         self.server = server = configuration.serve(listeners, **options)
-        metrics = wishes.metrics or (configuration.file.metrics.listen if configuration.file.metrics else None)
+        metrics = overrides.metrics or (configuration.file.metrics.listen if configuration.file.metrics else None)
         endpoint = None
         if metrics is not None:
             from ...observe.metrics import start_metrics
@@ -145,13 +147,13 @@ class Service:
         await stack.enter_async_context(server)
         if self._is_guarded:
             self._replace_policy()
-        at = wishes.control or (configuration.control if configuration.file.control.enabled else OFF)
+        at = overrides.control or (configuration.control if configuration.file.control.enabled else OFF)
         await stack.enter_async_context(
             open_control(
                 server,
                 at,
-                name=wishes.name,
-                reload=self.reload if wishes.can_reload else None,
+                name=overrides.name,
+                reload=self.reload if overrides.can_reload else None,
                 metrics=None if endpoint is None else endpoint.answer,
             )
         )
@@ -181,13 +183,13 @@ class Service:
 
     def _read_again(self) -> ReloadedConfiguration:
         new = self._read()
-        return read_again(self.configuration, new, self._rules, self._wishes.rules(new))
+        return read_again(self.configuration, new, self._rules, self._overrides.rules(new))
 
     async def _follow(self, reading: ReloadedConfiguration) -> list[str]:
         """Let what runs follow what was read; what was done, a sentence each."""
         new, rules = reading.configuration, reading.rules
         cautious = self._policy(rules, NETWORK_SCHEMES) if self._is_guarded else None
-        followed = await new.let_follow(self.server, self._listeners(new), policy=cautious)
+        followed = await new.apply_to(self.server, self._listeners(new), policy=cautious)
         done = []
         if self._audit is not None:
             self._audit.reopen()
@@ -220,11 +222,11 @@ class Service:
     def _replace_policy(self) -> None:
         """Let the policy hold, now that it is known which listeners the network reaches."""
         exposed = [url for url in self.server.endpoints if reaches_network(url)]
-        self.read_only = () if self._rules is not None or self._wishes.allow_writes else tuple(exposed)
+        self.read_only = () if self._rules is not None or self._overrides.allow_writes else tuple(exposed)
         self.server.replace_policy(self._policy(self._rules, exposed))
 
     def _opened_audit(self) -> "AuditLog | None":
-        path = self._wishes.audit or self.configuration.audit
+        path = self._overrides.audit or self.configuration.audit
         if path is None:
             return None
         from ...access.audit_log import AuditLog
@@ -243,16 +245,16 @@ class Service:
         """The policy that was written, or else the one that makes exposed listeners read-only."""
         if rules is not None:
             return rules.policy
-        return read_only_for(() if self._wishes.allow_writes else exposed)
+        return read_only_for(() if self._overrides.allow_writes else exposed)
 
     def _lists(self, rules: AccessRules | None) -> tuple[AddressList, ...]:
-        own = () if self._wishes.addresses is None else (self._wishes.addresses,)
+        own = () if self._overrides.addresses is None else (self._overrides.addresses,)
         return own if rules is None else (*own, rules.addresses)
 
     def _listeners(self, configuration: DeclaredServer) -> list[Listener]:
         """The listeners, each asking lists that can be replaced."""
-        if self._wishes.listen:
-            return [Listener(url) for url in self._wishes.listen]
+        if self._overrides.listen:
+            return [Listener(url) for url in self._overrides.listen]
         found = []
         for one in configuration.listeners:
             if isinstance(one.access, AddressList):

@@ -47,7 +47,7 @@ _HOLES: Final = frozenset(
 )
 """What devices answer to a range that they have not, or not as a whole; 03 and 04 against the specification (§7)."""
 _UNNAMED_UNITS: Final = (0, 255)
-"""Units by which a device on TCP is asked without naming one."""
+"""Units that address a device on TCP without naming one."""
 _LEVELS: Final = ("extended", "regular", "basic")
 
 
@@ -403,13 +403,13 @@ def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
 
 
 def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
-    """An item that nobody has named."""
+    """An item without a name."""
     address = format_address(Address(table, offset))
     return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
 
 
 def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
-    """The keys of a unit by which it is known: its number, and what it says of itself."""
+    """The keys that identify a unit: its number, and what it says of itself."""
     keys: dict[str, Any] = {"unit": 1 if unit.number in _UNNAMED_UNITS else unit.number}
     objects = _objects(unit)
     if objects:

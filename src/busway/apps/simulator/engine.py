@@ -173,7 +173,7 @@ class Engine:
         return driven.behaviour.state(math.floor(time / driven.every + _ROUNDING) * driven.every)
 
     def run(self, until: float, *, skip: bool = False, pause: Callable[[], bool] = lambda: False) -> bool:
-        """Do what is due.
+        """Run all tasks that are due until a time.
 
         Args:
             until: the time, in seconds of the simulation.

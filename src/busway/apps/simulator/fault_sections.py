@@ -2,7 +2,7 @@
 
 Knows the schema and the fault profiles; reads no file.
 
-1. What is wrong is said with the place in the section: a path that whoever has the file turns into a line.
+1. What is wrong is said with the place in the section: a path that the reader of the file turns into a line.
 """
 
 from collections.abc import Iterable, Iterator
@@ -68,7 +68,7 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
     made: list[str] = []
     for one in ordered:
         name, number = one.name, 1
-        while not name or (not one.name and name in (*named, *made)):  # a name that somebody chose is theirs
+        while not name or (not one.name and name in (*named, *made)):  # a chosen name is kept
             name = one.fault_profile if number == 1 else f"{one.fault_profile}-{number}"
             number += 1
         made.append(_put_on(board, one, name))

@@ -180,7 +180,7 @@ class SimulatedPoint:
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
-        """Take over what the registers hold, after somebody else has written them."""
+        """Take over what the registers hold, after another client has written them."""
         try:
             self.stored = self._decoded()
         except BadReply:

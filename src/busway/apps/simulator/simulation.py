@@ -319,7 +319,7 @@ class Simulation:
             server.observe(observer)
         return server
 
-    async def let_follow(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+    async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Nothing: units and listeners need a new start."""
         return []
 
@@ -433,7 +433,7 @@ class Simulation:
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Points have values that somebody set."""
+        """Points have values that were set by hand."""
         time = self.time
         changes = []
         for point in points:

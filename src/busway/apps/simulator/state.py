@@ -80,7 +80,7 @@ def save_state(path: str, state: KeptState) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             fresh.unlink()
-        raise ConfigError(f"the values can not be kept: {error.strerror or error}", file=path) from error
+        raise ConfigError(f"the values cannot be saved: {error.strerror or error}", file=path) from error
 
 
 def check_state(path: str) -> str:
@@ -98,7 +98,7 @@ def load_state(path: str) -> KeptState | None:
     """The state in a file; None where there is no file.
 
     Raises:
-        ConfigError: it is there and means nothing; it now stands beside, with ``.broken`` after its name. Or as of
+        ConfigError: the file is not a valid state; it was renamed, with ``.broken`` after its name. Or as of
             `check_state`.
     """
     place = check_state(path)
@@ -109,11 +109,11 @@ def load_state(path: str) -> KeptState | None:
         return _state(json.loads(data))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         where = _put_aside(place)
-        raise ConfigError(f"the values that were kept can not be understood, and {where}", file=path) from error
+        raise ConfigError(f"the saved values cannot be read, and {where}", file=path) from error
 
 
 def _put_aside(place: str) -> str:
-    """Rename a state that means nothing; where it stands then, for a sentence."""
+    """Rename an invalid state; its new place, for a sentence."""
     aside = f"{place}{ASIDE}"
     try:
         os.replace(place, check_state(aside))

@@ -142,7 +142,7 @@ class HostedPage(ABC):
 
     @property
     def page_url(self) -> str:
-        """URL of the page for a person, with the token if there is one: whoever sees it can use the API."""
+        """URL of the page for a person, with the token if there is one: it gives access to the API."""
         return f"{self.url}#token={self.token}" if self.token else self.url
 
     @property

@@ -224,7 +224,7 @@ class Streams:
             try:
                 problem = client.wish(Wish.model_validate_json(text))
             except ValidationError:
-                problem = "what was sent is no wish: points, traffic, after"
+                problem = "invalid request; expected keys: points, traffic, after"
             if problem:
                 await socket.close(_UNSUPPORTED, problem)
                 return

@@ -526,7 +526,7 @@ class PointSection(WholeSection):
 
     def _access_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
         if self.access == "read-write" and not self.table.is_writable:
-            yield ("access",), f"Modbus can not write {self.table.label}s"
+            yield ("access",), f"Modbus cannot write {self.table.label}s"
         if self.access == "read" and (place.bit is not None or self._bits[1] >= 0):
             yield ("access",), f"{self.address} can be written as its register can; give that a range in read_only"
         if self.write is not None and not self.is_writable:

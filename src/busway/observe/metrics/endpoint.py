@@ -97,7 +97,7 @@ class MetricsEndpoint:
         """As `start_metrics`."""
         host, port = parse_host_port(where, "metrics")
         need_prometheus()
-        from .collector import ClientCollector, ServerCollector, registry_of
+        from .metric_families import ClientCollector, ServerCollector, registry_of
 
         self._source = source
         self._loop = asyncio.get_running_loop()

@@ -53,10 +53,10 @@ class FileSink:
         self._header = ",".join(HEADER) + "\n" if found == "csv" else ""
 
     async def open(self) -> None:
-        """Nothing: files are opened for each batch."""
+        """Do nothing: files are opened for each batch."""
 
     async def close(self) -> None:
-        """Nothing."""
+        """Do nothing: no file stays open."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Write a batch, durably. Raises `SinkDown`."""

@@ -6,7 +6,7 @@
 `segment`       the part that is written: one SQLite file
 `sealing`       a finished segment → Parquet
 `writer`        commits, one after the other: rolls, seals, drops; survives a full disk
-`committing`    the thread that commits for an event loop, every quarter of a second
+`commit_thread` the thread that commits for an event loop, every quarter of a second
 `retention`     which parts are too old or too many
 `parts`         rows of one part, whatever its format
 `selection`     which points, which time

@@ -157,7 +157,7 @@ function numbers(text, label) {
     if (!range) throw new Error(`${label}: numbers such as 1, 5, 10-12 are needed.`);
     const first = Number(range[1]);
     const last = range[2] === undefined ? first : Number(range[2]);
-    if (last < first || last > 255) throw new Error(`${label}: ${part.trim()} can not be.`);
+    if (last < first || last > 255) throw new Error(`${label}: ${part.trim()} is not a valid range.`);
     return Array.from({ length: last - first + 1 }, (_, at) => first + at);
   });
 }

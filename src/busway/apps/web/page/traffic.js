@@ -123,7 +123,7 @@ function entry(frame) {
     element("span", { class: "f-took" }, frame.seconds === null ? "" : duration(frame.seconds)),
   );
   const made = element("details", { class: `${frame.direction}${isWrong(frame) ? " wrong" : ""}` }, summary);
-  // The fields are made when somebody opens it: hardly anybody opens all.
+  // The fields are made when the row is opened: most never are.
   made.addEventListener("toggle", () => made.childElementCount === 1 && made.append(more(frame)), { once: true });
   return made;
 }

@@ -7,7 +7,7 @@ import pytest
 from collected import NOON, PUMP, at, meter_read, read_of
 
 from busway.apps.collector.samples import Gap, Reason, StateInterval
-from busway.apps.collector.store.committing import Committer
+from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.writer import Commit, StoreWriter
 

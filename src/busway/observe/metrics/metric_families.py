@@ -46,7 +46,7 @@ _COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "requests": ("received_requests", "Requests that came in, answered or not."),
     "discarded_frames": ("discarded_frames", "Frames that got no answer: foreign, damaged, or replies."),
     "refused_busy": ("requests_refused_busy", "Requests answered 06 because all transaction slots were taken."),
-    "refused_full": ("connections_refused_full", "Connections closed at once: nobody could make room."),
+    "refused_full": ("connections_refused_full", "Connections closed at once: no slot could be freed."),
     "header_timeouts": ("header_timeouts", "Connections closed because a header began and did not end in time."),
     "write_timeouts": ("write_timeouts", "Connections closed because a client did not take its replies in time."),
     "idle_timeouts": ("idle_timeouts", "Connections closed because they were not used."),
@@ -99,7 +99,7 @@ class ServerCollector(Collector):
         self._tally = tally
 
     def collect(self) -> Iterator[Family]:
-        """The families, with the numbers of now."""
+        """The families with their current values."""
         yield InfoMetricFamily("busway", "The version that runs.", value={"version": __version__})
         status = self._ask()
         yield GaugeMetricFamily("busway_up", "Whether the server's event loop answered in time.", value=bool(status))
@@ -138,7 +138,7 @@ class ClientCollector(Collector):
         self._ask = ask
 
     def collect(self) -> Iterator[Family]:
-        """The families, with the numbers of now."""
+        """The families with their current values."""
         links = list(self._ask())
         states: Counter[tuple[str, str]] = Counter((one.endpoint, one.state) for one in links)
         held = GaugeMetricFamily("busway_links", "Links to devices, by their state.", labels=("endpoint", "state"))
