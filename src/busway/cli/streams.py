@@ -20,7 +20,7 @@ class OutputLostError(Exception):
 
 
 class ReaderGoneError(Exception):
-    """Whoever read stdout has closed it (``busway read … | head -1``). No `OSError`: typer would end with code 1."""
+    """The reader of stdout has closed it (``busway read … | head -1``). No `OSError`: typer would end with code 1."""
 
 
 class Guarded:

@@ -1,6 +1,6 @@
 """``/stream``: one WebSocket of JSON texts that reports changes to clients as they happen.
 
-Knows clients and their wishes; knows no page.
+Knows clients and what they subscribed to; knows no page.
 
 1. A client sends what it wants (`Wish`) as often as it likes, and first gets the present state of that. So it
    reconnects by asking again.
