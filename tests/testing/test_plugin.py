@@ -213,17 +213,20 @@ def test_a_write_can_be_waited_for() -> None:
     import threading
 
     with simulated_device({"4x1": [0, 0]}) as device, busway.connect(device.endpoint) as link:
+        is_seen = threading.Event()
 
         def write() -> None:
-            link.unit(1).write("4x1", 1)
-            link.unit(1).write("4x2", 2)
+            while not is_seen.is_set():  # what is written before the wait begins does not count
+                link.unit(1).write("4x1", 1)
+                link.unit(1).write("4x2", 2)
 
         writer = threading.Thread(target=write)
-        waiting = threading.Timer(0.0, writer.start)
-        waiting.start()
-        assert device.wait_for_write("4x2") == 2
-        waiting.join()
-        writer.join()
+        writer.start()
+        try:
+            assert device.wait_for_write("4x2") == 2
+        finally:
+            is_seen.set()
+            writer.join()
         with pytest.raises(TimeoutError, match="no client wrote 4x1 within"):
             device.wait_for_write("4x1", timeout=0.01)
 
