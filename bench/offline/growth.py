@@ -17,8 +17,8 @@ from typing import Any
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import AddressRange, Route, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.codes import Table
 from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read
 from offline.timing import quickest

@@ -12,7 +12,7 @@ from harness import announce
 from harness.priority import PROGRAM, real_time
 
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import simple_plan
+from busway.apps.gateway.settings import simple_plan
 
 
 async def main(url: str, connections: int, share_reads: bool, join: bool) -> None:

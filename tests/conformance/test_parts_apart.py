@@ -23,9 +23,9 @@ from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
+from busway.server.connection_slots import Pool, PoolLimits, Pools
 from busway.server.device import Device
 from busway.server.local import DeviceResponder
-from busway.server.pools import Pool, PoolLimits, Pools
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
@@ -155,7 +155,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
         ("busway.session.responder", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.server.pools", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
+        ("busway.server.connection_slots", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
         ("busway.access.rates", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
         ("busway.server.local", {"busway.client", "busway.server.connections", "socket"}),
         ("busway.transport.tcp", {"busway.client", "busway.server", "busway.session", "asyncio"}),

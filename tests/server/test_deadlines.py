@@ -31,10 +31,10 @@ def test_a_header_and_a_whole_frame_have_times_of_their_own(unfinished: int, due
     times = deadlines(header_timeout=5.0, frame_timeout=10.0)
     one = Connection(unfinished=unfinished)
     assert times.frame_begun(one, 100.0, anew=True) == 100.0 + due
-    assert times.next_due(100.0, anybody=True) == 100.0 + due
+    assert times.next_due(100.0, has_connections=True) == 100.0 + due
     assert times.due([one], 100.0 + due - 0.1) == []
     assert times.due([one], 100.0 + due) == [(one, what)]
-    assert times.next_due(111.0, anybody=True) is None
+    assert times.next_due(111.0, has_connections=True) is None
 
 
 def test_the_time_of_a_frame_runs_from_its_first_byte_however_many_pieces_come() -> None:
@@ -54,7 +54,7 @@ def test_the_next_frame_has_the_whole_time_again_and_one_that_ended_is_forgotten
     assert times.frame_begun(one, 6.0, anew=True) == 16.0
     one.unfinished = 0
     assert times.due([one], 16.0) == []
-    assert times.next_due(16.0, anybody=True) is None
+    assert times.next_due(16.0, has_connections=True) is None
 
 
 def test_a_header_timeout_beyond_that_of_the_frame_is_the_frames() -> None:
@@ -69,7 +69,7 @@ def test_without_timeouts_nothing_is_ever_due() -> None:
     one = Connection(unfinished=3, unsent=9)
     assert times.frame_begun(one, 0.0, anew=True) is None
     assert times.stuck(one, 0.0) is None
-    assert times.next_due(0.0, anybody=True) is None
+    assert times.next_due(0.0, has_connections=True) is None
     assert times.due([one], 1e9) == []
 
 
@@ -80,7 +80,7 @@ def test_replies_that_nobody_takes_are_due_and_any_that_is_taken_starts_the_time
     assert times.stuck(one, 0.0) == 60.0
     one.unsent = 900
     assert times.due([one], 60.0) == []
-    assert times.next_due(60.0, anybody=True) == 120.0
+    assert times.next_due(60.0, has_connections=True) == 120.0
     assert times.due([one], 120.0) == [(one, Overdue.WRITE)]
     times.stuck(one, 130.0)
     times.taken(one)
@@ -105,7 +105,7 @@ def test_idle_connections_are_looked_for_sixteen_times_in_their_time_and_none_is
     busy = Connection(last_used=0.0, is_idle=False)
     now, looks, closed = 0.0, 0, []
     while now < 30.0:
-        due = times.next_due(now, anybody=True)
+        due = times.next_due(now, has_connections=True)
         assert due is not None
         assert due > now
         now, looks = due, looks + 1
@@ -116,7 +116,7 @@ def test_idle_connections_are_looked_for_sixteen_times_in_their_time_and_none_is
 
 
 def test_nobody_there_needs_no_look() -> None:
-    assert deadlines(idle_timeout=16.0).next_due(0.0, anybody=False) is None
+    assert deadlines(idle_timeout=16.0).next_due(0.0, has_connections=False) is None
 
 
 def test_one_that_has_ended_is_forgotten() -> None:
@@ -126,5 +126,5 @@ def test_one_that_has_ended_is_forgotten() -> None:
     times.stuck(one, 0.0)
     times.hold(one, 5.0)
     times.forget(one)
-    assert times.next_due(0.0, anybody=True) is None
+    assert times.next_due(0.0, has_connections=True) is None
     assert times.due([], 1e9) == []

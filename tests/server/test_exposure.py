@@ -48,7 +48,7 @@ def test_a_server_that_the_network_can_write_to_says_so_once_and_how_to_change_i
 ) -> None:
     warn_of_exposure(["tcp://10.0.0.5:502", "udp://10.0.0.5:502", "rtu:///dev/ttyS0"], authorized=False)
     (line,) = said.messages
-    assert line.startswith("tcp://10.0.0.5:502, udp://10.0.0.5:502: takes writes from everybody")
+    assert line.startswith("tcp://10.0.0.5:502, udp://10.0.0.5:502: takes writes from every host")
     assert "policy=busway.Policy.read_only()" in line
 
 

@@ -96,7 +96,7 @@ async def test_server_without_descriptors_says_so_serves_on_and_takes_who_waits_
             with no_descriptor_left():
                 await loop.sock_connect(late, address_of(server))
                 await until(
-                    lambda: "nobody can be accepted for now: this process has no file handles left" in caplog.text
+                    lambda: "no client can be accepted for now: this process has no file handles left" in caplog.text
                 )
                 early.send(QUESTION)
                 assert await loop.sock_recv(early, 100) == ANSWER

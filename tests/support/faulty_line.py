@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.faults.connections import FaultyTap
 from busway.faults.fault import AppliedFault, Faults, Selection
 from busway.faults.profiles import FAULT_PROFILES

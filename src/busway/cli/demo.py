@@ -162,7 +162,7 @@ def _devices(plant: "Plant", url: str) -> "Server":
 async def _started(line: str, port: int) -> "Gateway":
     """The gateway on the wanted port, or on a free one."""
     from ..apps.gateway.gateway import Gateway
-    from ..apps.gateway.plan import simple_plan
+    from ..apps.gateway.settings import simple_plan
 
     options = {"timeout": LINE_TIMEOUT, "retries": 0}
     if line.startswith("rtu:"):

@@ -34,7 +34,7 @@ from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
 from .conversation import ClientSession, reconnect_for
-from .doubts import KEPT
+from .kept_doubts import KEPT
 from .polling import ExactPoll, Poll
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope

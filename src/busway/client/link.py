@@ -31,7 +31,7 @@ from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
 from .conversation import ClientSession, reconnect_for
-from .doubts import KEPT
+from .kept_doubts import KEPT
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
 from .settings import LinkSettings

@@ -131,7 +131,7 @@ class _Turn:
         except Refusal as refusal:
             reply = ExceptionResponse(context.function, refusal.code)
         self._later(context, reply)
-        return reply  # nobody takes it: `SILENCE` was the reply
+        return reply  # it is not sent: `SILENCE` was the reply
 
 
 def _exchange(context: RequestContext, request: AnyRequest, faulty: FaultyConnection) -> Exchange:

@@ -2,10 +2,10 @@
 
 Knows bytes, positions and the lock that writers share; knows no table, no address rule, no hook and no request.
 
-1. ``data`` is read without a lock, in one slice. Whoever changes it holds the lock and changes it in one call of C code
+1. ``data`` is read without a lock, in one slice. A writer holds the lock and changes it in one call of C code
    that leaves its length (a slice assignment, ``pack_into``), or replaces it by another object, so a reader never meets
    half of a change.
-2. A position counts from the run's first item. Whoever gives one has checked that the items exist.
+2. A position counts from the run's first item. The caller has checked that the items exist.
 3. Several runs change at once by `replace_all` and in no other way.
 """
 

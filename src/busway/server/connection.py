@@ -19,11 +19,11 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
+from .connection_slots import Pool
 from .connections import ConnectionManagement
 from .failures import answer_later
 from .framed import Session
 from .peers import host_of, peer_name
-from .pools import Pool
 from .status import ServedConnectionState
 
 _USUAL_REQUEST: Final = 12
@@ -322,7 +322,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def make_room(self) -> None:
-        """Somebody else has its place now."""
+        """Close: its slot was given to another connection."""
         self._management.evict(self)
 
     @property

@@ -3,7 +3,8 @@
 Knows connections and their limits; knows no request.
 
 1. Whether a host may connect is checked before another connection is closed for it.
-2. `busway.server.pools` decides which connection is closed for a new one, `busway.server.deadlines` what is overdue.
+2. `busway.server.connection_slots` decides which connection is closed for a new one, `busway.server.deadlines` what is
+   overdue.
 3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
    socket. It ends with an error, with the server, or when the system finds its peer gone.
 4. There is one timer for all connections of a listener.
@@ -20,13 +21,13 @@ from ..access.rates import Rates
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
+from .connection_slots import PoolMember, Pools
 from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue, Timed
 from .diagnosis import Diagnosis
 from .framed import Session
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
-from .pools import PoolMember, Pools
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .turns import Turns
 
@@ -256,7 +257,7 @@ class ConnectionManagement:
 
     def charge(self, connection: ManagedConnection, session: Session) -> None:
         """Charge a host with the requests of its connection; pause the connection if the host is above its rate."""
-        assert self.rates is not None  # or nobody would ask
+        assert self.rates is not None  # or this is not called
         now = time.monotonic()
         requests, connection.charged = session.requests - connection.charged, session.requests
         wait = self.rates.charge(connection.host, requests, now)
@@ -277,7 +278,7 @@ class ConnectionManagement:
         return self._is_draining or self._deadlines.is_held(connection)
 
     def _set_timer(self, now: float) -> None:
-        self._set_timer_by(self._deadlines.next_due(now, anybody=bool(self._connections)), now)
+        self._set_timer_by(self._deadlines.next_due(now, has_connections=bool(self._connections)), now)
 
     def _set_timer_by(self, due: float | None, now: float) -> None:
         """Set the timer to ``due``, unless it is set to an earlier time."""

@@ -23,7 +23,7 @@ class ServerCounters:
         accepted, closed: connections, and peers over UDP.
         unauthorized: new connections that were refused by their address.
         no_longer_authorized: connections, and peers over UDP, that were ended because address lists have changed.
-        refused_full: new connections for whom nobody could make room, or nobody had to: they had closed already.
+        refused_full: new connections without a free slot: none could be closed for them, or they had closed already.
         evicted: connections that made room.
         broken_streams: connections that could not be followed any more.
         header_timeouts, frame_timeouts: requests that did not end in time, in their header or after it.
@@ -64,7 +64,7 @@ class ServerCounters:
         return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
-        """Count from here on, and not what is counted there."""
+        """Subtract these counts: what is left happened after them."""
         for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
             for one in fields(mine):
                 value = getattr(mine, one.name)

@@ -71,7 +71,7 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """A part of a frame is there: of a new one, whose time begins, or of one whose time goes on. When it is due."""
+        """Note partial frame data; returns its deadline. ``anew``: it begins a new frame, whose time starts now."""
         since = self._begun[one] = now if anew else self._begun.get(one, now)
         return self._frame_deadline(one, since)
 
@@ -104,12 +104,12 @@ class Deadlines(Generic[One]):
 
     # What is due.
 
-    def next_due(self, now: float, *, anybody: bool) -> float | None:
-        """When to call `due` next; None while nothing is waited for. ``anybody``: whether there are connections."""
+    def next_due(self, now: float, *, has_connections: bool) -> float | None:
+        """When to call `due` next; None while nothing is waited for. ``has_connections``: any at all."""
         times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
         times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
         times += self._held.values()
-        if self._parameters.idle_timeout is not None and anybody:
+        if self._parameters.idle_timeout is not None and has_connections:
             if self._next_look is None:
                 self._next_look = now + self._parameters.idle_timeout / _LOOKS
             times.append(self._next_look)

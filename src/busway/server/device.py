@@ -6,7 +6,7 @@ and no function beyond its code.
 1. An access by Modbus goes: exists and may be written (02), hooks before, the items, hooks after. What fails before the
    items are touched has changed nothing.
 2. What changes items holds ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
-   Whoever executes a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
+   The executor of a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
 3. Hooks are for Modbus. The application's own accesses call none.
 4. ``generation`` changes when an answer compiled earlier is no longer right.
 """
@@ -232,7 +232,7 @@ class Device:
         it twice: ahead of its write, so that a refusal leaves everything as it was, and at the read itself.
 
         Args:
-            table: the table by which the read comes, ``holding_registers`` or `Table.HOLDING_REGISTERS`.
+            table: the table that is read, ``holding_registers`` or `Table.HOLDING_REGISTERS`.
             function: takes an `Access`; called in the thread that executes the request, under ``lock``.
             when: ``before`` or ``after``.
             address: only reads that touch items from here on; None for all.
@@ -278,7 +278,7 @@ class Device:
         exception is answered with 04.
 
         Args:
-            table: the table by which the write comes, ``coils`` or ``holding_registers``.
+            table: the table that is written, ``coils`` or ``holding_registers``.
             function: takes a `Change`; called in the thread that executes the request, under ``lock``.
             when: ``before`` or ``after``.
             address: only writes that touch items from here on; None for all.

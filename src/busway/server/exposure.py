@@ -1,9 +1,9 @@
-"""What is said when a server starts where the network can reach it.
+"""Warnings for listeners reachable from the network.
 
 Knows bound URLs and whether requests are authorized; changes nothing.
 
-1. A listener on every address of the host (``0.0.0.0``, ``::``) is taken, and said (Messaging on TCP/IP V1.0b §4.3.3).
-2. A server that takes writes from whoever reaches it says so once, and how to change that.
+1. A listener on every address of the host (``0.0.0.0``, ``::``) is opened, and logged (Messaging V1.0b §4.3.3).
+2. A server that takes writes from every host that reaches it logs so once, and how to change that.
 """
 
 import logging
@@ -15,7 +15,7 @@ _log = logging.getLogger("busway.server")
 
 
 def warn_of_exposure(bound: Sequence[str], *, authorized: bool) -> None:
-    """Say it, for the URLs that were bound; ``authorized``: whether requests are authorized."""
+    """Log the warnings for the URLs that were bound; ``authorized``: whether requests are authorized."""
     network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
     everywhere = [url for url in network if is_everywhere(url)]
     if everywhere:
@@ -23,7 +23,7 @@ def warn_of_exposure(bound: Sequence[str], *, authorized: bool) -> None:
     reachable = [url for url in network if not is_loopback(url)]
     if reachable and not authorized:
         _log.warning(
-            "%s: takes writes from everybody who reaches it; "
+            "%s: takes writes from every host that reaches it; "
             "policy=busway.Policy.read_only(), or a policy of your own, changes that",
             ", ".join(reachable),
         )

@@ -1,8 +1,8 @@
-"""A conversation in RTU or ASCII over a network, with the face of one on TCP.
+"""A conversation in RTU or ASCII over a network, with the interface of a TCP session.
 
 Knows a session and a clock; knows no connection: `ServerConnection` drives it like `TcpServerSession`.
 
-1. Answers leave at once: the silences on a wire are the business of whoever stands at it.
+1. Answers leave at once: the converter keeps the silences on its wire.
 2. Where silence decides about a frame (Serial Line V1.02 §2.5.1.1), a timer of its own does it.
 3. One call works through so many bytes; what came behind them waits (``rest``), and counts as come when it came: the
    time that it waits is no silence.
@@ -87,7 +87,7 @@ class FramedSession:
 
     @property
     def unfinished(self) -> int:
-        """0: a frame that does not end is given up by the receiver."""
+        """Bytes of an incomplete frame; always 0, because the RTU/ASCII receiver discards incomplete frames itself."""
         return 0
 
     @property

@@ -3,12 +3,12 @@
 Knows runs and the lock; knows no table, no hook and no request.
 
 1. A group never holds the lock while the application works in it: it keeps a journal, and applies it when it ends, to
-   fresh copies of what the runs hold then. So a Modbus write that came meanwhile is not lost, and nobody waits
+   fresh copies of what the runs hold then. So a Modbus write that came meanwhile is not lost, and no request waits
    for longer than the copying takes.
 2. Where the group and a Modbus write met on the same item, the group's value stands: it is as if the Modbus write had
    come just before. A value that depends on the one before it (a counter) is changed under ``Device.lock``.
 3. Inside the group, its own thread or task sees what the runs held when the group first touched them, with the group's
-   changes. Nobody else sees anything of it before it ends.
+   changes. No other thread or request sees anything of it before it ends.
 4. A group that ends with an exception changes nothing.
 """
 

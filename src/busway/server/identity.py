@@ -39,7 +39,7 @@ def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[i
 
 
 def server_id_data(declared: bytes) -> bytes:
-    """The data of function 17; `ConfigError` if it does not fit."""
+    """Check the data of a reply to function 17; `ConfigError` if they are no bytes or too long."""
     if not isinstance(declared, bytes | bytearray) or len(declared) > SERVER_ID_LIMIT:
         raise ConfigError(f"a server id is at most {SERVER_ID_LIMIT} bytes, not {shown(declared)}", key="server_id")
     return bytes(declared)

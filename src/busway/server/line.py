@@ -3,8 +3,8 @@
 Knows when bytes come and go; knows nothing of what they say.
 
 1. A port that is not there, or vanishes, is waited for and opened again; the listener stays.
-2. An answer leaves when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If somebody
-   speaks before, it does not leave any more: the line is not ours.
+2. An answer leaves when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If another
+   station speaks before, it does not leave any more: the line is not ours.
 3. Times are those of ``time.monotonic``, as the port tells them.
 """
 
@@ -132,7 +132,7 @@ class SerialListener:
         """Give the port back. An answer that is there and waits for its silence leaves; what is in work gets none."""
         if self._pending is not None:
             await asyncio.sleep(max(self._pending.not_before - time.monotonic(), 0.0))
-            if self._pending is not None:  # or the alarm was sooner, or somebody has spoken
+            if self._pending is not None:  # or the alarm was sooner, or another station has spoken
                 self._emit()
         if self._opening is not None:
             self._opening.cancel()
@@ -299,7 +299,7 @@ class SerialListener:
             self._emit()
 
     def _drop_pending(self) -> None:
-        """Somebody has spoken before our answer left; the session has counted that."""
+        """Another station has spoken before our answer left; the session has counted that."""
         self._pending = None
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()

@@ -22,6 +22,7 @@ from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
 from ..session.slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
+from .connection_slots import Pool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .diagnosis import Diagnosis
@@ -29,7 +30,6 @@ from .failures import report_failures
 from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
 from .peers import peer_name
-from .pools import Pool
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 Knows devices and the rules of units on TCP; knows no connection.
 
-1. ``listed``: a unit that is not listed is answered 0B (or not at all), because a client must learn that nobody is
+1. ``listed``: a unit that is not listed is answered 0B (or not at all), because a client must learn that no unit is
    there. ``any``: the sole device answers whatever unit it is asked with, as much hardware does.
 2. 0 and 255 address the device of a server that has exactly one (Messaging on TCP/IP V1.0b §4.4.1.2). On a serial line
    they do not: only the units listed are its own there, since others answer for themselves.

@@ -18,13 +18,13 @@ from ..session.responder import Responder, SerialUnits
 from ..session.slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
+from .connection_slots import PoolLimits, Pools
 from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement, ManagedConnection
 from .counters import ServerCounters
 from .line import SerialListener
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
-from .pools import PoolLimits, Pools
 from .tcp import TcpListener
 from .turns import Turns
 from .udp import UdpListener
@@ -44,7 +44,7 @@ class Opening:
         sockets: parameters of sockets.
         counters: what happens is counted here.
         authorize: who may connect.
-        tap: is told of the ways by which bytes leave.
+        tap: is told of the ways in which bytes leave.
         slots: of transactions, where the server has them as a whole.
         shared_pools: that listeners share, where they do.
         epoll_set: where all TCP connections wait together; None where the event loop can have none.

@@ -34,7 +34,11 @@ class RecordFile(TableView):
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """The run that holds some records; `Refusal` if Modbus cannot have them: 02, 03 for none at all, 08."""
+        """Find the stored run with these records.
+
+        Raises:
+            Refusal: 03 if ``count`` is 0, 02 if a record is missing or read-only, 08 if the file is inconsistent.
+        """
         if count == 0:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")
         run = self._store.find(record, count)

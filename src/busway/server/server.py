@@ -27,10 +27,10 @@ from .connection_tap import ConnectionTap
 from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .exposure import warn_of_exposure
-from .limits import raise_open_file_limit
 from .line import SerialListener
 from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
+from .open_files import raise_open_file_limit
 from .opening import Opening, serial_units
 from .standard_port import with_standard_port
 from .status import ServerStatus

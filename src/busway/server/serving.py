@@ -68,7 +68,7 @@ def serve(
             gives False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         tls: certificate, key and authorities of ``tls://`` listeners.
         policy: who may ask what; ``Policy.read_only()`` refuses all writes. Without one a server that the network can
-            reach takes writes from everybody, and says so in the log.
+            reach takes writes from every host, and says so in the log.
         audit: where denied requests and writes are recorded.
         local_connections: asked for a status: how many connections this program has itself towards other devices. None
             counts those of the links of this process.

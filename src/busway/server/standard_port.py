@@ -1,12 +1,11 @@
-"""The standard port, 502, beside another one: who knows no other finds the server there (Messaging on TCP/IP V1.0b
-§4.2.1).
+"""The standard port, 502, beside another: clients that know no other find the server there (Messaging V1.0b §4.2.1).
 
 Pure: knows the settings of listeners; opens none.
 
 1. Asked for by name (True), it stands beside each ``tcp://`` listener, and must be had.
 2. Left to us (None), it stands beside those that the network can reach, and where it cannot be had the server only
    says so: below 1024 a port belongs to privileged programs. A loopback address has no clients elsewhere that could
-   look there, and a port that the system chose (0) is for somebody who is told of it.
+   look there, and a port that the system chose (0) is for clients that are told of it.
 3. Where a listener has it already, there is none beside it.
 """
 

@@ -6,9 +6,9 @@ from enum import Enum
 
 from ..session.diagnostics import Counters
 from ..transport.interfaces import Interface
+from .connection_slots import Pool
 from .counters import ServerCounters
 from .diagnosis import StatusIndicators
-from .pools import Pool
 
 
 class ServedConnectionState(Enum):
@@ -104,7 +104,7 @@ class ListenerStatus:
         requests: requests for own units since the start.
         foreign: frames of others that passed by; 0 on TCP.
         damaged: disturbances; on UDP, datagrams that were no whole frame; on TCP, streams that could not be followed.
-        abandoned: answers that did not leave because somebody else had spoken.
+        abandoned: answers that did not leave because another station had spoken.
         priority_connections, other_connections: places of both pools that are taken.
         interfaces: what the system says of the addresses it is bound to, as far as it is known here.
         security: certificate and handshakes of a ``tls://`` listener; None for others.

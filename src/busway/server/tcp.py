@@ -67,7 +67,7 @@ class TcpListener:
                     loop=loop,
                     epoll_set=self._epoll_set,
                     backlog=settings.limits.backlog,
-                    failed=self._can_not_accept,
+                    failed=self._cannot_accept,
                 )
                 self._acceptors.append(made)
                 undo.callback(made.close)
@@ -87,11 +87,11 @@ class TcpListener:
 
         return handshake_acceptor(management, self._settings.tls)
 
-    def _can_not_accept(self, error: OSError) -> None:
+    def _cannot_accept(self, error: OSError) -> None:
         """Log that a client waits but the system has no resources for another connection."""
         listener_context = self.management.listener_context
         listener_context.diagnosis.internal_fault = time.monotonic()
-        sentence = "%s: nobody can be accepted for now: %s"
+        sentence = "%s: no client can be accepted for now: %s"
         listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:

@@ -7,7 +7,7 @@ Knows who waits, in which order, and the clock; knows no connection and no reque
 2. Priority hosts go first: what comes from them never waits here, and the rest of what they asked has every turn.
 3. Then those who asked little and found no time left in the turn in which they came, then those who have more to ask
    than one share. Each kind has its own row, first come first served, and a part of every turn.
-4. While nobody asks for more than a few requests at once, nobody waits, and nothing is timed.
+4. While no client asks for more than a few requests at once, none waits, and nothing is timed.
 """
 
 import asyncio
@@ -16,7 +16,7 @@ from time import perf_counter as seconds  # by a name that tests can move
 from typing import Final, Protocol
 
 TURN_SECONDS: Final = 0.001
-"""For the requests of everybody but priority hosts in one turn of the loop: a share more may be added to it."""
+"""For the requests of all but priority hosts in one turn of the loop: a share more may be added to it."""
 _QUEUE_SECONDS: Final = 0.0005
 """Of these, for those who waited. The others are for what comes anew."""
 
@@ -87,7 +87,7 @@ class Turns:
         """Start a turn: let queued connections work until the time of the turn is used up."""
         self._is_due = False
         if not self.is_crowded:
-            return  # nobody waits
+            return  # no connection waits
         began = seconds()
         self._work(self._preferred, None)
         self._work(self._modest, began + _QUEUE_SECONDS)

@@ -4,11 +4,11 @@ Knows datagrams and peers; knows nothing of what they say.
 
 1. A datagram that is not one whole frame is dropped and counted; nothing of it is executed.
 2. Each peer has a conversation of its own, so that a slow answer of one is not given up because of another. There are
-   as many as connections may be, by the same rules; they are places of this listener alone, because anybody can invent
-   senders, and shall push nobody off TCP.
+   as many as connections may be, by the same rules; they are places of this listener alone, because any host can invent
+   senders, and shall push no client off TCP.
 3. For a datagram at most one leaves: the reply of its request. Nothing is sent to a sender that is refused, over its
    rate, or without a place.
-4. Nobody says when a sender has gone. So where all other places are priority hosts', one of them makes room for a
+4. No event says when a sender has gone. So where all other places are priority hosts', one of them makes room for a
    stranger if nothing of it is in work: it loses nothing, because its next datagram has a place again. Without this a
    priority host that asks from a new port each time would keep all others out for ever.
 """
@@ -24,13 +24,13 @@ from ..observe.socket_addresses import SocketAddresses
 from ..observe.trace import TRACE
 from ..options.sockets import SocketParameters
 from ..transport.tcp import set_buffers
+from .connection_slots import Pool, PoolLimits, Pools
 from .counters import ServerCounters
 from .failures import answer_later
 from .framed import Session
 from .listener_context import ListenerContext, add_living
 from .naming import bound_name, listening_sockets
 from .peers import host_of, peer_name
-from .pools import Pool, PoolLimits, Pools
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 

@@ -65,7 +65,7 @@ class ForwardPlan:
     Attributes:
         target: as above.
         requests: the request, alone.
-        key: the bytes by which identical reads of a unit are recognised.
+        key: the bytes that identical reads of a unit have in common.
         place: None: the data are not remembered.
         head: the bytes between the transaction and the data of its answer.
     """

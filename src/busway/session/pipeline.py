@@ -165,13 +165,13 @@ class RequestPipeline:
             failures.append(ResponderFailure(context, error))
             outcome = ExceptionResponse(function, ExceptionCode.SERVER_DEVICE_FAILURE)
         if function == _DIAGNOSTICS and (was_listen_only or context.diagnostics.listen_only):
-            # It is answered neither when it mutes the unit nor when it wakes it. A broadcast is answered by nobody.
+            # It is answered neither when it mutes the unit nor when it wakes it. No device answers a broadcast.
             outcome = outcome if context.executed is not None else SILENCE
         if self.observers:
             if isinstance(outcome, Message) or outcome is SILENCE:
                 context.end(outcome)
             elif outcome is LATER and context.executed is not None:
-                context.end(SILENCE)  # a broadcast: nobody replies to it
+                context.end(SILENCE)  # a broadcast: no device replies to it
         return outcome
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:

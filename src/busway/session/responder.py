@@ -40,7 +40,7 @@ Replaced = tuple[bytes | None, ...]
 
 
 class ClientIdentity:
-    """Who sends the requests of a connection, and by which listener they come.
+    """Who sends the requests of a connection, and to which listener.
 
     Attributes:
         peer: ``host:port`` of the client, or the name of a serial line.
@@ -67,7 +67,7 @@ class Judged:
     """What the authorizer says of a request.
 
     Attributes:
-        rule: name of the rule by which the request is permitted or denied.
+        rule: name of the rule that permits or denies the request.
         is_denied: whether it is refused.
         is_write: whether the responder is to show what the request replaces, and the audit log records it.
         check: called with what the request replaces; may raise `Refusal`. None permits every value.

@@ -178,7 +178,7 @@ class SerialClientSession:
 
     # Calls of the application.
 
-    def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
+    def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
         """Set the seconds that each of these units is left alone after its replies."""
         self._unit_gaps = dict(unit_gaps)
 

@@ -13,9 +13,9 @@ from waiting import until
 import busway
 from busway.apps.gateway.configuration import simple_gateway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.framing.mbap import MbapFrame
 from busway.server.listener import Listener
 from busway.testing.line import PacedLine

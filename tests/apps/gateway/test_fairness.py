@@ -6,7 +6,7 @@ import pytest
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import simple_plan
+from busway.apps.gateway.settings import simple_plan
 from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time

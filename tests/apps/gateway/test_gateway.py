@@ -12,8 +12,8 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import ALL_UNITS, AddressRange, Route, RouteAction, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.codes import Table
 from busway.framing.mbap import MbapFrame
 from busway.framing.rtu import encode_rtu

@@ -12,7 +12,7 @@ import pytest
 import busway
 from busway.access.audit_log import AuditLog
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import simple_plan
+from busway.apps.gateway.settings import simple_plan
 from busway.client.link import AsyncLinkDriver
 from busway.observe.metrics.observer import MetricsObserver
 from busway.observe.metrics.requests import RequestTally

@@ -8,8 +8,8 @@ import pytest
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
 from busway.testing.certificates import CertificateFiles, CertificateStore

@@ -9,7 +9,7 @@ from handles import open_handles
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import simple_plan
+from busway.apps.gateway.settings import simple_plan
 from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time

@@ -9,8 +9,8 @@ from handlers import ScriptedHandler
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable
 from busway.pdu.general import ExceptionResponse, OpaqueRequest

@@ -3,9 +3,9 @@
 import pytest
 
 from busway.apps.gateway.configuration import parse_gateway
-from busway.apps.gateway.plan import UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import ALL_UNITS, Route
+from busway.apps.gateway.settings import UpstreamSettings
 from busway.config.files.problems import FileError
 
 LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'
@@ -286,10 +286,10 @@ def test_a_line_without_a_route_and_two_lines_to_one_server_are_odd() -> None:
 def test_a_route_that_hides_the_own_unit_is_odd_where_one_of_them_was_written() -> None:
     assert warned(LISTENER, SERVER) == []
     assert warned(LISTENER, SERVER, route("server", units="250-255")) == [
-        "9: route[0].units: warning: takes unit 255, by which the gateway itself could be asked"
+        "9: route[0].units: warning: takes unit 255, which could be the gateway's own"
     ]
     assert warned(LISTENER, SERVER, "[gateway]\nown_unit = 17\n") == [
-        "4: link[0]: warning: takes unit 17, by which the gateway itself could be asked"
+        "4: link[0]: warning: takes unit 17, which could be the gateway's own"
     ]
     assert warned(LISTENER, SERVER, "[gateway]\nown_unit = 'none'\n") == []
 

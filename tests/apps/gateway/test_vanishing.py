@@ -14,8 +14,8 @@ from waiting import until
 import busway
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import Route, RoutingTable
+from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.server.listener import Listener
 from busway.testing.line import PacedLine

@@ -33,9 +33,9 @@ from ...server.strict import with_server_preset
 from ..server.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import Gateway
-from .plan import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import check_routes
 from .routes import RoutingTable
+from .settings import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 
 COMMAND = "busway gateway"
 """The name of what stands in no file."""

@@ -12,8 +12,8 @@ from ...config.files.lines import Path as Place
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint
-from .plan import UpstreamSettings
 from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
+from .settings import UpstreamSettings
 
 
 @dataclass(frozen=True, slots=True)

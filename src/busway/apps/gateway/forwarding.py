@@ -41,7 +41,7 @@ class ForwardedRequest(Protocol):
 
     Attributes:
         requests: what is sent for it; several if it was split, and then it is asked alone.
-        key: the bytes by which an identical read is recognised; empty if it must not be shared.
+        key: the bytes that identical reads have in common; empty if it must not be shared.
         place: what it reads, if its data are to be remembered; otherwise None.
     """
 
@@ -104,7 +104,7 @@ class Batch(Call):
         told: positions that were answered one by one; empty if all are answered together.
         joined: other clients that wait for a read, by its position.
         deadlines: of all that wait, where several do: of one that joined, or of the first with all its requests.
-        keys, shared: by which its reads are found, and where, if they may be shared.
+        keys, shared: the keys of its reads, and where they are found, if they may be shared.
         place, since, read_at: what is remembered of a read, and which moment its value is of.
     """
 

@@ -36,8 +36,8 @@ from ...session.responder import Responder
 from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
 from .own_unit import own_device
-from .plan import GatewayListener, GatewayPlan, UpstreamSettings
 from .router import ListenerRouter
+from .settings import GatewayListener, GatewayPlan, UpstreamSettings
 from .status import GatewayListenerStatus, GatewayStatus, upstream_numbers
 from .upstream import Upstream
 
@@ -394,7 +394,7 @@ def _opened(settings: UpstreamSettings) -> Forwarder:
 
 def _open(upstream: Upstream, settings: UpstreamSettings) -> None:
     upstream.open()
-    upstream.leave_alone(settings.unit_gaps)
+    upstream.set_unit_gaps(settings.unit_gaps)
 
 
 def _changes(

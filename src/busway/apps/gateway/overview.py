@@ -10,9 +10,9 @@ from ...codes import BROADCAST_UNIT, exception_meaning
 from ..server.overview import Row, overview
 from .configuration import GatewayConfiguration
 from .file_routes import PlacedRoute
-from .plan import GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import worst_case
 from .routes import ALL_UNITS, Route, RouteAction, units_text
+from .settings import GatewayListener, GatewayPlan, UpstreamSettings
 
 RoutingRow = tuple[str, str, str, str, str, str]
 """Listener, units, functions, addresses, where to, what else."""

@@ -22,9 +22,9 @@ from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.naming import is_loopback
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
-from .plan import UpstreamSettings
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
+from .settings import UpstreamSettings
 
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 _SAME = {"localhost": "127.0.0.1"}
@@ -392,5 +392,5 @@ def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults
         route, section = placed.route, placed.section
         is_named = section is not None and section.units is not None
         if own in route.units and not route.functions and route.addresses is None and (is_written or is_named):
-            yield placed.key("units"), f"takes unit {own}, by which the gateway itself could be asked"
+            yield placed.key("units"), f"takes unit {own}, which could be the gateway's own"
             return

@@ -62,10 +62,10 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
 
 
 class ListenerRouter:
-    """The responder of one listener.
+    """The responder of one listener: forwards its requests by its routes.
 
     Attributes:
-        refusal_of: what a policy around it says of single units that hear a broadcast.
+        refusal_of: returns the exception code if the policy denies a broadcast, else 0.
 
     Args:
         name: name of the listener in routes.

@@ -31,7 +31,7 @@ class Translated:
 
     Attributes:
         requests: the requests that are sent for it; usually one.
-        key: the bytes by which an identical read is recognised; empty for other requests.
+        key: the bytes that identical reads have in common; empty for other requests.
         place: the range that it reads, if its data are to be remembered; otherwise None.
 
     Raises:

@@ -6,6 +6,8 @@ Knows links; knows no request and no client beyond its name.
    arrive in the order in which they were asked. The order of clients is that of `busway.session.queue`.
 2. A serial port is opened with the upstream, and again whenever it is lost: its operator learns what is wrong before a
    client does. A server on a network is connected at the first request.
+3. Reconnecting is that of every link: `busway.session.reconnect` says when, `busway.session.connection` what becomes of
+   open requests.
 """
 
 import asyncio
@@ -201,11 +203,11 @@ class Upstream:
             self._port_gone.set()
             self.news.is_down(reason)
 
-    def leave_alone(self, unit_gaps: Mapping[int, float]) -> None:
+    def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
         """Set the seconds of silence after replies, by unit; on serial lines only."""
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
-                link.session.leave_alone(unit_gaps)
+                link.session.set_unit_gaps(unit_gaps)
 
     async def close(self) -> None:
         """Close the links. Open requests are answered 0A or 0B."""

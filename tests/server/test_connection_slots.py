@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.server.pools import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
+from busway.server.connection_slots import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
 
 
 @dataclass(eq=False)

@@ -8,8 +8,8 @@ Pure: knows who is connected and since when unused; closes nothing, logs nothing
    of the priority pool becomes free.
 3. In the other pool a new connection pushes out one that has never said anything, if its other end has closed or it had
    `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are busy. One that is not marked
-   never pushes out one that is: where only such are left, it is refused itself. So who knocks and goes, or knocks and
-   says nothing, takes no place of one who has worked; and a new connection whose other end has closed takes nobody's.
+   never pushes out one that is: where only such are left, it is refused itself. So clients
+   that connect and close, or send nothing, take no slot of one that works; nor does a new connection that has ended.
 4. Only a priority connection that finds nothing but priority connections takes the place of one: of its own device's
    oldest, if there is one. Nothing else keeps both the bound and rule 2.
 5. A device that is not marked may have a limit of its own; its next connection replaces its oldest. With a limit of 1
@@ -25,7 +25,7 @@ from typing import Final, Generic, Protocol, TypeVar
 from ..options.server import ListenerParameters
 
 SECONDS_TO_SPEAK: Final = 1.0
-"""So long a connection may stand and say nothing until it makes room before all that have said something."""
+"""Seconds until a connection that has sent nothing is closed for a new one before those that have."""
 _LOOKS: Final = 64
 """Silent connections whose other ends are looked at for one new connection at most."""
 
@@ -179,7 +179,7 @@ class Pools(Generic[One]):
         found = self._first_idle()
         if found is None:
             # Sorted once for many new connections: what has not been used since then stands in its order still, and all
-            # others have been used later. A storm of new connections costs a step for each, not a look at everybody.
+            # others have been used later. A storm of new connections costs a step for each, not a look at all.
             self._by_use = deque(
                 sorted((member.last_used, number) for member, number in self._other.items() if not member.is_priority)
             )
@@ -202,7 +202,7 @@ class Pools(Generic[One]):
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
-        """Rule 4; everybody in the other pool is marked."""
+        """Rule 4; every connection in the other pool is marked."""
         if not candidate.is_priority:
             return None
         own = (member for member in self._other if member.host == candidate.host)
