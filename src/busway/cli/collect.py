@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..errors import ConfigError, ModbusError
-from ..extras import missing_extra
 from .arguments import JSON, VERBOSE, seconds, show_traffic
+from .collect_status import open_page, print_status
 from .exits import ExitCode
 from .output import print_aligned, print_json, say, say_problems
 from .signals import on_hangup, stop_event
@@ -118,23 +118,6 @@ async def _collect(configuration: "CollectorConfiguration", file: str, every: fl
             print_status(collector, as_json=as_json)
 
 
-async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Show the page, and say where; without it, say why and go on: polling matters more."""
-    at = collector.configuration.file.collector.page
-    if at == "off":
-        return
-    try:
-        try:
-            from ..apps.web.collector_page import CollectorPage
-        except ImportError as error:
-            raise missing_extra(error) or error from error
-        page = await stack.enter_async_context(CollectorPage(collector, at))
-    except ModbusError as error:
-        say(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
-    else:
-        say(f"page on {page.url}" + (f", its token in {page.token_path}" if page.token else ""))
-
-
 def _say_what_runs(collector: "Collector") -> None:
     configuration = collector.configuration
     points = sum(len(device.points) for device in configuration.devices.values())
@@ -160,47 +143,6 @@ async def _read_again(collector: "Collector", file: str) -> None:
         say_problems("read again, nothing was changed:", str(error))
     else:
         say(f"read again: {'; '.join(done)}")
-
-
-def print_status(collector: "Collector", *, as_json: bool) -> None:
-    store, devices = collector.store_status(), collector.status()
-    if as_json:
-        print_json(
-            {
-                "samples": store.samples,
-                "waiting": store.waiting,
-                "lost": store.lost,
-                "error": store.error,
-                "sinks": [
-                    {"name": each.name, "sent": each.sent, "lost": each.lost, "set_aside": each.set_aside,
-                     "error": each.error}
-                    for each in collector.sink_statuses()
-                ],
-                "links": {
-                    name: {"busy": round(busy, 4), "probing": round(probing, 4)}
-                    for name, (busy, probing) in collector.loads().items()
-                },
-                "devices": [
-                    {"name": each.name, "link": each.link, "state": each.state, "reads": each.reads,
-                     "failures": each.failures, "skipped": each.skipped, "last_error": each.last_error}
-                    for each in devices
-                ],
-            }
-        )  # fmt: skip
-        return
-    lost = f", {store.lost} lost: {store.error or 'the store could not be written'}" if store.lost else ""
-    polled = sum(each.state == "polled" for each in devices)
-    print(f"{store.samples} samples kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
-    for name, (busy, probing) in collector.loads().items():
-        print(f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % with silent devices", flush=True)
-    for sink in collector.sink_statuses():
-        error = f": {sink.error}" if sink.error else ""
-        print(f"  sink {sink.name}: {sink.sent} samples sent, {sink.lost} lost{error}", flush=True)
-    for each in devices:
-        if each.state != "polled" or each.skipped:
-            skipped = f", {each.skipped} rounds skipped" if each.skipped else ""
-            error = f": {each.last_error}" if each.last_error and each.state != "polled" else ""
-            print(f"  device {each.name}: {each.state}{skipped}{error}", flush=True)
 
 
 # What would be done.

@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from .collect_status import open_page, print_status
 from .demo import started_plant
 from .output import say
 from .signals import stop_event
@@ -40,7 +41,6 @@ async def collect_demo(limit: float, page: str) -> None:
     """Run the whole system for ``limit`` seconds, with its page on host and port ``page``."""
     from ..apps.collector.collector import Collector
     from ..apps.collector.configuration import load_collector
-    from .collect import open_page, print_status
 
     with stop_event() as stop:
         async with AsyncExitStack() as stack:

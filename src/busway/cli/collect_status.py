@@ -1,0 +1,69 @@
+"""What `busway collect` and its demonstration show while they run: the page, and the status on stdout."""
+
+from contextlib import AsyncExitStack
+from typing import TYPE_CHECKING
+
+from ..errors import ModbusError
+from ..extras import missing_extra
+from .output import print_json, say
+
+if TYPE_CHECKING:
+    from ..apps.collector.collector import Collector
+
+
+async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
+    """Show the page, and say where; without it, say why and go on: polling matters more."""
+    at = collector.configuration.file.collector.page
+    if at == "off":
+        return
+    try:
+        try:
+            from ..apps.web.collector_page import CollectorPage
+        except ImportError as error:
+            raise missing_extra(error) or error from error
+        page = await stack.enter_async_context(CollectorPage(collector, at))
+    except ModbusError as error:
+        say(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
+    else:
+        say(f"page on {page.url}" + (f", its token in {page.token_path}" if page.token else ""))
+
+
+def print_status(collector: "Collector", *, as_json: bool) -> None:
+    store, devices = collector.store_status(), collector.status()
+    if as_json:
+        print_json(
+            {
+                "samples": store.samples,
+                "waiting": store.waiting,
+                "lost": store.lost,
+                "error": store.error,
+                "sinks": [
+                    {"name": each.name, "sent": each.sent, "lost": each.lost, "set_aside": each.set_aside,
+                     "error": each.error}
+                    for each in collector.sink_statuses()
+                ],
+                "links": {
+                    name: {"busy": round(busy, 4), "probing": round(probing, 4)}
+                    for name, (busy, probing) in collector.loads().items()
+                },
+                "devices": [
+                    {"name": each.name, "link": each.link, "state": each.state, "reads": each.reads,
+                     "failures": each.failures, "skipped": each.skipped, "last_error": each.last_error}
+                    for each in devices
+                ],
+            }
+        )  # fmt: skip
+        return
+    lost = f", {store.lost} lost: {store.error or 'the store could not be written'}" if store.lost else ""
+    polled = sum(each.state == "polled" for each in devices)
+    print(f"{store.samples} samples kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
+    for name, (busy, probing) in collector.loads().items():
+        print(f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % with silent devices", flush=True)
+    for sink in collector.sink_statuses():
+        error = f": {sink.error}" if sink.error else ""
+        print(f"  sink {sink.name}: {sink.sent} samples sent, {sink.lost} lost{error}", flush=True)
+    for each in devices:
+        if each.state != "polled" or each.skipped:
+            skipped = f", {each.skipped} rounds skipped" if each.skipped else ""
+            error = f": {each.last_error}" if each.last_error and each.state != "polled" else ""
+            print(f"  device {each.name}: {each.state}{skipped}{error}", flush=True)
