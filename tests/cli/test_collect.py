@@ -41,7 +41,8 @@ def written(folder: Path, url: str = "tcp://127.0.0.1:9") -> str:
 
 def is_stored(folder: Path, device: str) -> bool:
     """Whether a sample of this device is in the store."""
-    return any(point.device == device for point in busway.Store(folder / "data").points())
+    store = busway.Store(folder / "data")
+    return any(point.device == device for point in store.points()) and len(store.read(device)) > 0
 
 
 def device() -> busway.Device:
