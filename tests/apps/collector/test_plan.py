@@ -151,7 +151,7 @@ def test_an_atomic_group_with_an_undeclared_hole_is_refused_instead_of_read() ->
     plan = plan_reads([at(0, group="g"), at(2, group="g")], ReadRules(), SLOW)
     assert not plan.reads
     assert len(plan.unreadable) == 2
-    assert "its group has a hole" in plan.unreadable[0].reason
+    assert "its group has an undeclared hole" in plan.unreadable[0].reason
 
 
 def test_a_group_that_is_not_due_comes_whole_or_not_at_all() -> None:

@@ -15,7 +15,7 @@ from busway.apps.importers.sunspec import read_sunspec
 from busway.apps.importers.telegraf import read_telegraf
 from busway.config.files.device import parse_device_file
 from busway.errors import ConfigError
-from busway.points import Point
+from busway.points import Point, decode_point
 
 TELEGRAF = """
 [agent]
@@ -189,12 +189,12 @@ def test_home_assistant_s_sensors_and_switches_become_points() -> None:
     points = points_of(found)
     outside = points[2, "Outside # north"]
     assert (str(outside.address), outside.type, outside.unit_of_measure) == ("3x101", "int16", "°C")
-    assert outside.decode((274).to_bytes(2, "big")).value == 23.4
-    assert outside.decode(b"\x80\x00").value is None
+    assert decode_point(outside, (274).to_bytes(2, "big")).value == 23.4
+    assert decode_point(outside, b"\x80\x00").value is None
     assert outside.meta == {"state_class": "measurement", "precision": 1}
     assert (str(points[1, "Energy"].address), points[1, "Energy"].order) == ("4x17", "CDAB")
     assert [str(points[1, name].address) for name in ("Row", "Row_1", "Row_2")] == ["4x31", "4x33", "4x35"]
-    assert points[1, "Both"].decode(bytes.fromhex("FFFF 0001 FFFFFFFE")).value == (-1, 1, -2)
+    assert decode_point(points[1, "Both"], bytes.fromhex("FFFF 0001 FFFFFFFE")).value == (-1, 1, -2)
     assert str(points[1, "Door"].address) == "1x8"
     assert str(points[1, "Bits_17"].address) == "4x52.1"
     fan = points[1, "Fan"]
@@ -227,8 +227,8 @@ def test_a_sunspec_model_becomes_points_and_groups() -> None:
     assert [points[name].start for name in ("ID", "L", "Mn", "W", "W_SF", "Tmp", "St", "Evt", "WH")] == [
         40070, 40071, 40072, 40076, 40077, 40078, 40079, 40080, 40082,
     ]  # fmt: skip
-    assert points["Tmp"].decode((215).to_bytes(2, "big")).value == 21.5
-    assert points["W"].decode(b"\x80\x00").value is None
+    assert decode_point(points["Tmp"], (215).to_bytes(2, "big")).value == 21.5
+    assert decode_point(points["W"], b"\x80\x00").value is None
     assert points["St"].label(1) == "OFF"
     assert points["Evt"].label(32) == "HOT"
     assert (points["Evt"].writing is None, points["W"].writing is None) == (False, True)
