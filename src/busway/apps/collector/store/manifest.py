@@ -13,7 +13,7 @@ count: a reader reads it first, a writer changes it last.
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -124,12 +124,15 @@ class Manifest:
         self._lock = threading.RLock()
         try:
             self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=10.0)
-            self._database.execute("PRAGMA synchronous=FULL")
-            if writes:
-                self.path.chmod(0o600)
-                self._database.execute("PRAGMA journal_mode=WAL")
-                self._database.executescript(_SCHEMA)
-            self._check_format(writes)
+            with ExitStack() as unless_open:
+                unless_open.callback(self._database.close)
+                self._database.execute("PRAGMA synchronous=FULL")
+                if writes:
+                    self.path.chmod(0o600)
+                    self._database.execute("PRAGMA journal_mode=WAL")
+                    self._database.executescript(_SCHEMA)
+                self._check_format(writes)
+                unless_open.pop_all()
         except sqlite3.Error as error:
             raise ConfigError(f"the manifest of the store cannot be read: {error}", file=str(self.path)) from error
 
