@@ -40,7 +40,7 @@ help: ## this list
 # --- what users run ---------------------------------------------------------------------------------------------------
 
 .PHONY: demo
-demo: $(VENV)/.installed ## a small plant, a gateway, a collector and its page on 127.0.0.1 for a minute
+demo: $(VENV)/.installed-demo ## a small plant, a gateway, a collector and its page on 127.0.0.1 for a minute
 	@$(RUN)/busway collect demo $(DEMO_FLAGS)
 
 # --- what developers run ----------------------------------------------------------------------------------------------
@@ -133,15 +133,15 @@ $(VENV)/bin/python:
 	echo "== $(VENV): a virtual environment of $$interpreter"; \
 	"$$interpreter" -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
-	@echo "== $(VENV): the project with its commands"
-	@$(RUN)/python $(PIP) --editable '.[serial,cli,files]'
+$(VENV)/.installed-demo: pyproject.toml | $(VENV)/bin/python
+	@echo "== $(VENV): the project with its commands, its store and its pages"
+	@$(RUN)/python $(PIP) --editable '.[serial,cli,files,store,web]'
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	@echo "== $(VENV): the project and what its development needs"
 	@$(RUN)/python $(PIP) --editable '.[dev]'
-	@touch $@ $(VENV)/.installed
+	@touch $@ $(VENV)/.installed-demo
 
 # The stamp names the packages, so a changed pin reinstalls.
 $(PEERS)/.installed: Makefile | $(VENV)/bin/python

@@ -1,10 +1,13 @@
 """``busway collect``: polls until it is stopped, shows its plan without traffic, reads its file again."""
 
+import asyncio
 import json
 import os
 import signal
 import socket
 from pathlib import Path
+from typing import Any
+from urllib.error import URLError
 from urllib.request import urlopen
 
 import pytest
@@ -14,6 +17,7 @@ from waiting import wait_until
 import busway
 from busway.apps.collector.collector import write_learnt
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
+from busway.cli.collect_demo import collect_demo
 from busway.codes import Table
 
 PLANT = """\
@@ -158,15 +162,77 @@ def test_without_a_free_port_the_page_is_left_out_and_polling_goes_on(tmp_path: 
         assert "of 1 devices answer" in out
 
 
+def page_of(program: Busway) -> str:
+    """The address that a program prints for its page."""
+    return program.wait_for("page on ").partition("page on ")[2].split()[0]
+
+
+def answer_of(url: str) -> Any:
+    with urlopen(url, timeout=20) as answer:
+        return json.load(answer)
+
+
 def test_the_demo_shows_a_plant_from_its_line_to_the_page_and_ends_by_itself() -> None:
     with Busway("collect", "demo", "--for", "8s") as program:
-        said = program.wait_for("page")
-        if "page on " in said:  # the port may be taken here
-            with urlopen(said.split("page on ")[1].split()[0] + "api/points", timeout=20) as answer:
-                points = {each["point"] for each in json.load(answer)["points"]}
-            assert {"tank.level", "meter.power", "tank.temperature"} <= points
+        points = answer_of(page_of(program) + "api/points")["points"]
+        assert {"tank.level", "meter.power", "tank.temperature"} <= {each["point"] for each in points}
         out, _ = program.end()
     assert "of 3 devices answer" in out
+
+
+def test_the_values_of_the_demo_change_and_have_a_history() -> None:
+    with Busway("collect", "demo") as program:
+        page = page_of(program)
+        names = [each["point"] for each in answer_of(page + "api/points")["points"]]
+        energy = names.index("meter.volume")
+        seen: set[float] = set()
+
+        def has_changed() -> bool:
+            value = answer_of(page + "api/values")["value"][energy]
+            if value is not None:
+                seen.add(value)
+            return len(seen) > 1
+
+        wait_until(has_changed, 20)
+        trend = answer_of(page + "api/trend?device=meter&point=meter.volume&seconds=60&buckets=60")
+        assert any(value is not None for value in trend["mean"])
+        program.stop()
+
+
+async def test_the_demo_takes_a_free_port_for_its_page_where_the_wanted_one_is_taken(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        running = asyncio.create_task(collect_demo(60.0, f"127.0.0.1:{port}"))
+        said = ""
+        async with asyncio.timeout(20):
+            while "page on " not in said:
+                await asyncio.sleep(0.01)
+                said += capsys.readouterr().err
+        page = said.partition("page on ")[2].split()[0]
+        assert f"port {port} is taken" in said
+        assert f":{port}/" not in page
+        assert (await asyncio.to_thread(answer_of, page + "api/points"))["points"]
+        signal.raise_signal(signal.SIGINT)
+        await running
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_demo_that_is_interrupted_leaves_no_file_and_no_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with Busway("collect", "demo", alone=True) as program:
+        page = page_of(program)
+        assert list(tmp_path.glob("busway-demo-*"))
+        program.stop(number)
+    assert program.process.returncode == 0
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ProcessLookupError):  # its session has no process any more
+        os.killpg(program.process.pid, 0)
+    with pytest.raises(URLError):
+        answer_of(page)
 
 
 def test_how_long_the_demo_lasts_is_for_the_demo_alone(run, tmp_path: Path) -> None:

@@ -13,14 +13,20 @@ LIMIT = 20.0
 
 
 class Busway:
-    """A running ``busway``; a context manager that ends it whatever has happened."""
+    """A running ``busway``; a context manager that ends it whatever has happened.
 
-    def __init__(self, *arguments: str) -> None:
+    Args:
+        arguments: of the command line.
+        alone: whether it has a process group of its own, with what it starts.
+    """
+
+    def __init__(self, *arguments: str, alone: bool = False) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "busway", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            start_new_session=alone,
         )
         self._left = b""
 

@@ -9,7 +9,7 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from .collect_status import open_page, print_status
+from .collect_status import open_demo_page, print_status
 from .demo import started_plant
 from .output import say
 from .signals import stop_event
@@ -38,7 +38,7 @@ line_baud = {baud}
 
 
 async def collect_demo(limit: float, page: str) -> None:
-    """Run the whole system for ``limit`` seconds, with its page on host and port ``page``."""
+    """Run the whole system for ``limit`` seconds, with its page on host and port ``page``, or on a free port."""
     from ..apps.collector.collector import Collector
     from ..apps.collector.configuration import load_collector
 
@@ -50,7 +50,7 @@ async def collect_demo(limit: float, page: str) -> None:
             configuration = load_collector(_written(folder, url, page))
             collector = await stack.enter_async_context(Collector(configuration))
             say(f"collects into {configuration.store}, for {limit:g} s or until Ctrl-C")
-            await open_page(stack, collector)
+            await open_demo_page(stack, collector)
             try:
                 async with asyncio.timeout(limit):
                     await stop.wait()

@@ -3,7 +3,7 @@
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
-from ..errors import ModbusError
+from ..errors import LinkDown, ModbusError
 from ..extras import missing_extra
 from .output import print_json, say
 
@@ -17,15 +17,33 @@ async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
     if at == "off":
         return
     try:
-        try:
-            from ..apps.web.collector_page import CollectorPage
-        except ImportError as error:
-            raise missing_extra(error) or error from error
-        page = await stack.enter_async_context(CollectorPage(collector, at))
+        await _open_page_at(at, stack, collector)
     except ModbusError as error:
         say(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
-    else:
-        say(f"page on {page.url}" + (f", its token in {page.token_path}" if page.token else ""))
+
+
+async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
+    """Show the page of the demonstration, on a free port where the usual one is taken; without it, say why."""
+    at = collector.configuration.file.collector.page
+    try:
+        try:
+            await _open_page_at(at, stack, collector)
+        except LinkDown:
+            host, _, port = at.rpartition(":")
+            say(f"port {port} is taken; the page takes another")
+            await _open_page_at(f"{host}:0", stack, collector)
+    except ModbusError as error:
+        say(f"no page: {error}")
+
+
+async def _open_page_at(at: str, stack: AsyncExitStack, collector: "Collector") -> None:
+    """Show the page at host and port until ``stack`` ends. Raises `MissingExtra`, `LinkDown`, `ConfigError`."""
+    try:
+        from ..apps.web.collector_page import CollectorPage
+    except ImportError as error:
+        raise missing_extra(error) or error from error
+    page = await stack.enter_async_context(CollectorPage(collector, at))
+    say(f"page on {page.url}" + (f", its token in {page.token_path}" if page.token else ""))
 
 
 def print_status(collector: "Collector", *, as_json: bool) -> None:
