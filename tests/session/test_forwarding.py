@@ -201,6 +201,19 @@ def test_reads_that_came_together_go_on_together_each_unit_by_itself() -> None:
     assert handler.planned == 4
 
 
+def test_reads_of_several_units_with_one_target_go_on_together_and_count_for_the_unit_that_was_named() -> None:
+    handler = HandingOn()
+    handler.ways = dict.fromkeys((1, 2, 3), handler.ways[1])
+    client = Client(handler)
+    stream = read(1) + read(2, unit=2) + read(3, unit=3) + read(4, unit=2)
+    for _ in range(2):
+        handler.ways[1].bunches.clear()
+        client.send(stream)
+        handler.ways[1].answer()
+    assert handler.ways[1].bunches == [4]
+    assert dict(client.diagnostics.arrived) == dict(client.diagnostics.departed) == {1: 2, 2: 4, 3: 2}
+
+
 def test_what_is_no_read_to_hand_on_is_asked_about_once() -> None:
     handler = HandingOn()
     client = Client(handler)

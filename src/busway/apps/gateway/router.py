@@ -98,7 +98,7 @@ class ListenerRouter:
         self._routes = ListenerRoutes(())
         self._forwarders: Mapping[str, Forwarder] = {}
         self._served: dict[int, ServedUnit] = {}
-        self._targets: dict[tuple[int, str, int, float | None], ForwardTarget] = {}
+        self._targets: dict[tuple[str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
         """Use these routes from now on, with these forwarders by name of upstream. Open requests are still answered."""
@@ -162,10 +162,10 @@ class ListenerRouter:
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
 
     def _target(self, forwarder: Forwarder, unit: int, route: Route) -> ForwardTarget:
-        key = unit, route.upstream, route.upstream_unit(unit), route.timeout
+        key = route.upstream, route.upstream_unit(unit), route.timeout
         target = self._targets.get(key)
         if target is None:
-            target = self._targets[key] = ForwardTarget(forwarder, key[2], route.timeout, self.deadline)
+            target = self._targets[key] = ForwardTarget(forwarder, key[1], route.timeout, self.deadline)
         return target
 
     def _forward(
